@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ class FaultTest:
     mean: FloatArray  #: (P,): of ln R under usual loads
     covariance: FloatArray  #: S, (P, P): of ln R under usual loads, noise included
     noise: FloatArray  #: (P,): relative standard deviation of a reading
-    window: int = WINDOW  #: scans that are looked at together
+    window: ClassVar[int] = WINDOW  #: scans that are looked at together
 
     @classmethod
     def of(cls, decoupler: Decoupler) -> "FaultTest | None":
@@ -127,7 +128,7 @@ class FaultTest:
 
     def named_in(self, resistance_ohm: FloatArray) -> dict[str, int]:
         """Faults of a recording's scans (n, rows, cols, 3) [Ω], in words, and in how many windows each is named."""
-        n_windows = max(len(resistance_ohm) // WINDOW, 1)
+        n_windows = max(len(resistance_ohm) // self.window, 1)
         some = np.unique(np.linspace(0, n_windows - 1, min(n_windows, MAX_WINDOWS)).astype(int))
         windows = [resistance_ohm[k * self.window : (k + 1) * self.window] for k in some.tolist()]
         return dict(Counter(str(fault) for window in windows for fault in self.named(window)))
@@ -214,11 +215,14 @@ class FaultTest:
         return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @cached_property
-    def _groups(self) -> "list[_Group]":
-        singles = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
-        return [
-            _Group.of(self, place, which) for place, which in (*singles, *self.wires) if len(which) < len(self.pillars)
-        ]
+    def _groups(self) -> "list[_Groups]":
+        """Each pillar and each wire beside which others are left, those of as many pillars together."""
+        each = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
+        by_size: dict[int, list[tuple[str, Indices]]] = {}
+        for place, which in (*each, *self.wires):
+            if len(which) < len(self.pillars):
+                by_size.setdefault(len(which), []).append((place, which))
+        return [_Groups.of(self, *zip(*groups, strict=True)) for groups in by_size.values()]
 
     def _likeliest(self, y: FloatArray) -> "_Found | None":
         """The fault that explains readings (n, P) best, of those that are decidedly likelier than none."""
@@ -234,22 +238,23 @@ class FaultTest:
         """Faults decidedly likelier than none, readings (n, P) about their means."""
         enough = -math.log(FALSE_ALARMS)
         u, u_bent = y @ self._precision, _bent(y) @ self._precision
-        for group in self._groups:
-            stuck = group.stuck(y, u) * _news(y[:, group.near[0]])
-            noisy = group.noisy(u_bent) / OVERLAP
-            for kind, ratio in (("stuck", stuck), ("noisy", noisy)):
-                if ratio > enough:
-                    yield _Found(kind, group.place, group.which, ratio)
+        for groups in self._groups:
+            for kind, ratios in (("stuck", groups.stuck(y, u)), ("noisy", groups.noisy(u_bent) / OVERLAP)):
+                for k in np.flatnonzero(ratios > enough):
+                    yield _Found(kind, groups.places[k], groups.which[k], float(ratios[k]))
         energy, P = (u * y).sum(axis=1), y.shape[1]
-        news = _news(y / np.sqrt(self.covariance.diagonal()))
+        news = float(_news((y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0), self.noise**-2.0))
+        products = y.T @ y
         for place, order in self.swaps:
-            turned = y[:, order]
-            other = ((turned @ self._precision) * turned).sum(axis=1)
+            turned = products[np.ix_(order, order)]
+            if news * 0.5 * float((self._precision * (products - turned)).sum()) <= enough:
+                continue  # by all scans in full, which is never less
+            other = ((y[:, order] @ self._precision) * y[:, order]).sum(axis=1)
             ratio = 0.5 * (energy - other)
             tells = (energy > P) & (other < USUAL * P)
-            ratio = news * float(np.minimum(np.where(tells, ratio, np.minimum(ratio, 0.0)), ONE_SCAN).sum())
-            if ratio > enough:
-                yield _Found("swapped", place, np.flatnonzero(order != np.arange(P)), ratio, order)
+            capped = news * float(np.minimum(np.where(tells, ratio, np.minimum(ratio, 0.0)), ONE_SCAN).sum())
+            if capped > enough:
+                yield _Found("swapped", place, np.flatnonzero(order != np.arange(P)), capped, order)
 
     def _gain(self, fault: "_Found", y: FloatArray) -> float:
         """Log-likelihood ratio, to none, of a fault that passes, by all readings (n, P) about their means."""
@@ -290,10 +295,13 @@ def _bent(y: FloatArray) -> FloatArray:
     return np.diff(y, n=2, axis=0) / math.sqrt(6.0)
 
 
-def _news(y: FloatArray) -> float:
-    """Ratio of von Neumann of readings (n, m) about their means: 1 if each scan has a load of its own, 0 if all one."""
-    total = 2.0 * float((y**2).sum())
-    return min(float((np.diff(y, axis=0) ** 2).sum()) / total, 1.0) if total > 0 else 0.0
+def _news(squares: FloatArray, steps: FloatArray, weights: FloatArray) -> FloatArray:
+    """Ratio of von Neumann, 1 if each scan has a load of its own, near 0 if all have one; weights (..., P) of pillars.
+
+    `squares` and `steps` (P,) are sums of squares of readings about their means and of differences from scan to scan.
+    """
+    total = 2.0 * weights @ squares
+    return np.minimum(np.divide(weights @ steps, total, out=np.zeros_like(total), where=total > 0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,88 +316,91 @@ class _Found:
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
-    """Pillars that may fail together, and what the others say of them."""
+class _Groups:
+    """g groups of k pillars that may fail together, and what the others say of them."""
 
-    place: str
-    which: Indices  #: (k,)
-    noise: FloatArray  #: (k,)
-    solved: FloatArray  #: V = K_gg⁻¹, (k, k)
-    variance: FloatArray  #: its diagonal, (k,)
-    by_noise: FloatArray  #: of N, (k,)
-    near: tuple[Indices, ...]  #: others: of the same units, of those around, all
-    across: FloatArray  #: K_gq, (k, P)
-    scale: FloatArray  #: (P,): variance of (K y)_q without the group
-    noise_share: FloatArray  #: (P,): of its variance, by noise
-    apart: FloatArray  #: what makes residuals independent, under loads and noise alike, (k, k)
-    by_parts: FloatArray  #: variances of the parts by loads, (k,); those by noise are 1
-    own_parts: FloatArray  #: the same by the group's own noise, (k,)
+    places: tuple[str, ...]
+    which: Indices  #: (g, k)
+    noise: FloatArray  #: (g, k)
+    solved: FloatArray  #: V = K_gg⁻¹, (g, k, k)
+    variance: FloatArray  #: its diagonal, (g, k)
+    by_noise: FloatArray  #: that of N, (g, k)
+    across: FloatArray  #: K_gq, (g, k, P)
+    scale: FloatArray  #: (g, P): variance of (K y)_q without the group
+    noise_share: FloatArray  #: (g, P): of it, by noise
+    near: FloatArray  #: (g, P, 3): 1 for others of the same units, of those around, for all
+    apart: FloatArray  #: what makes residuals independent, under loads and noise alike, (g, k, k)
+    by_parts: FloatArray  #: variances of these parts by loads, (g, k); those by noise are 1
+    own_parts: FloatArray  #: the same by the group's own noise, (g, k)
 
     @classmethod
-    def of(cls, test: FaultTest, place: str, which: Indices) -> "_Group":
-        K = test._precision
-        V: FloatArray = np.asarray(np.linalg.inv(K[np.ix_(which, which)]), dtype=np.float64)
-        mine = V @ K[which]
-        without = K - K[:, which] @ mine
-        scale = np.maximum(without.diagonal(), 1e-12 * K.diagonal())
-        share = ((without * test.noise) ** 2).sum(axis=1) / scale
+    def of(cls, test: FaultTest, places: tuple[str, ...], which: tuple[Indices, ...]) -> "_Groups":
+        K, here = test._precision, np.stack(which)
+        V: FloatArray = np.asarray(np.linalg.inv(K[here[:, :, None], here[:, None]]), dtype=np.float64)
+        mine = V @ K[here]
+        without = K - K[here].swapaxes(1, 2) @ mine
+        scale = np.maximum(np.einsum("gpp->gp", without), 1e-12 * K.diagonal())
         rows, cols = np.divmod(test.pillars // len(PILLARS), test.cols)
-        far = np.maximum(np.abs(rows[:, None] - rows[which]), np.abs(cols[:, None] - cols[which])).min(axis=1)
-        other = ~np.isin(np.arange(len(K)), which)
-        near = [np.flatnonzero(other & (far <= most)) for most in (0, 1, len(K))]
-        N = (mine * test.noise**2) @ mine.T
+        far = np.maximum(np.abs(rows - rows[here][..., None]), np.abs(cols - cols[here][..., None])).min(axis=1)
+        other = ~(here[..., None] == np.arange(len(K))).any(axis=1)
+        near = np.stack([other & (far <= most) for most in (0, 1, len(K))], axis=-1)
+        for k in (1, 0):
+            near[..., k] |= near[..., k + 1] & ~near[..., k].any(axis=1, keepdims=True)  # the next, where there is none
+        N = (mine * test.noise**2) @ mine.swapaxes(1, 2)
         L = np.linalg.inv(np.linalg.cholesky(N))
-        by_parts, U = np.linalg.eigh(L @ V @ L.T)
-        parts = L.T @ U
+        by_parts, U = np.linalg.eigh(L @ V @ L.swapaxes(1, 2))
+        apart = L.swapaxes(1, 2) @ U
         return cls(
-            apart=parts,
-            by_parts=np.maximum(by_parts - 1.0, 0.0),
-            own_parts=((parts.T * test.noise[which]) ** 2).sum(axis=1),
-            place=place,
-            which=which,
-            noise=test.noise[which],
+            places=places,
+            which=here,
+            noise=test.noise[here],
             solved=V,
-            variance=V.diagonal(),
-            by_noise=N.diagonal(),
-            near=tuple(one for one in near if len(one)),
-            across=K[which],
+            variance=np.einsum("gkk->gk", V),
+            by_noise=np.einsum("gkk->gk", N),
+            across=K[here],
             scale=scale,
-            noise_share=np.minimum(share, 0.99),
+            noise_share=np.minimum(((without * test.noise) ** 2).sum(axis=2) / scale, 0.99),
+            near=near.astype(np.float64),
+            apart=apart,
+            by_parts=np.maximum(by_parts - 1.0, 0.0),
+            own_parts=((apart * test.noise[here][..., None]) ** 2).sum(axis=1),
         )
 
-    def _sizes(self, u: FloatArray, r: FloatArray) -> list[FloatArray]:
-        """a², how large loads are over the usual ones, by each of `near`, (n, 1)."""
-        squares = (u - r @ self.across) ** 2 / self.scale - self.noise_share
-        free = 1.0 - self.noise_share
-        return [np.maximum(squares[:, q].sum(axis=1, keepdims=True) / free[q].sum(), 0.0) for q in self.near]
+    def _residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """r, (g, n, k), and a², how large loads are over the usual ones by each of `near`, (g, n, 1, 3)."""
+        r = u[:, self.which].swapaxes(0, 1) @ self.solved
+        squares = (u - r @ self.across) ** 2 / self.scale[:, None] - self.noise_share[:, None]
+        free = (1.0 - self.noise_share)[:, None] @ self.near
+        return r, np.maximum(squares @ self.near / free, 0.0)[:, :, None]
 
-    def _total(self, ratio: FloatArray) -> float:
-        """Log-likelihood ratio by those of its pillars or parts, (n, k): what half of them say, as if it were one."""
-        each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=0))
-        return float(each[(len(each) - 1) // 2])
+    def stuck(self, y: FloatArray, u: FloatArray) -> FloatArray:
+        """Log-likelihood ratios of readings (n, P) that do not move to such that do as usual, (g,)."""
+        r, sizes = self._residuals(u)
+        own, by_noise = y[:, self.which].swapaxes(0, 1), self.by_noise[:, None]
+        usual = sizes * (self.variance - self.by_noise)[:, None, :, None] + by_noise[..., None]
+        ratio = _log_normal(own, self.noise[:, None] ** 2) - _log_normal(r[..., None], usual).max(axis=-1)
+        moved = (own - r) ** 2 > CLEAR**2 * by_noise
+        news = _news((y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0), self.near[..., 0])
+        return news * _total(np.where(moved, ratio, np.minimum(ratio, 0.0)))
 
-    def stuck(self, y: FloatArray, u: FloatArray) -> float:
-        """Log-likelihood ratio of readings that do not move to such that do as usual, n scans of their own loads."""
-        r, own = u[:, self.which] @ self.solved, y[:, self.which]
-        still = _log_normal(own, self.noise**2)
-        usual = [size * (self.variance - self.by_noise) + self.by_noise for size in self._sizes(u, r)]
-        ratio = still - np.max([_log_normal(r, one) for one in usual], axis=0)
-        moved = (own - r) ** 2 > CLEAR**2 * self.by_noise
-        return self._total(np.where(moved, ratio, np.minimum(ratio, 0.0)))
-
-    def noisy(self, u: FloatArray) -> float:
-        """The largest log-likelihood ratio of `NOISES` to the stated one, n scans with noise of their own.
+    def noisy(self, u: FloatArray) -> FloatArray:
+        """The largest log-likelihood ratios of `NOISES` to the stated one, of scans with noise of their own, (g,).
 
         Residuals of a wire's pillars go together under loads, so their independent parts are looked at.
         """
-        r = u[:, self.which] @ self.solved
-        parts, usual = r @ self.apart, [size * self.by_parts + 1.0 for size in self._sizes(u, r)]
-        none = np.max([_log_normal(parts, one) for one in usual], axis=0)
-        more = [(times**2 - 1.0) * self.own_parts for times in NOISES]
-        with_more = [np.max([_log_normal(parts, one + extra) for one in usual], axis=0) for extra in more]
-        return max(self._total(one - none) for one in with_more)
+        r, sizes = self._residuals(u)
+        parts, usual = (r @ self.apart)[..., None], sizes * self.by_parts[:, None, :, None] + 1.0
+        none = _log_normal(parts, usual).max(axis=-1)
+        more = [(times**2 - 1.0) * self.own_parts[:, None, :, None] for times in NOISES]
+        return np.max([_total(_log_normal(parts, usual + extra).max(axis=-1) - none) for extra in more], axis=0)
 
 
 def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
     """Log-density of normal values but for a constant, each by itself."""
     return -0.5 * (values**2 / variance + np.log(variance))
+
+
+def _total(ratio: FloatArray) -> FloatArray:
+    """Log-likelihood ratios by those of pillars or parts, (g, n, k): what half of them say, as if it were one, (g,)."""
+    each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=1), axis=1)
+    return np.asarray(each[:, (each.shape[1] - 1) // 2])

@@ -1,6 +1,7 @@
 """Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
 
 CHUNK = 2048  #: frames worked on together
+LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -232,6 +234,7 @@ class LiveSensor:
         self._reader = ForceReader(scanner.info, model, calibration)
         self._window: list[FloatArray] = []
         self._faults: tuple[Fault, ...] = ()
+        self._look_s = -math.inf  # when the next window begins
 
     @property
     def description(self) -> SensorDescription:
@@ -246,10 +249,11 @@ class LiveSensor:
         """Forces of one scan."""
         found = self._reader.forces(scan.frame.counts[None])
         test = self._reader.fault_test
-        if test is not None:
+        if test is not None and scan.received_s >= self._look_s:
             self._window.append(found.resistance_ohm[0])
             if len(self._window) == test.window:
                 self._faults, self._window = test.named(np.stack(self._window)), []
+                self._look_s = scan.received_s + LOOKED_S
         return ScanForces(
             time_s=scan.time_s,
             force_n=found.force_n[0],
