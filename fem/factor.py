@@ -369,7 +369,7 @@ def schur_product(factor: Factor, rhs: FloatArray) -> FloatArray:
 
 
 def schur_complement(upper: sp.csr_matrix, n_last: int, solver: str | None = None) -> tuple[FloatArray, float]:
-    """What is left of a symmetric matrix when all but its last unknowns are eliminated, and the residual of a check.
+    """The Schur complement of a symmetric matrix on its last unknowns, and the residual of a check.
 
     Parameters
     ----------

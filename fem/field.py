@@ -20,8 +20,7 @@ from scipy.sparse.linalg import splu
 
 from fem.boxes.boxes import Boxes
 from fem.mirrors import Mirror, Parity, sign
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.mixed import MIN_POISSON, lame_of_regions
+from fem.tetrahedra.mixed import MIN_POISSON, Elements, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray
 

@@ -97,10 +97,6 @@ class ForwardModel:
         """The same without finite strain: the model whose forces are states."""
         return self if self.maps is None else replace(self, maps=None)
 
-    def states(self, force_n: FloatArray) -> FloatArray:
-        """Forces that would move the electrodes so if the array were linear, both (n, n_forces) [N]."""
-        return force_n if self.maps is None else self.maps.states(force_n)
-
     def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """What shows and acts in states (n, n_forces) [N], with derivatives by the state.
 
@@ -180,12 +176,7 @@ class ForwardModel:
         return self.resistances(np.zeros((1, self.n_forces)))[0]
 
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lengths (n, n_pillars) [mm] and their derivatives (n, n_pillars, n_forces) [mm/N]."""
-        if self.maps is not None:
-            squares, by_state, _, by_force = self.at_states(self.maps.states(force_n))
-            lengths = np.sqrt(np.maximum(squares, MIN_LENGTH_MM**2))
-            J = np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2)
-            return lengths, np.asarray(J / (2.0 * lengths[..., None]), dtype=np.float64)
+        """Lengths (n, n_pillars) [mm] of the linear array and their derivatives (n, n_pillars, n_forces) [mm/N]."""
         vectors = self.vectors(force_n)
         lengths = self._norms(vectors)
         if self.sign is not None:

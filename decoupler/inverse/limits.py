@@ -127,21 +127,6 @@ def exact_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: Fl
     SampleError
         If there are fewer pillars than forces, or some sample does not converge: no forces near cause its resistances.
 
-    """
-    forces, found = nearest_inverse(forward, resistance_ohm, start_n)
-    if not found.all():
-        raise SampleError(
-            f"{np.count_nonzero(~found)} of {len(found)} samples have resistances that no forces near the start cause, "
-            f"the first is sample {found.argmin()}: check the calibration."
-        )
-    return forces
-
-
-def nearest_inverse(
-    forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Forces that cause given resistances as `exact_inverse` has them, and which samples have some, (n,).
-
     Notes
     -----
     Gauss-Newton steps, each halved until it lowers the misfit of the sample's lengths.
@@ -157,8 +142,11 @@ def nearest_inverse(
         finished = [_descend(forward, measured, forces, waiting[i : i + CHUNK]) for i in range(0, len(waiting), CHUNK)]
         waiting = waiting[~np.concatenate(finished)]
         if not len(waiting):
-            break
-    return forces, ~np.isin(np.arange(len(forces)), waiting)
+            return forces
+    raise SampleError(
+        f"{len(waiting)} of {len(forces)} samples have resistances that no forces near the start cause, the first is "
+        f"sample {waiting.min()}: check the calibration."
+    )
 
 
 def _descend(

@@ -56,6 +56,8 @@ def simulate_twin(
         if value:
             raise DesignError(f"{name}={value:g}: a twin has its own gains and offsets: leave it out.")
     decoder = twin.read_decoder()
+    if decoder.posterior is not None:
+        raise DesignError("a twin at finite strain draws no samples yet: identify the sensor without finite strain.")
     axes = [axis for axis in pad_protocol(settings.protocol).axes if axis not in decoder.component.axes]
     if axes or decoder.inverse is None or decoder.ensemble is None:
         known = ", ".join(decoder.component.forces)

@@ -8,6 +8,9 @@ displacements are combinations of hierarchical Lobatto functions: along a side t
 and `side` − 1 bubbles, upwards `up` functions that vanish at the clamped base. Modes belong to a vertical edge or to a
 face, so that neighbours share them and the field is continuous. Upward functions are polynomials of z^`CLAMPED`, since
 that is how displacements begin where a free side meets the clamped base: six do what nine polynomials of z do.
+
+`CellSides` keeps the nodes of the side faces instead: from it a cell of any place in an array follows without another
+elimination. A side shared with a neighbour moves by port modes; one at the rim is free, and moves as its nodes do.
 """
 
 from dataclasses import dataclass, replace
@@ -17,16 +20,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
-from fem.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
+from fem.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
 from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
-    from fem.array.meshed import CellBody
+    from fem.array.meshed import CellBody, TetCell
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
 FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
+Free = tuple[int, ...]  #: numbers of the `FACES` that no neighbour shares
 CLAMPED = 0.7  #: exponent of displacements at the clamped end of a free side: 0.6 as ν → 0.5, 0.71 at 0.3
 
 
@@ -318,3 +323,89 @@ def _part(K: SparseMatrix, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> 
     block = K.blocksize[0]
     shape = (block * len(rows), block * len(cols))
     return sp.bsr_matrix((K.data[some.data - 1], some.indices, some.indptr), shape=shape)
+
+
+def on_faces(points_mm: FloatArray, half_mm: float, free: Free) -> NDArray[np.bool_]:
+    """Which points (n, 3) of a cell lie on a side that is not free, shape (n,)."""
+    found = np.zeros(len(points_mm), dtype=bool)
+    for number, (axis, side) in enumerate(FACES):
+        if number not in free:
+            found |= side * points_mm[:, axis] > half_mm * (1 - ON_FACE)
+    return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellSides:
+    """A cell seen from the n nodes of its side faces and k rectangles of its top face; units as of `CondensedCell`."""
+
+    points_mm: FloatArray  #: of the nodes that are not clamped, (n, 3)
+    half_mm: float  #: half the pitch
+    height_mm: float
+    stiffness: FloatArray  #: (n·3, n·3)
+    transfer: FloatArray  #: (n·3, k·3)
+    compliance: FloatArray  #: with the nodes held, (k·3, k·3)
+    unknowns: int
+    residual: float
+
+    @classmethod
+    def of(cls, body: "TetCell", rectangles: FloatArray, free: Free = ()) -> "CellSides":
+        """Condense a whole cell with rectangles (k, 4) of its top face; of sides always free no nodes are kept."""
+        points, parity = body.points_mm, (0, 0)
+        half_mm = float(points[:, 0].max())
+        on_side = on_faces(points, half_mm, free) & (body.numbers[:, 0] >= 0)
+        mean = body.integrals(rectangles).toarray() / (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
+        forces = np.einsum("kn,ij->kinj", mean, np.eye(3)).reshape(-1, len(points), 3)
+        K, last = whole(body.matrix(parity)), body.numbers[on_side].ravel()
+        order = np.concatenate([np.setdiff1d(np.arange(K.shape[0]), last), last])
+        loads = sp.csr_matrix(body.gathered(forces, parity)[order])
+        bordered = sp.block_array([[K[order][:, order], loads], [loads.T, None]], format="csr")
+        S, residual = schur_complement(sp.triu(bordered, format="csr"), len(last) + loads.shape[1])
+        n = len(last)
+        return cls(
+            points_mm=points[on_side],
+            half_mm=half_mm,
+            height_mm=float(points[:, 2].max()),
+            stiffness=S[:n, :n],
+            transfer=S[:n, n:],
+            compliance=-S[n:, n:],
+            unknowns=K.shape[0],
+            residual=residual,
+        )
+
+    def cell(self, degree: int, free: Free = ()) -> CondensedCell:
+        """The cell with ports of a degree on all sides but the free ones.
+
+        Modes of free sides alone move nothing: they have the stiffness of 1 N/mm, and none with others.
+        """
+        ports = PortModes(self.half_mm, self.height_mm, degree, degree)
+        shared = [side for number, side in enumerate(FACES) if number not in free]
+        follows = on_faces(self.points_mm, self.half_mm, free)
+        of_edges = [(0, x) in shared or (1, y) in shared for x, y in EDGES]
+        of_faces = [side in shared for side in FACES]
+        kept = np.flatnonzero(np.repeat([*of_edges, *of_faces], [ports.per_edge] * 4 + [ports.per_face] * 4))
+        values = ports.values(self.points_mm[follows])[:, kept]
+        n, m, k = len(self.points_mm), 3 * len(kept), self.transfer.shape[1]
+
+        K = (values.T @ self.stiffness.reshape(n, 9 * n)[follows]).reshape(m, n, 3)
+        S = np.einsum("apc,pq->aqc", K[:, follows], values, optimize=True).reshape(m, m)
+        L = (values.T @ self.transfer.reshape(n, 3 * k)[follows]).reshape(m, k)
+        C = self.compliance
+        loose = (3 * np.flatnonzero(~follows)[:, None] + np.arange(3)).ravel()
+        if len(loose):
+            coupling = np.hstack([K[:, ~follows].reshape(m, len(loose)).T, self.transfer[loose]])
+            lower = cholesky(self.stiffness[np.ix_(loose, loose)], lower=True, overwrite_a=True, check_finite=False)
+            half = solve_triangular(lower, coupling, lower=True, overwrite_b=True, check_finite=False)
+            of_modes, of_loads = half[:, :m], half[:, m:]
+            S, L, C = S - of_modes.T @ of_modes, L - of_modes.T @ of_loads, C + of_loads.T @ of_loads
+        dofs = (3 * kept[:, None] + np.arange(3)).ravel()
+        stiffness, transfer = np.eye(3 * ports.n_modes), np.zeros((3 * ports.n_modes, k))
+        stiffness[np.ix_(dofs, dofs)] = (S + S.T) / 2
+        transfer[dofs] = L
+        return CondensedCell(
+            ports=ports,
+            stiffness=stiffness,
+            transfer=transfer,
+            compliance=C,
+            unknowns=self.unknowns,
+            residual=self.residual,
+        )

@@ -3,18 +3,33 @@
 Cells that touch share the modes of their common face and edges, so the array is a sparse system of small dense blocks.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.cell import EDGES, FACES, CondensedCell, PortModes
-from fem.array.sides import Kinds, free_sides
+from fem.array.cell import EDGES, FACES, CondensedCell, Free, PortModes
 from fem.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
+Kinds = Mapping[Free, CondensedCell]  #: the cell of each place; of () wherever there is none of its own
 COLUMNS = 128  #: load cases solved for at a time
+
+
+def free_sides(row: int, col: int, rows: int, cols: int) -> Free:
+    """Sides of a cell that lie at the rim of an array.
+
+    >>> free_sides(0, 1, rows=1, cols=2)
+    (1, 2, 3)
+    """
+    at_rim = (col == 0, col == cols - 1, row == 0, row == rows - 1)
+    return tuple(number for number, free in enumerate(at_rim) if free)
+
+
+def places(rows: int, cols: int) -> list[Free]:
+    """The different places of an array's cells."""
+    return sorted({free_sides(i, j, rows, cols) for i in range(rows) for j in range(cols)})
 
 
 class CoupledArray:

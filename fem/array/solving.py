@@ -15,7 +15,7 @@ from geometry.errors import DesignError
 from geometry.storage.cache import kept
 from geometry.storage.files import digest
 
-VERSION = 5  #: raise when the same design and settings give another response, so that cached ones are not reused
+VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",

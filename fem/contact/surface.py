@@ -16,11 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import fft
 
-from fem.array.cell import EDGES, FACES, CondensedCell
+from fem.array.cell import EDGES, FACES, CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
-from fem.array.sides import CellSides
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Material, Pad, SensorDesign
 from geometry.errors import DesignError

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.array.coupled_cells import CoupledArray
+from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, pad_plate
-from fem.array.sides import Kinds
 from fem.array.substructured import any_cell, cell_stages, cells_of_stage
 from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Scene, Sensor
@@ -89,7 +88,7 @@ def solve_by_cells(scene: Scene) -> Solution:
     """Solve a scene of an array with loads and mean probes anywhere on its top, by copies of one cell.
 
     Rectangles that lie on several cells are split among them. The error is estimated as of responses, see
-    `substructured.cell_of_stage`.
+    `substructured.cells_of_stage`.
 
     Raises
     ------

@@ -21,8 +21,7 @@ from fem.field import Field
 from fem.levels import SAFETY
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import SMALLEST_SHARE, MeshAnswer, Stopwatch, relative_errors
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.mixed import IntArray, TaylorHood, taylor_hood
+from fem.tetrahedra.mixed import Elements, IntArray, TaylorHood, taylor_hood
 from fem.tetrahedra.patch import bonded, patch_integrals
 from fem.tetrahedra.scene_mesh import bisected, cell_sizes, mesh_scene, prism_of_cells
 from geometry.layout import FloatArray

@@ -15,10 +15,6 @@ class TorchForward:
     """Resistances R = c |d + B F|² of a `ForwardModel`; F and R are its columns, (n, n_forces) and (n, n_pillars)."""
 
     def __init__(self, forward: ForwardModel, like: Tensor) -> None:
-        if forward.maps is not None:
-            raise DesignError(
-                "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
-            )
         n_components, n_pillars = forward.rest_mm.shape
         by_electrode = forward.influence.reshape(forward.n_forces, n_components, -1)
         self.influence = like.new_tensor(by_electrode[:, :, forward.top]).reshape(forward.n_forces, -1)
@@ -64,6 +60,10 @@ class TorchDecoder:
         def tensor(values: object) -> Tensor:
             return like.new_tensor(values)
 
+        if model.posterior is not None:
+            raise DesignError(
+                "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
+            )
         self.model = model
         self._pillars = [PILLARS.index(pillar) for pillar in model.component.pillars]
         dead = model.dead
@@ -112,7 +112,7 @@ class TorchDecoder:
         return (feature - centre) * factor
 
     def _inverse(self, columns: Tensor) -> Tensor:
-        """Forces by the response's inverse, as `ModelInverse.effective`."""
+        """Forces by the response's inverse, as `ModelInverse.forces`."""
         lengths = (columns / self._forward.ohm_per_mm2).sqrt()
         centre_mm, forces = self._start
         forces = forces + (lengths - centre_mm) @ self._correctors[0]

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import PortModes, condense
-from fem.array.coupled_cells import CoupledArray
+from fem.array.cell import CellSides, PortModes, condense
+from fem.array.coupled_cells import CoupledArray, places
 from fem.array.meshed import BoxCell
-from fem.array.sides import CellSides, places
 from fem.factor import Factor, checked_solve
 from fem.mirrors import QUARTER, flipped_points, images, parities
 from geometry.design import Material

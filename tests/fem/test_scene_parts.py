@@ -17,8 +17,7 @@ from fem.pictures.arrays import pressed_sensor, solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
 from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.mixed import Elements, taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
 from tests.fem.scenes import on_tetrahedra
 

@@ -10,7 +10,7 @@ from fem.field import Field, pressure, von_mises
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad
 from fem.system import System
-from fem.tetrahedra.elements import Elements
+from fem.tetrahedra.mixed import Elements
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)

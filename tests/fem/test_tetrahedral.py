@@ -14,8 +14,7 @@ from fem.scene.scene import Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
 from fem.tetrahedra.adapted import largest_contributors, residuals, with_edges_across
-from fem.tetrahedra.elements import Elements
-from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.mixed import Elements, taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
 from geometry.design import Material

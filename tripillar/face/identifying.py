@@ -218,15 +218,20 @@ def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", call
     if isinstance(finite, Decoupler):
         if finite.posterior is None or finite.posterior.specimen is not None:
             raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
-        size, found = (finite.rows, finite.cols), finite.posterior
+        size, of, found = (finite.rows, finite.cols), finite.design, finite.posterior
     else:
         samples = in_memory(finite)
         samples = samples[samples.is_finite]
-        size, found = samples.shape, None
-    if size != (response.design.array.rows, response.design.array.cols):
+        size, of, found = samples.shape, samples.design, None
+    design = response.design
+    meant = design.array.rows, design.array.cols
+    if size != meant:
         raise DesignError(
-            f"finite strain is of an array of {size[0]} × {size[1]} units, the design is another: give that of its own."
+            f"finite strain is of {size[0]} × {size[1]} units, the design of {meant[0]} × {meant[1]}: give one of this "
+            "design."
         )
+    if of is not None and of != design:
+        raise DesignError("finite strain is of another design than the pairs': give one of this design.")
     if found is None:
         caller.say("learning finite strain from the samples")
         found = posterior_of(with_strain_maps(response, component_named("all"), samples), samples)

@@ -267,7 +267,7 @@ def test_a_plate_s_corner_leaves_a_symmetric_saddle():
     """At 1 MPa its three squeezed elements fold to one side of the diagonal; without a push 18 iterations and more."""
     material = Material(model="neo-hookean", poisson=0.45)
     load = StiffLoad(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -36.0))
-    scene = Scene(body=Block(size_mm=(12.0, 12.0, 8.0)), material=material, loads=(load,))
+    scene = Scene(body=Block(size_mm=(12.0, 12.0, 8.0)), material=material, loads=(load,), probes=PROBES)
     line = np.array([6.0, 8.5, 8.935, 9.0, 9.148, 10.0, 12.0])
     boxes = Boxes.between([line, line, np.array([0.0, 5.0, 7.5, 7.837, 7.979, 8.0])])
     system = System(RubberBody.of(boxes, [material]), [load], make_plan(scene).mirrors)
