@@ -59,8 +59,8 @@ def spoilt(kind: str, ohms: FloatArray, which: list[int], generator: np.random.G
         ohms[:, which] *= 1.0 + 10.0 * NOISE * generator.standard_normal((len(ohms), len(which)))
 
 
-def exchange(side: str) -> Break:
-    """Two wires, or all of two rows or columns, that are exchanged."""
+def swap(side: str) -> Break:
+    """Two wires that are swapped, or all of two rows or columns."""
 
     def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
         swaps = [(name, order) for name, order in test.swaps if name.startswith(side)]
@@ -74,10 +74,10 @@ FAULTS: dict[str, Break] = {
     **{f"a {name} pillar stuck": pillar("stuck", name) for name in PILLARS},
     "a row wire stuck": wire("stuck", "row"),
     "a column wire stuck": wire("stuck", "column"),
-    "two rows exchanged": exchange("rows"),
-    "two columns exchanged": exchange("columns"),
-    "two row wires of a kind exchanged": exchange("row wires"),
-    "two column wires of a kind exchanged": exchange("column wires"),
+    "two rows swapped": swap("rows"),
+    "two columns swapped": swap("columns"),
+    "two row wires of a kind swapped": swap("row wires"),
+    "two column wires of a kind swapped": swap("column wires"),
     **{f"ten times the noise on a {name} pillar": pillar("noisy", name) for name in PILLARS},
     "ten times the noise on a row wire": wire("noisy", "row"),
     "ten times the noise on a column wire": wire("noisy", "column"),
@@ -93,6 +93,16 @@ def windows(ohms: FloatArray, n: int, held: int, generator: np.random.Generator)
     numbers = np.arange(n * each) % len(ohms)
     loads = [ohms[numbers[k * each : (k + 1) * each]] for k in range(n)]
     return [measured(np.repeat(load, held, axis=0), NOISE, BITS, generator) for load in loads]
+
+
+def moving(ohms: FloatArray, generator: np.random.Generator) -> list[FloatArray]:
+    """Windows of readings that go evenly from one of some resistances (m, rows, cols, 3) to the next."""
+    step = np.arange(WINDOW).reshape(-1, 1, 1, 1) / HELD
+    whole, part = step.astype(int), step % 1.0
+    size = int(whole.max()) + 2
+    paths = [ohms[k : k + size] for k in range(0, len(ohms) - size, size)]
+    between = [path[whole.reshape(-1)] * (1.0 - part) + path[whole.reshape(-1) + 1] * part for path in paths]
+    return [measured(one, NOISE, BITS, generator) for one in between]
 
 
 def exact(response: ArrayResponse, protocol: str, n: int, seed: int) -> FloatArray:
@@ -125,6 +135,7 @@ def main() -> None:
             "usual loads": windows(usual, SOUND, 1, generator),
             f"usual loads, each for {HELD}": windows(usual, OTHERS, HELD, generator),
             "one usual load": windows(usual, OTHERS, WINDOW, generator),
+            f"usual loads, from one to the next in {HELD}": moving(usual[: 5 * OTHERS + 1], generator),
             "light loads": windows(light, OTHERS, 1, generator),
             "rest": windows(rest[None], OTHERS, WINDOW, generator),
         }

@@ -8,7 +8,7 @@ array, whichever makes no fault likeliest. Faults then are:
 
 - stuck: readings stay within their noise in scans in which the prediction moves;
 - noisy: residuals of second differences, which loads that move evenly do not have, are larger than V and noise allow;
-- swapped: readings are likelier after two wires are exchanged;
+- swapped: readings are likelier after two wires are swapped back;
 - open or shorted: a resistance is beyond what any load makes of it.
 
 Loads that follow one another slowly count as often as they are new, by the ratio of von Neumann: the squares of
@@ -34,12 +34,12 @@ from geometry.wiring import crossings, pillar_of_crossing
 
 WINDOW = 40  #: scans that are looked at together
 FEWEST = 8  #: scans, below which nothing is named
-FALSE_ALARMS = 1e-6  #: of a hypothesis: a likelihood ratio passes 1/α with a probability of α at most (Markov)
+FALSE_ALARMS = 1e-5  #: of a hypothesis: a likelihood ratio passes 1/α with a probability of α at most (Markov)
 ONE_SCAN = 5.0  #: largest log-likelihood ratio of one scan that counts: loads have longer tails than normal ones
 MAX_NAMED = 3  #: faults of one window
 BEYOND = 4.0  #: ratio to the mean resistance in training, either way, at which no load arrives
 SIZES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  #: of loads over the usual ones, that are tried for a whole scan
-USUAL = 4.0  #: largest mean square of readings of usual loads, over the mean, after an exchange is taken back
+USUAL = 4.0  #: largest mean square of readings of usual loads, over the mean, after wires are swapped back
 CLEAR = 5.0  #: deviations by noise, by which a prediction must move before a pillar that does not is stuck
 NOISES = (4.0, 10.0, 30.0)  #: times the stated noise, that a noisy pillar may have
 OVERLAP = 35.0 / 18.0  #: variance of sums of squares of second differences of noise, over that of independent ones
@@ -186,7 +186,7 @@ class FaultTest:
 
     @cached_property
     def swaps(self) -> list[tuple[str, Indices]]:
-        """Name of every exchange of two wires, or of all wires of two rows or columns, and the pillars' order then."""
+        """Name of every swap of two wires, or of all wires of two rows or columns, and the order of pillars then."""
         shape = (self.rows, self.cols, len(PILLARS))
         at = np.full(shape, -1)
         at.reshape(-1)[self.pillars] = np.arange(len(self.pillars))
@@ -312,7 +312,7 @@ class _Found:
     place: str
     which: Indices  #: (k,): pillars
     ratio: float  #: log-likelihood ratio to none, no scan above `ONE_SCAN`
-    order: Indices | None = None  #: (P,): of the pillars if wires are exchanged back
+    order: Indices | None = None  #: (P,): of the pillars that swaps wires back
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 6  #: raise when the same settings train another file, so that old models are not reused
+METHOD = 7  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 #: place of each array of a file in a model, and its shape by the names of `_sizes`
 _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -147,7 +147,7 @@ def test_live_sensors_name_faults_of_whole_windows_a_second_apart():
         scan = SimpleNamespace(frame=SimpleNamespace(counts=counts[k]), time_s=k / 8, received_s=k / 8)
         named += sensor.forces(scan).faults or [0]
     assert named == [0] * 2 + [1] * 10 + [2] * 10 + [3] * 8
-    assert np.array_equal(looked[1], ForceReader(INFO, Shares()).forces(counts[10:13]).resistance_ohm)
+    assert looked[1] == pytest.approx(ForceReader(INFO, Shares()).forces(counts[10:13]).resistance_ohm, rel=1e-6)
 
 
 def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():
