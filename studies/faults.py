@@ -71,19 +71,19 @@ def swap(side: str) -> Break:
 
 
 FAULTS: dict[str, Break] = {
-    **{f"a {name} pillar stuck": pillar("stuck", name) for name in PILLARS},
-    "a row wire stuck": wire("stuck", "row"),
-    "a column wire stuck": wire("stuck", "column"),
+    **{f"one {name} pillar stuck": pillar("stuck", name) for name in PILLARS},
+    "one row wire stuck": wire("stuck", "row"),
+    "one column wire stuck": wire("stuck", "column"),
     "two rows swapped": swap("rows"),
     "two columns swapped": swap("columns"),
     "two row wires of a kind swapped": swap("row wires"),
     "two column wires of a kind swapped": swap("column wires"),
-    **{f"ten times the noise on a {name} pillar": pillar("noisy", name) for name in PILLARS},
-    "ten times the noise on a row wire": wire("noisy", "row"),
-    "ten times the noise on a column wire": wire("noisy", "column"),
-    "a z pillar open": pillar("open", "z"),
-    "a row wire open": wire("open", "row"),
-    "a z pillar 2 % up": pillar("gain", "z"),
+    **{f"ten times the noise on one {name} pillar": pillar("noisy", name) for name in PILLARS},
+    "ten times the noise on one row wire": wire("noisy", "row"),
+    "ten times the noise on one column wire": wire("noisy", "column"),
+    "one z pillar open": pillar("open", "z"),
+    "one row wire open": wire("open", "row"),
+    "one z pillar 2 % up": pillar("gain", "z"),
 }
 
 
