@@ -58,6 +58,14 @@ def shared_cache(own_cache: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TRIPILLAR_CACHE", str(SHARED / "cache"))
 
 
+@pytest.fixture
+def few_potentials(shared_cache: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conduction at finite strain by two typical samples on a coarse mesh, in seconds: at rest it is as exact."""
+    monkeypatch.setattr("fem.finite.samples.TYPICAL", 2)
+    monkeypatch.setattr("fem.finite.samples.TYPICAL_METHOD", "few")
+    monkeypatch.setattr("fem.conduction.reduced.MESH", (2, 1, False))
+
+
 @pytest.fixture(scope="session")
 def made_once() -> Callable[[str, Callable[[Path], object]], Path]:
     """Fill a named folder once a session; other tests and processes wait for it and then find it filled."""

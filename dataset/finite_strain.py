@@ -30,7 +30,7 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-METHOD = 7  #: raise when the same settings give other samples
+METHOD = 8  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled
@@ -95,7 +95,9 @@ class GroupSolver:
         self.design, self.cap, self._linear_error = response.design, settings.cap, response.error_estimate
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
-        self._solver = SampleSolver(self.design, influence, unwanted=self._is_far)
+        conducted = response.conducted
+        per_n = None if conducted is None else conducted.relative_per_n.reshape(k, -1, k, 3)
+        self._solver = SampleSolver(self.design, influence, per_n, unwanted=self._is_far)
 
     def _strain(self, displacement_mm: FloatArray) -> FloatArray:
         lengths = pillar_lengths(displacement_mm, self.design.unit)

@@ -1,1 +1,1 @@
-"""Columns of resistances and forces (`columns`), and samples that repeat one another (`repeats`)."""
+"""Columns of resistances and forces (`columns`), samples that repeat one another (`repeats`), loads to be expected."""

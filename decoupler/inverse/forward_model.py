@@ -98,7 +98,7 @@ class ForwardModel:
         return self if self.maps is None else replace(self, maps=None)
 
     def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """What shows and acts in states (n, n_forces) [N], with derivatives by the state.
+        """Squares of lengths and forces in states (n, n_forces) [N], with derivatives by the state.
 
         Returns
         -------

@@ -357,7 +357,7 @@ class Decoupler:
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
 
     def refined(self, columns_ohm: FloatArray) -> Found:
-        """What the posterior makes of resistances (n, n_in) [Ω] and of the network's answers."""
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
         assert self.posterior is not None
         assert self.uncertainty is not None
         readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])

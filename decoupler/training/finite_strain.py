@@ -12,12 +12,12 @@ from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
+from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.twin.usual_loads import images_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 

@@ -12,6 +12,7 @@ from dataset.measurement import reading_deviation
 from dataset.samples import SampleError
 from decoupler.data.columns import MIN_CALIBRATED_OHM, component_named, force_columns
 from decoupler.data.pairs import Pairs
+from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
@@ -19,7 +20,6 @@ from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Posterior, infer, predicted, without_each
-from decoupler.twin.usual_loads import images_of, loads_like
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
 

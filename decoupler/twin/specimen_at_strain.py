@@ -13,6 +13,7 @@ from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import Calibration
 from decoupler.data.pairs import Pairs
+from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.specimen import SHARED, Specimen
@@ -20,7 +21,6 @@ from decoupler.inverse.strain_maps import FEW, N_AXES
 from decoupler.training.finite_strain import DRAWS, drawn_samples, refined, states_of, trained_on
 from decoupler.twin.expectation import Widths
 from decoupler.twin.identification import Twin, readings_of
-from decoupler.twin.usual_loads import images_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.tolerances import changed, nearest, usual_deviations, value_of
@@ -41,7 +41,7 @@ FOLDED = 3.0  #: change of a reading over its rest by one deviation of an unknow
 
 
 class NearDesigns:
-    """What other designs change in the maps' weights of `FEW`, by answers under some loads.
+    """Changes of the maps' weights of `FEW` by other designs, from answers under some loads.
 
     Parameters
     ----------

@@ -42,6 +42,13 @@ class ConductedPillars:
     error_estimate: float  #: relative, of the resistances at rest
 
     @property
+    def relative_per_n(self) -> FloatArray:
+        """First derivatives of R at rest over R by the forces, (rows, cols, n_pillars, rows, cols, 3) [1/N]."""
+        signed = self.sign * self.rest_mm
+        slopes = 2 * np.einsum("...c,...cijk->...ijk", signed, self.influence_mm_per_n)
+        return np.asarray(slopes / (signed * self.rest_mm).sum(axis=-1)[..., None, None, None])
+
+    @property
     def content_hash(self) -> str:
         return digest(self.rest_mm, self.influence_mm_per_n, self.sign)
 

@@ -5,24 +5,29 @@ serves every sample. Between two preloads the answers from both are blended, so 
 finer grid adds the difference of both grids' power series in the load about that preload, to the third order: what a
 grid gets wrong falls as fast with the order as the terms do. What a grid gets wrong at small strain is put right by a
 linear response: with influence matrices A, of a much finer grid, and B, its own, an answer d becomes d + (A − B) g,
-where g are the forces that would move the linear array most nearly by d. What is left falls from the coarse grid to the
-finer one by a factor that is nearly constant, and is extrapolated.
+where g are the forces that would move the linear array most nearly by d; resistances by conduction are put right in the
+same way. What is left falls from the coarse grid to the finer one by a factor that is nearly constant, and is
+extrapolated.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
-from fem.conduction.potentials import Piezoresistivity, pillars_per_mm
-from fem.conduction.reduced import ACROSS, ALONG, REDUCED_ERROR, reduced_conduction
+from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
+from fem.conduction.reduced import ReducedConduction, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
+from geometry.storage.cache import kept, read_arrays, write_arrays
+from geometry.storage.files import digest
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
 #: middle pressures between which the answers from both are blended: their series differ by 0.02 % of a resistance
@@ -36,11 +41,20 @@ FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
 #: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of ten
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
 EXTRAPOLATED, LEFT = 0.28, 0.4
+#: the same of ratios of resistances, from arrays of 2 × 2 units at strains to 0.3 and whole conduction on such a grid
+RATIO_EXTRAPOLATED, RATIO_LEFT = 0.2, 0.45
 TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
 #: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
 #: keeps far more than either
 TORN, WHOLE = 0.2, 0.8
-MIN_WEIGHT = 0.5  #: of the points of a level together, below which a state is no answer
+PROBE_N = 0.1  #: force on a pad by which resistances are differentiated: strains of 1e-4, errors of their square
+MIN_WEIGHT = 0.5  #: share of a pillar's volume below which a state is no answer
+#: samples of 2 × 2 units whose deformations the reduced conduction is made of; their highest pressure over Young's
+#: modulus, and largest shear over pressure
+TYPICAL, HIGHEST, FRICTION = 12, 0.8, 0.3
+LOWERED = 0.7  #: what of its load a typical sample keeps that has no answer
+TYPICAL_METHOD = 1  #: raise when the same design gives another reduced conduction
+REDUCED_ERROR = 2e-3  #: largest relative error of a resistance by few potentials and points, of 48 in other samples
 
 IntArray = NDArray[np.int64]
 
@@ -71,9 +85,14 @@ class SampleSolver:
     design : SensorDesign
     influence_mm_per_n : array, shape (k, n_upper, 3, k, 3), optional
         Linear response of the electrodes by a much finer grid, per newton on each pad; None leaves each grid its own.
+    resistance_per_n : array, shape (k, n_pillars, k, 3), optional
+        Relative change of resistances by conduction per newton on each pad, by the same response.
     unwanted : function, optional
         Displacements (m, k, n_upper, 3) to booleans (m,): of samples that need no answer, such as those far beyond a
         cap of strain. These are given up before they have settled; they are the slowest.
+    typical : SensorDesign, optional
+        Design of the same unit whose `typical_conduction` reads the pillars; default: this one's own, which takes a
+        minute to make.
 
     Raises
     ------
@@ -90,7 +109,9 @@ class SampleSolver:
         self,
         design: SensorDesign,
         influence_mm_per_n: FloatArray | None = None,
+        resistance_per_n: FloatArray | None = None,
         unwanted: Unwanted | None = None,
+        typical: SensorDesign | None = None,
     ) -> None:
         if not design.is_homogeneous:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
@@ -100,8 +121,9 @@ class SampleSolver:
                 "model = 'neo-hookean'."
             )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
+        self._resistance_per_n = resistance_per_n
         self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
-        self._reader = PillarReader(design) if design.electrics.is_conduction else None
+        self._reader = PillarReader(design, typical or design) if design.electrics.is_conduction else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces on the pads.
@@ -165,13 +187,14 @@ class SampleSolver:
             size = np.maximum(_norms(moved[on]), 1e-300)
             left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
         if len(on) and self._reader is not None:
-            on_coarse, on_fine = self._slopes
-            gradient = gradients(on_coarse, coarse.state.u[on])
-            finer = gradient + gradients(on_fine, of_grids[1][1]) - gradients(on_coarse, of_grids[0][1])
+            field = _Field(coarse.state.u[on], of_grids[0][1], of_grids[1][1])
+            gradient, finer = field.gradients(*self._slopes)
             rough, sound = self._reader.ratios(gradient, alone[on])
             smooth, both = self._reader.ratios(finer, uncorrected)
-            ratio[on] = smooth + EXTRAPOLATED * (smooth - rough)
-            ratio_error[on] = np.hypot(LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
+            rough = rough + self._ratio_changes(self.coarse, alone[on])
+            smooth = smooth + self._ratio_changes(self.fine, uncorrected)
+            ratio[on] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
+            ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
             change[on[~(sound & both)]] = np.inf
         return FiniteSamples(
             displacement_mm=moved,
@@ -182,11 +205,28 @@ class SampleSolver:
             ratio_error=ratio_error,
         )
 
+    def fields(self, force_n: FloatArray) -> "list[_Field]":
+        """Fields under forces (m, k, 3) [N]; lowered, sample by sample, until they have an answer."""
+        found = []
+        for force in force_n:
+            while True:
+                preload = PRELOADS_MPA[int(self._shares(force[None])[0] > 0.5)]
+                coarse = self.coarse.solve(preload, force[None], TOLERANCE, self._is_unwanted)
+                if coarse.change[0] <= TOLERANCE:
+                    break
+                force = LOWERED * force
+            on_coarse, on_fine = (array.series(preload, force[None], ORDERS)[1] for array in (self.coarse, self.fine))
+            found.append(_Field(coarse.state.u, on_coarse, on_fine))
+        return found
+
+    def slopes(self, points_mm: FloatArray) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """`Boxes.slopes` of the coarse and of the finer grid at points (n, 3) [mm]."""
+        return self.coarse.body.boxes.slopes(points_mm), self.fine.body.boxes.slopes(points_mm)
+
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         assert self._reader is not None
-        points = self._reader.points_mm
-        return self.coarse.body.boxes.slopes(points), self.fine.body.boxes.slopes(points)
+        return self.slopes(self._reader.points_mm)
 
     def _corrected(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
         """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
@@ -203,11 +243,54 @@ class SampleSolver:
         coarse, fine = ((A - array.influence) @ array.forces_of for array in (self.coarse, self.fine))
         return coarse, fine
 
+    def _ratio_changes(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
+        """What the much finer linear response adds to a grid's ratios under displacements (m, k, n_upper, 3)."""
+        if self._resistance_per_n is None:
+            return np.zeros(())
+        changes = moved.reshape(len(moved), -1) @ self._ratio_corrections[array is self.fine].T
+        return np.asarray(changes.reshape(*moved.shape[:2], -1))
+
+    @cached_property
+    def _ratio_corrections(self) -> tuple[FloatArray, FloatArray]:
+        """As `_corrections`, of the ratios of the coarse and of the finer grid, (n_pillars k, 3 n_upper k) [1/mm]."""
+        assert self._influence is not None
+        assert self._resistance_per_n is not None
+        assert self._reader is not None
+        unit, k, n = self.design.unit, self.design.n_units, 3 * self.design.n_units
+        bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+        rest = top - bottom
+        own = self._influence.reshape(k, -1, 3, n)[:, unit.layout.pillar_top]
+        by_eq1 = 2 * np.einsum("pi,kpin->kpn", rest / (rest**2).sum(axis=1)[:, None], own)
+        at_rest = unit_conductances(unit).pillars_per_mm * pillar_volumes(unit) / (rest**2).sum(axis=1)
+        wanted = (self._resistance_per_n.reshape(k, -1, n) - by_eq1) * at_rest[:, None]
+        forces, found = PROBE_N * np.eye(n), []
+        for array, slopes in zip((self.coarse, self.fine), self._slopes, strict=True):
+            H = gradients(slopes, np.array([array.linear_field(force) for force in forces]))
+            moved = (forces @ array.influence.T).reshape(n, k, -1, 3)
+            up, down = (self._reader.ratios(sign * H, sign * moved)[0] for sign in (1, -1))
+            seen = (up - down).reshape(n, -1).T / (2 * PROBE_N)
+            found.append((wanted.reshape(-1, n) - seen) @ array.forces_of)
+        return found[0], found[1]
+
     def _is_unwanted(self, moved: FloatArray) -> NDArray[np.bool_]:
         """Samples (m,) by displacements (m, k, n_upper, 3) of the coarse grid."""
         if self._unwanted is None:
             return np.zeros(len(moved), dtype=bool)
         return self._unwanted(self._corrected(self.coarse, moved))
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """Displacements of the nodes (m, n_nodes, 3) [mm] of m samples, and the series of both grids."""
+
+    coarse: FloatArray
+    on_coarse: FloatArray
+    on_fine: FloatArray
+
+    def gradients(self, coarse: sp.csr_matrix, fine: sp.csr_matrix) -> tuple[FloatArray, FloatArray]:
+        """∂u/∂X (m, n, 3, 3) on the coarse grid, and corrected by the finer one, by `Boxes.slopes` of both."""
+        rough = gradients(coarse, self.coarse)
+        return rough, rough + gradients(fine, self.on_fine) - gradients(coarse, self.on_coarse)
 
 
 def _blended(m: int, answers: list[tuple[IntArray, FloatArray, FiniteSamples]]) -> FiniteSamples:
@@ -239,10 +322,9 @@ def _norms(moved: FloatArray) -> FloatArray:
 class PillarReader:
     """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
 
-    def __init__(self, design: SensorDesign) -> None:
-        self.unit, electrics = design.unit, design.electrics
-        self._piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
-        self._reduced = reduced_conduction(design.unit)
+    def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
+        self.unit = design.unit
+        self._piezo, self._reduced = _piezoresistivity(design), typical_conduction(typical)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         #: places in the pillars where gradients are wanted, (k·n, 3)
         self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
@@ -263,19 +345,70 @@ class PillarReader:
         array, shape (m, k, n_pillars)
             1 in states that are no answers.
         array, shape (m,)
-            Which states are: on every level of a pillar some point has kept its volume.
+            Which states are: every pillar has kept the volume of `MIN_WEIGHT` of itself.
 
         Notes
         -----
-        Points under the edge of a plate, where coarse grids tear the rubber, are blended with those on their level.
+        Points under the edge of a plate, where coarse grids tear the rubber, are blended with the mean of their pillar.
         """
-        F, good = _mended(np.eye(3) + gradient.reshape(len(gradient), *self._shape))
+        reduced = self._reduced
+        F, kept_volume = _mended(
+            np.eye(3) + gradient.reshape(len(gradient), *self._shape), reduced.pillar, reduced.weight_mm3
+        )
+        good = np.asarray(kept_volume.all(axis=1))
         bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
         along = (top - bottom) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
         ratios = np.ones((*electrode_mm.shape[:2], len(self.unit.layout.pillars)))
-        per_mm = pillars_per_mm(self._reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
+        per_mm = pillars_per_mm(reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
         ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
         return ratios, good
+
+
+def _piezoresistivity(design: SensorDesign) -> Piezoresistivity:
+    electrics = design.electrics
+    return Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+
+
+def typical_conduction(design: SensorDesign) -> ReducedConduction:
+    """Reduced conduction of a design's units, from samples of 2 × 2 of them: a minute, then from the cache."""
+    typical = replace(
+        design, array=replace(design.array, rows=2, cols=2), electrics=replace(design.electrics, model="eq1")
+    )
+
+    def make() -> ReducedConduction:
+        return reduced_conduction(design.unit, _TypicalSamples(typical).deformations, _piezoresistivity(design))
+
+    def read(path: Path) -> ReducedConduction:
+        return ReducedConduction(**read_arrays(path))
+
+    def write(made: ReducedConduction, path: Path) -> None:
+        write_arrays(vars(made), path)
+
+    return kept("conduction.npz", digest("reduced conduction", TYPICAL_METHOD, TYPICAL, typical), make, read, write)[0]
+
+
+class _TypicalSamples:
+    """Random samples of an array of eq. 1, whose deformations others resemble."""
+
+    def __init__(self, design: SensorDesign) -> None:
+        self._solver = SampleSolver(design)
+        self._centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
+        generator, k = np.random.default_rng(0), design.n_units
+        force_n = np.empty((TYPICAL, k, 3))
+        force_n[..., 2] = -generator.uniform(0, HIGHEST, (TYPICAL, k))
+        angle, share = generator.uniform(0, 2 * np.pi, (TYPICAL, k)), np.sqrt(generator.uniform(0, 1, (TYPICAL, k)))
+        force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
+        force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
+        force_n *= design.matrix_material.young_mpa * design.pad.size_mm**2
+        self._fields = self._solver.fields(force_n)
+
+    def deformations(self, points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
+        """Deformation gradients (n, 3, 3) of both grids in all units at points (n, 3) of a unit's pillars [mm]."""
+        for centre in self._centres:
+            slopes = self._solver.slopes(points_mm + centre)
+            for H in (H for field in self._fields for H in field.gradients(*slopes)):
+                F, good = _mended(np.eye(3) + H[:, None], pillar, weight_mm3)
+                yield from F[good]
 
 
 def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
@@ -285,12 +418,16 @@ def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
     return np.ascontiguousarray(found.reshape(3, -1, m, 3).transpose(2, 1, 3, 0))
 
 
-def _mended(F: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Deformations (m, k, n, 3, 3), torn points blended with the mean of their level; states that could be, (m,)."""
-    by_level = F.reshape(*F.shape[:2], F.shape[2] // (ACROSS**2 * ALONG), ACROSS**2, ALONG, 3, 3)
-    weight = _smooth_step(np.linalg.det(by_level), TORN, WHOLE)[..., None, None]  # so that resistances have no jumps
-    total = weight.sum(axis=3, keepdims=True)
-    mean = (by_level * weight).sum(axis=3, keepdims=True) / np.maximum(total, MIN_WEIGHT)
-    whole = mean + weight * (by_level - mean)
-    good = (total > MIN_WEIGHT).all(axis=(1, 2, 3, 4, 5, 6)) & (np.linalg.det(whole) > 0).all(axis=(1, 2, 3, 4))
-    return whole.reshape(F.shape), np.asarray(good)
+def _mended(F: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Deformations (m, k, n, 3, 3) of points, torn ones blended with the mean of their pillar; where they are, (m, k).
+
+    They are no answer where less than `MIN_WEIGHT` of a pillar is whole.
+    """
+    weight = _smooth_step(np.linalg.det(F), TORN, WHOLE)  # so that resistances have no jumps
+    volume = np.eye(pillar.max() + 1)[pillar] * weight_mm3[:, None]
+    total = weight @ volume  # (m, k, n_pillars)
+    of_whole = (weight[..., None, None] * F).reshape(*F.shape[:3], 9).swapaxes(2, 3) @ volume  # (m, k, 9, n_pillars)
+    mean = (of_whole / np.maximum(total, 1e-9)[:, :, None]).swapaxes(2, 3).reshape(*total.shape, 3, 3)[:, :, pillar]
+    mended = mean + weight[..., None, None] * (F - mean)
+    good = (total > MIN_WEIGHT * volume.sum(axis=0)).all(axis=2) & (np.linalg.det(mended) > 0).all(axis=2)
+    return mended, np.asarray(good)

@@ -344,10 +344,11 @@ class _TorchTwin:
         """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
         vectors = self.forward.vectors(force_n)
         squares = self.forward.squares(vectors)
-        shown = self.forward.ohm_per_mm2 * squares
+        shown = of_gain = self.forward.ohm_per_mm2 * squares
         if self._calibration is not None:
             gain, offset = self._calibration
-            shown = gain * shown + offset
+            of_gain = gain * shown
+            shown = of_gain + offset
         signed = vectors if self.forward.sign is None else vectors * self.forward.sign
         slopes = (2.0 * signed / squares[:, None])[:, : self._rest.shape[1]]
         order, moved_by = torch.argsort(member, stable=True), []
@@ -355,7 +356,7 @@ class _TorchTwin:
             moved_by.append((force_n[some] @ self._influence[m]).reshape(len(some), *slopes.shape[1:]))
         moved = torch.cat(moved_by)[torch.argsort(order)]
         relative = self._relative[member] + ((moved + self._rest[member]) * slopes).sum(dim=1)
-        return (shown + relative * shown + self._offset[member]).clamp(min=MIN_CALIBRATED_OHM)
+        return (shown + relative * of_gain + self._offset[member]).clamp(min=MIN_CALIBRATED_OHM)
 
     @staticmethod
     def _groups(sorted_members: Tensor, order: Tensor) -> tuple[list[int], tuple[Tensor, ...]]:

@@ -85,7 +85,7 @@ def test_more_samples_leave_the_first_ones_as_they_are(response, samples, groups
     assert key != group_cache_key(response, replace(SETTINGS, cap=0.2))
 
 
-def test_conduction_reads_other_resistances_of_the_same_displacements(response, samples):
+def test_conduction_reads_other_resistances_of_the_same_displacements(response, samples, few_potentials):
     """At rest the unit's own; up to 16 % more where pillars are squeezed by 28 %."""
     design = replace(DESIGN, electrics=Electrics(model="conduction"))
     own = replace(response, design=design)

@@ -8,7 +8,6 @@ import pytest
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response
-from fem.conduction import reduced
 from fem.conduction.potentials import unit_conductances
 from fem.finite import samples as finite_samples
 from fem.finite.samples import SampleSolver
@@ -23,13 +22,6 @@ PAPERS = SensorDesign(array=Array(rows=1, cols=2))
 DESIGN = replace(PAPERS, unit=UNIT)
 SETTINGS = ResponseSettings(tolerance=5e-2)
 pytestmark = pytest.mark.usefixtures("shared_cache")
-
-
-@pytest.fixture
-def few_potentials(monkeypatch):
-    """Conduction reduced to the potentials of a quarter of the usual deformations: at rest it is as exact."""
-    monkeypatch.setattr(reduced, "SNAPSHOTS", 7)
-    monkeypatch.setattr(finite_samples, "reduced_conduction", reduced.reduced_conduction.__wrapped__)
 
 
 def test_lengths_volumes_and_wires_are_those_of_four_pillars():
@@ -83,7 +75,7 @@ def test_samples_at_finite_strain_have_every_electrode_and_pillar(few_potentials
         / unit_conductances(unit).pillars_per_mm
         for samples, unit in ((found, UNIT), (of_paper, Unit()))
     )
-    assert change[:2] == pytest.approx(theirs[[0, 2]], rel=1e-3)
+    assert change[:2] == pytest.approx(theirs[[0, 2]], rel=3e-3)
 
 
 def test_conduction_of_four_pillars(few_potentials):
@@ -93,6 +85,6 @@ def test_conduction_of_four_pillars(few_potentials):
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
-    few = finite_samples.reduced_conduction(UNIT)
+    few = finite_samples.typical_conduction(replace(DESIGN, electrics=Electrics(model="conduction")))
     at_rest = few.conductances(np.broadcast_to(np.eye(3), (len(few.points_mm), 3, 3)))
     assert at_rest == pytest.approx(found.matrix_mm, rel=1e-9)

@@ -13,7 +13,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.model_file import read_model
 from fem.array.sensitivities import ResponseSensitivities
 from geometry.design_file import design_to_toml
-from geometry.errors import FileFormatError
+from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
 from tripillar.face import identifying
@@ -199,7 +199,7 @@ def test_samples_at_finite_strain_correct_the_design(house):
 def test_samples_at_finite_strain_of_another_array_are_refused(house):
     pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
-    with pytest.raises(FileFormatError, match="at finite strain are not of the design's 3 × 3 units"):
+    with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
         identifying.identify(pairs, DESIGN, finite=other)
 
 

@@ -73,7 +73,7 @@ def identify(
     have: Annotated[
         str | None,
         typer.Option(
-            help="For --next, what you have: plate:20kg,pad:15kg,string:3kg,air:30kPa, or a table of loads (CSV)."
+            help="List of what you have, for --next: plate:20kg,pad:15kg,string:3kg,air:30kPa; or a table (CSV)."
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="Time to average over under each load [s].")] = 1.0,

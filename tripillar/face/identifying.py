@@ -280,8 +280,8 @@ def next_loads_of(
 def usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
     """Random loads of a protocol, (n, rows, cols, 3) [N]."""
     from dataset.protocols import PROTOCOLS
+    from decoupler.data.usual_loads import loads_of
     from decoupler.twin.identification import LOADS
-    from decoupler.twin.usual_loads import loads_of
 
     if protocol not in PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(PROTOCOLS)}.")

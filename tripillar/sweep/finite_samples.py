@@ -8,6 +8,7 @@ from threading import Lock
 from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups
 from dataset.simulation import DatasetSettings
 from fem.array.response import ArrayResponse
+from fem.finite.samples import typical_conduction
 from geometry.errors import TriPillarError
 from geometry.storage.files import cache_folder, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
@@ -75,6 +76,9 @@ def make_groups(
     OSError
         If a file cannot be written.
     """
+    design = job.response.design
+    if missing and design.electrics.is_conduction:
+        typical_conduction(design)  # once in the cache, not by every worker
     made: dict[int, Group] = {}
     for row in made_rows(missing, job, workers, "groups of samples"):
         write_text(sealed_json(row.made) + "\n", _path(job, row.number))

@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.conduction import reduced
+from fem.conduction.meshes import unit_hexahedra
+from fem.conduction.potentials import Conductor, pillars_per_mm
+from fem.conduction.reduced import pillars_of
 from fem.finite.newton import find_equilibrium
-from fem.finite.samples import EXTRAPOLATED, SampleSolver
+from fem.finite.samples import EXTRAPOLATED, REDUCED_ERROR, SampleSolver, _mended, typical_conduction
 from fem.pictures.arrays import sampled_array_field
 from geometry.design import Array, Electrics, Material, SensorDesign
 from geometry.errors import DesignError
@@ -74,8 +78,38 @@ def test_series_of_the_electrodes_come_near_the_answer(solver):
     assert off[3] < 0.01
 
 
+def off_whole_solves(solver) -> float:
+    """Largest relative difference of the reduced conductances of a loaded unit from those of all potentials."""
+    made, centre = typical_conduction(PAIR), np.append(unit_centres(PAIR)[0], 0.0)
+    (field,) = solver.fields(FORCES_N[1:])
+    whole = Conductor(unit_hexahedra(PAIR.unit, *reduced.MESH))
+    mesh = whole.mesh
+
+    def deformed(points, pillar, weight_mm3):
+        return _mended(np.eye(3) + field.gradients(*solver.slopes(points + centre))[1][:, None], pillar, weight_mm3)[0]
+
+    F = deformed(mesh.points_mm, pillars_of(PAIR.unit, mesh.points_mm), mesh.weight_mm3)[0, 0]
+    found = made.conductances(deformed(made.points_mm, made.pillar, made.weight_mm3)[0, 0])
+    at_rest = made.conductances(np.broadcast_to(np.eye(3), (len(made.points_mm), 3, 3)))
+    changes = (
+        pillars_per_mm(one, mesh.pairs) / pillars_per_mm(other, mesh.pairs)
+        for one, other in ((found, at_rest), (whole.conductances(lambda points: F), whole.conductances()))
+    )
+    return float(np.abs(np.divide(*changes) - 1).max())
+
+
+def test_reduced_conduction_is_near_whole_solves(solver, few_potentials):
+    """Under a stiff plate at 2.5 MPa; two samples teach it a fifth as well as the usual ones."""
+    assert off_whole_solves(solver) < 5 * REDUCED_ERROR
+
+
+@pytest.mark.long
+def test_usual_reduced_conduction_is_as_near_as_it_says(solver, shared_cache):
+    assert off_whole_solves(solver) < REDUCED_ERROR
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.25, 0.65), (0.7, 1.1)])  # 0.5 to 1.3 MPa in the middle, and 1.4 to 2.2
-def test_resistances_have_no_jumps_along_a_path_of_loads(solver, low, high):
+def test_resistances_have_no_jumps_along_a_path_of_loads(solver, low, high, few_potentials):
     """Fourth differences cancel cubics; what is left is noise, √70 times as large."""
     conducting = SampleSolver(replace(PAIR, electrics=Electrics(model="conduction")))
     conducting.coarse, conducting.fine = solver.coarse, solver.fine

@@ -112,7 +112,7 @@ def test_designs_know_the_stages_they_share():
 def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
     first = row_of(sample(SensorDesign(array=Array(rows=3, cols=3))), SWEEP.judging)
     assert first.metrics["seconds_condense"] > 0
-    monkeypatch.setattr("fem.array.substructured.cell_of_stage", None)  # nobody condenses again
+    monkeypatch.setattr("fem.array.substructured.cells_of_stage", None)  # nobody condenses again
     larger = row_of(sample(SensorDesign(array=Array(rows=3, cols=5))), SWEEP.judging)
     assert larger.metrics["seconds_condense"] == 0
     assert larger.metrics["error_estimate"] == first.metrics["error_estimate"]

@@ -2,14 +2,14 @@
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fem.array.response import ArrayResponse
 from fem.finite.samples import SampleSolver
 from fem.pictures.arrays import FiniteArrayField, sampled_array_field
-from geometry.design import SensorDesign
+from geometry.design import Electrics, SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
@@ -47,7 +47,8 @@ class FiniteStrain:
     def __init__(self, design: SensorDesign, response: ArrayResponse) -> None:
         self.design = design
         shape = (design.n_units, 2, 3, design.n_units, 3)
-        self._solver = SampleSolver(design, response.influence_mm_per_n.reshape(shape))
+        read_by_eq1 = replace(design, electrics=Electrics())  # resistances are not shown
+        self._solver = SampleSolver(read_by_eq1, response.influence_mm_per_n.reshape(shape))
         self._worker = ThreadPoolExecutor(max_workers=1)  # one grid's factors are enough memory
 
     async def answer(self, traction_mpa: FloatArray) -> FiniteAnswer:
