@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 6  #: raise when the same settings train another file, so that old models are not reused
+METHOD = 7  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 #: place of each array of a file in a model, and its shape by the names of `_sizes`
 _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -86,6 +86,8 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "usual_low_n": ("usual.low_n", ("axes",)),
     "usual_high_n": ("usual.high_n", ("axes",)),
     "friction": ("usual.friction", ("1",)),
+    "usual_log_ohm": ("usual.log_ohm", ("in",)),
+    "usual_log_ohm_covariance": ("usual.log_ohm_covariance", ("in", "in")),
     "drawn_resistance": ("ensemble.resistance", ("draws", "in")),
     "drawn_offset_ohm": ("ensemble.offset_ohm", ("draws", "in")),
     "drawn_rest_mm": ("ensemble.rest_mm", ("draws", "in", "3")),
@@ -318,7 +320,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        optional = ("sign", "drift_factor")
+        optional = ("sign", "drift_factor", "log_ohm", "log_ohm_covariance")
         return {field: arrays[name] for field, name in mine.items() if name in arrays or field not in optional}
 
     inverse = posterior = uncertainty = least_squares = None

@@ -13,6 +13,7 @@ RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyon
 MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loads
 FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
 SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
+SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
 
 
@@ -23,10 +24,12 @@ class UsualLoads:
     low_n: FloatArray  #: (n_axes,) [N]
     high_n: FloatArray  #: (n_axes,) [N]
     friction: FloatArray  #: (1,); 0 where any shear is known
+    log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them; None of too few samples
+    log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in)
 
     @classmethod
-    def of(cls, force_n: FloatArray, component: Component) -> Self:
-        """The loads of training, (n, n_forces) [N], a little beyond them, and rest."""
+    def of(cls, force_n: FloatArray, component: Component, columns_ohm: FloatArray) -> Self:
+        """The loads of training, (n, n_forces) [N], a little beyond them, and rest; with their readings, (n, n_in)."""
         pads = force_n.reshape(-1, len(component.axes))
         low, high = np.minimum(pads.min(axis=0), 0.0), np.maximum(pads.max(axis=0), 0.0)
         friction = 0.0
@@ -34,7 +37,17 @@ class UsualLoads:
             shear = np.hypot(pads[:, 0], pads[:, 1])
             if (shear > np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).mean() <= RARE:
                 friction = FRICTION
-        return cls(low_n=(1.0 + MARGIN) * low, high_n=(1.0 + MARGIN) * high, friction=np.array([friction]))
+        mean = covariance = None
+        if len(columns_ohm) >= SAMPLES * columns_ohm.shape[1]:
+            log_ohm = np.log(columns_ohm)
+            mean, covariance = log_ohm.mean(axis=0), np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
+        return cls(
+            low_n=(1.0 + MARGIN) * low,
+            high_n=(1.0 + MARGIN) * high,
+            friction=np.array([friction]),
+            log_ohm=mean,
+            log_ohm_covariance=covariance,
+        )
 
     def nearest(self, force_n: FloatArray) -> FloatArray:
         """Forces brought into the ranges, then shears onto the cone, (n, n_forces) [N]."""

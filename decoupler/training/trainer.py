@@ -246,7 +246,7 @@ def _untrained(
         calibration=calibration,
         resting=resting,
         dead=dead,
-        usual=UsualLoads.of(force_n, component),
+        usual=UsualLoads.of(force_n, component, columns_ohm),
         least_squares=LeastSquares.fitted(data, component),
     )
 

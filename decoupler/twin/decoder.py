@@ -104,7 +104,7 @@ def decoder_of(
         calibration=calibration,
         resting=Resting.read_with(rest_ohm, bits),
         dead=dead,
-        usual=UsualLoads.of(loads_n, component),
+        usual=UsualLoads.of(loads_n, component, np.maximum(columns[: len(loads_n)], MIN_CALIBRATED_OHM)),
         ensemble=found.ensemble,
         made_from=made_from or {},
     )

@@ -1,6 +1,7 @@
 """Counts to forces, of live scans and of whole recordings: crosstalk out, calibration, tare, model."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -23,9 +24,11 @@ from hardware.readout.wrench import Wrench, net_values, net_wrench, wrench_weigh
 from hardware.recording import Recording
 
 if TYPE_CHECKING:
+    from decoupler.evaluation.faults import Fault, FaultTest
     from decoupler.model.decoupler import Decoupler
 
 CHUNK = 2048  #: frames worked on together
+LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,6 +40,7 @@ class Forces:
     saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
     time_s: FloatArray | None = None  #: (n,), of a recording: the board's clock
     model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    faults: "dict[str, int]" = field(default_factory=dict)  #: of a recording: named ones, and in how many windows
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
@@ -134,6 +138,13 @@ class ForceReader:
         if self._uncertain:
             _ = self._uncertain.load_test  # prepared before the first scan
 
+    @cached_property
+    def fault_test(self) -> "FaultTest | None":
+        """What names broken pillars and wires in windows of scans; None if the model does not know enough for it."""
+        from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
+
+        return None if self._uncertain is None else FaultTest.of(self._uncertain)
+
     def _require_fit(self) -> None:
         calibration, model = self.calibration, self.model
         made_for = calibration.made_from.get("design_hash")
@@ -177,6 +188,7 @@ class ScanForces:
     resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y as the model saw them
     saturated: NDArray[np.bool_]  #: (rows, cols, 3): counts at 0 or full scale, which only bound a resistance
     source: Forces = field(repr=False)  #: the same, with n = 1
+    faults: "tuple[Fault, ...]" = ()  #: of pillars and wires, in the last whole window of scans
 
     @property
     def deviation_n(self) -> FloatArray | None:
@@ -220,6 +232,9 @@ class LiveSensor:
     def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
         self.scanner, self.model = scanner, model
         self._reader = ForceReader(scanner.info, model, calibration)
+        self._window: list[FloatArray] = []
+        self._faults: tuple[Fault, ...] = ()
+        self._look_s = -math.inf  # when the next window begins
 
     @property
     def description(self) -> SensorDescription:
@@ -233,12 +248,19 @@ class LiveSensor:
     def forces(self, scan: Scan) -> ScanForces:
         """Forces of one scan."""
         found = self._reader.forces(scan.frame.counts[None])
+        test = self._reader.fault_test
+        if test is not None and scan.received_s >= self._look_s:
+            self._window.append(found.resistance_ohm[0])
+            if len(self._window) == test.window:
+                self._faults, self._window = test.named(np.stack(self._window)), []
+                self._look_s = scan.received_s + LOOKED_S
         return ScanForces(
             time_s=scan.time_s,
             force_n=found.force_n[0],
             resistance_ohm=found.resistance_ohm[0],
             saturated=found.saturated[0],
             source=found,
+            faults=self._faults,
         )
 
 
@@ -269,9 +291,11 @@ def replay(
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model, calibration, crosstalk)
     parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
+    resistance_ohm = np.concatenate([part.resistance_ohm for part in parts])
     return Forces(
         force_n=np.concatenate([part.force_n for part in parts]),
-        resistance_ohm=np.concatenate([part.resistance_ohm for part in parts]),
+        resistance_ohm=resistance_ohm,
+        faults={} if reader.fault_test is None else reader.fault_test.named_in(resistance_ohm),
         saturated=np.concatenate([part.saturated for part in parts]),
         time_s=recording.time_s,
         model=parts[0].model,

@@ -32,6 +32,7 @@ class TactileFrame:
     wrench: Wrench  #: n = 1
     chi2: float | None  #: over its degrees of freedom if a load that the model knows is on the sensor
     is_explained: bool  #: by a load that the model knows, or nothing is known of loads
+    faults: tuple[str, ...] = ()  #: of pillars and wires, in words, of a live sensor's last window of scans
 
     def net(self) -> dict[str, Any]:
         """Net force, moment and centre of pressure as the message `WRENCH` of recordings."""
@@ -80,7 +81,8 @@ class LiveFrames:
 
     def frame(self, scan: Scan) -> TactileFrame:
         """The frame of the next scan."""
-        found = self.sensor.forces(scan).source
+        latest = self.sensor.forces(scan)
+        found = latest.source
         if scan.received_s >= self._renew_s:
             self._renew_s, self._known = scan.received_s + RENEWED_S, found.deviations
         deviation_n, covariance = self._known
@@ -95,6 +97,7 @@ class LiveFrames:
             wrench=net_wrench(found.force_n, found.weights, covariance),
             chi2=None if found.chi2 is None else float(found.chi2[0]),
             is_explained=not found.unexplained[0],
+            faults=tuple(map(str, latest.faults)),
         )
 
 

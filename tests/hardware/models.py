@@ -11,7 +11,7 @@ class Unknown:
     """What a model says of itself that knows no design, no uncertainty and no loads."""
 
     component = COMPONENTS["all"]
-    design = design_hash = dead = ensemble = load_test = None
+    design = design_hash = dead = ensemble = load_test = usual = None
     is_identified = knows_uncertainty = False
     reading_noise = 0.0
     made_from: ClassVar = {}

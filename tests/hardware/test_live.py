@@ -4,6 +4,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from hardware import Scanner, live
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
-from hardware.readout.forces import ForceReader
+from hardware.readout.forces import ForceReader, LiveSensor
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tests.hardware.models import Unknown
 
@@ -135,6 +136,18 @@ def test_deviations_are_given_where_the_model_knows_them():
     reader = ForceReader(INFO, model)
     found = reader.forces(counts)
     assert found.deviation_n == pytest.approx(0.1 * found.resistance_ohm)
+
+
+def test_live_sensors_name_faults_of_whole_windows_a_second_apart():
+    sensor, looked = LiveSensor(SimpleNamespace(info=INFO), Shares(), SensorCalibration.as_designed(2, 3)), []
+    sensor._reader.fault_test = SimpleNamespace(window=3, named=lambda ohms: looked.append(ohms) or (len(looked),))
+    counts = counts_of(np.linspace(-0.3, 0.0, 30))
+    named = []
+    for k in range(30):
+        scan = SimpleNamespace(frame=SimpleNamespace(counts=counts[k]), time_s=k / 8, received_s=k / 8)
+        named += sensor.forces(scan).faults or [0]
+    assert named == [0] * 2 + [1] * 10 + [2] * 10 + [3] * 8
+    assert looked[1] == pytest.approx(ForceReader(INFO, Shares()).forces(counts[10:13]).resistance_ohm, rel=1e-6)
 
 
 def test_deviations_are_wider_where_the_board_reads_worse_than_in_training():

@@ -77,7 +77,7 @@ class Sensor:
                 sensor.calculated += 1
                 return (self.force_n / 100, np.ones((1, 6, 6))) if sensor.knows_uncertainty else (None, None)
 
-        return SimpleNamespace(source=Found())
+        return SimpleNamespace(source=Found(), faults=("row wire 3 stuck",))
 
 
 @pytest.mark.parametrize("knows_uncertainty", [True, False])
@@ -96,7 +96,7 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert [line["sequence"] for line in lines] == list(range(RATE_HZ))
     assert [line["force_n"] for line in lines] == [[[[round(k + 1 / 3, 4)]] * 2] for k in range(RATE_HZ)]
     assert {line["dropped"] for line in lines} == {3}
-    assert {(line["chi2"], line["explained"]) for line in lines} == {(1.235, True)}
+    assert {(line["chi2"], line["explained"], *line["faults"]) for line in lines} == {(1.235, True, "row wire 3 stuck")}
     assert [line["net_force_n"][2] for line in lines] == pytest.approx(
         [2 * k + 2 / 3 for k in range(RATE_HZ)], rel=1e-5
     )

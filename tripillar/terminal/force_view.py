@@ -111,6 +111,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 notes.append(
                     f"χ² {frame.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
                 )
+            notes.extend(frame.faults)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
             rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
             view = live_view(
@@ -152,6 +153,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 "force_n": frame.force_n.round(4).tolist(),
                 "chi2": None if frame.chi2 is None else float(f"{frame.chi2:.4g}"),
                 "explained": frame.is_explained,
+                "faults": frame.faults,
                 "saturated": int(frame.saturated.sum()),
                 "dropped": sensor.scanner.dropped,
                 **frame.net(),

@@ -324,6 +324,7 @@ def replay(
             write_forces(used, found, decoupler.component.axes, out)
     unexplained = int(found.unexplained.sum())
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
+    result["faults"] = found.faults
     result |= {"statistics": asdict(recorded.statistics), "axes": decoupler.component.axes}
     if json_ and out is None:
         result |= {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist()}
@@ -333,6 +334,7 @@ def replay(
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     if unexplained:
         lines.append(f"{unexplained} that no load explains which the model knows: dead wire? another sensor?")
+    lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
     answer(json_, result, "\n".join(lines), *([] if out is None else [out]))
 
 

@@ -160,6 +160,7 @@ class SensorFeed:
         self._times: deque[float] = deque()
         self._saturated = 0  # pillars at an end of the converter's range in the newest scan
         self._explained = True  # by a load that the model knows
+        self._faults = ""  # of pillars and wires, in words
 
     def __enter__(self) -> Self:
         self._sensor = self._open.enter_context(live(self.port, self.model, self._calibration, **self._settings))
@@ -208,6 +209,7 @@ class SensorFeed:
         found = self._sensor.forces(scan)
         self._saturated = int(found.saturated.sum())
         self._explained = found.is_explained
+        self._faults = "".join(f", {fault}" for fault in found.faults)
         return replace(found, force_n=with_all_axes(found.force_n, self.model.component.axes))
 
     def _status(self) -> str:
@@ -221,4 +223,5 @@ class SensorFeed:
             self._times.popleft()
         saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
         strange = "" if self._explained else ", no load explains this reading"
-        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{saturated}{strange}"
+        told = f"{saturated}{strange}{self._faults}"
+        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{told}"

@@ -1,0 +1,141 @@
+"""Faults of pillars and wires are named from a window of scans; sound sensors raise no alarm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset.measurement import measured
+from decoupler.data.columns import component_named
+from decoupler.evaluation.faults import WINDOW, FaultTest
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.model_file import read_model, write_model
+from decoupler.training.trainer import train
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+SENSOR = sensor(3, 3)
+FORWARD = ForwardModel.of(response(SENSOR), component_named("all"))
+NOISE = 1e-3
+SMOOTH = np.exp(-0.5 * np.subtract.outer(np.arange(3), np.arange(3)) ** 2 / 1.5**2)  # indenters as wide as two pads
+
+
+def loads(n, seed):
+    """Presses of round indenters on all pads of a 3 × 3 array, each with its drag, (n, 27) [N]."""
+    generator = np.random.default_rng(seed)
+    strength = generator.uniform(0.0, 1.0, (n, 3, 3)) ** 2
+    pressed = np.einsum("ki,nij,lj->nkl", SMOOTH, strength, SMOOTH) * 200.0
+    drag = generator.uniform(-0.2, 0.2, (n, 1, 1, 2))
+    return np.concatenate([pressed[..., None] * drag, pressed[..., None]], axis=-1).reshape(n, -1)
+
+
+def readings(force_n, seed=1):
+    """What the sensor shows under forces (n, 27), with noise and a converter."""
+    ohms = FORWARD.resistances(force_n).reshape(-1, 3, 3, 3)
+    return measured(ohms, NOISE, 12, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def model():
+    force_n = loads(400, 5)
+    data = replace(
+        labelled(SENSOR, "xyz", 400, 0),
+        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), noise=NOISE, bits=12,
+    )  # fmt: skip
+    return train(data, "all", response=response(SENSOR))
+
+
+@pytest.fixture(scope="module")
+def expected(model):
+    found = FaultTest.of(model)
+    assert found is not None
+    return found
+
+
+def stuck(ohms):
+    ohms[:, 1, 2, 0] = ohms[0, 1, 2, 0]
+
+
+def stuck_wire(ohms):
+    ohms[:, 2, :, [0, 1]] = ohms[:1, 2, :, [0, 1]].mean()
+
+
+def swapped(ohms):
+    ohms[:, [0, 1]] = ohms[:, [1, 0]]
+
+
+def swapped_wires(ohms):
+    ohms[:, :, [0, 1], 1] = ohms[:, :, [1, 0], 1]
+
+
+def noisy(ohms):
+    ohms[:, 1, 1, 2] *= 1.0 + 30.0 * NOISE * np.random.default_rng(2).standard_normal(len(ohms))
+
+
+def opened(ohms):
+    ohms[:, 0, 1, 1] = np.inf
+
+
+def opened_wire(ohms):
+    ohms[:, 1, :, 2] = 1e9
+
+
+def no_number(ohms):
+    ohms[::2, 2, 2, 0] = np.nan
+    ohms[1::2, 2, 2, 0] = 1e9
+
+
+FAULTS = {
+    stuck: "pillar z of row 1, col 2 stuck",
+    stuck_wire: "row wire 4 stuck",
+    swapped: "rows 0 and 1 swapped",
+    swapped_wires: "column wires 1 and 3 swapped",
+    noisy: "pillar y of row 1, col 1 noisy",
+    opened: "pillar x of row 0, col 1 open",
+    opened_wire: "row wire 3 open",
+    no_number: "pillar z of row 2, col 2 open",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+def test_each_fault_is_named_by_pillar_or_wire(fault, expected):
+    for seed in range(3):
+        ohms = readings(loads(WINDOW, 100 + seed), seed)
+        fault(ohms)
+        assert [str(found) for found in expected.named(ohms)] == [FAULTS[fault]]
+
+
+def test_sound_sensors_raise_no_alarm(expected):
+    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches."""
+    touch = np.zeros((WINDOW, 27))
+    touch[:, 14] = np.linspace(0.0, 300.0, WINDOW)
+    light = np.random.default_rng(3).uniform(0.0, 5.0, (WINDOW, 27))
+    rest = np.zeros((WINDOW, 27))
+    kinds = [touch, light, rest]
+    for seed in range(25):
+        usual = loads(WINDOW, 1000 + seed)
+        for force_n in (usual, np.repeat(usual[:4], WINDOW // 4, axis=0), kinds[seed % 3]):
+            assert expected.named(readings(force_n, seed)) == ()
+
+
+def test_a_pillar_at_rest_is_not_stuck(expected):
+    """Nothing moves, so nothing says that a reading should."""
+    ohms = readings(np.zeros((WINDOW, 27)))
+    stuck(ohms)
+    assert expected.named(ohms) == ()
+
+
+def test_another_gain_of_one_pillar_is_not_told(expected):
+    """Readings alone cannot: forces on its pad move it as well."""
+    ohms = readings(loads(WINDOW, 100))
+    ohms[:, 1, 1, 0] *= 1.02
+    assert expected.named(ohms) == ()
+
+
+def test_files_keep_what_faults_are_told_by(model, expected, tmp_path):
+    write_model(model, tmp_path / "model.safetensors")
+    again = FaultTest.of(read_model(tmp_path / "model.safetensors"))
+    ohms = readings(loads(WINDOW, 100))
+    stuck(ohms)
+    assert again is not None
+    assert again.named(ohms)[0] == expected.named(ohms)[0]
+    assert FaultTest.of(replace(model, usual=None)) is None
