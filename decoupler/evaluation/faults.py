@@ -49,7 +49,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong, and where."""
+    """Kind and place of what is wrong."""
 
     kind: str  #: open, shorted, stuck, noisy or swapped
     place: str  #: a pillar, a wire or two, in words
@@ -62,7 +62,7 @@ class Fault:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultTest:
-    """What usual loads let the P readable pillars of a decoupler read; made once, asked of every window."""
+    """Readings of the P readable pillars of a decoupler under usual loads; made once, asked of every window."""
 
     rows: int
     cols: int

@@ -140,7 +140,7 @@ class ForceReader:
 
     @cached_property
     def fault_test(self) -> "FaultTest | None":
-        """What names broken pillars and wires in windows of scans; None if the model does not know enough for it."""
+        """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
 
         return None if self._uncertain is None else FaultTest.of(self._uncertain)
