@@ -31,7 +31,6 @@ class Found:
 
     force_n: FloatArray  #: (n, Q)
     covariance_n2: FloatArray  #: (n, Q, Q)
-    chi2: FloatArray  #: (n,): squares of what readings and first answer miss, in deviations, over the readings' number
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,7 +130,7 @@ class Posterior:
         H, _ = replace(here, weight=np.full_like(here.weight, INFORMATION)).normal(self.precision)
         covariance = here.by_force @ np.linalg.solve(H, here.by_force.swapaxes(1, 2))
         covariance[:, np.arange(Q), np.arange(Q)] += maps.misfit_variance(here.state)[..., :N_AXES].reshape(n, Q)
-        return Found(force_n=here.force_n, covariance_n2=covariance, chi2=here.chi2 / read.sum())
+        return Found(force_n=here.force_n, covariance_n2=covariance)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,7 +153,6 @@ class _Point:
 
     state: FloatArray  #: (n, Q)
     cost: FloatArray  #: (n,)
-    chi2: FloatArray  #: (n,)
     missing: FloatArray  #: y − y(G), whitened, (n, P)
     weight: FloatArray  #: of its squares, (n, P)
     by_state: FloatArray  #: whitened, (n, P, Q)
@@ -171,7 +169,6 @@ class _Point:
         return cls(
             state=state,
             cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
-            chi2=squares.sum(axis=1) + held,
             missing=missing,
             weight=(FREEDOM + 1.0) / (FREEDOM + squares),
             by_state=given.whiten @ by_state,

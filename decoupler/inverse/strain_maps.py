@@ -16,14 +16,14 @@ from dataset.samples import SampleError
 from decoupler.data.columns import rowwise
 from geometry.layout import FloatArray
 
-MAX_STEPS = 40  #: damped Newton steps from forces to effective ones; five are usual
+MAX_STEPS = 40  #: damped Newton steps from forces to states; five are usual
 CONVERGED = 1e-10  #: relative to the largest force
 FIRST_DAMPING = 1e-3  #: of the steps, where derivatives are of the order of 1
 LAST_DAMPING = 1e3  #: at which a sample comes no nearer
 BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are beyond them
 N_AXES = 3  #: forces of a pad
 CHUNK = 64  #: samples whose derivatives are in memory together
-OWN = 9  #: of a pad: its three effective forces, and the linear displacements of its two electrodes
+OWN = 9  #: of a pad: its three states, and the linear displacements of its two electrodes
 _PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
 N_PAIRS = len(_PAIRS[0])
 #: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do

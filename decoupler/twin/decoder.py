@@ -51,7 +51,7 @@ def decoder_of(
     size : tuple
         Rows and columns of the array.
     loads_n : array, shape (n, Q)
-        Usual loads, as effective forces [N]; rest and light touches are added.
+        Usual loads [N]; rest and light touches are added.
     noise, bits
         Of the readings that it will take; drifts are the design's.
     design : SensorDesign, optional

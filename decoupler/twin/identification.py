@@ -177,7 +177,7 @@ def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoup
     variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
     noise = reading_deviation(as_left_out, readings.noise, readings.bits)
     variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)
-    ratio = np.abs(force_n - readings.acting_n[tested]) / np.sqrt(variance)
+    ratio = np.abs(force_n - readings.force_n[tested]) / np.sqrt(variance)
     n_axes = uncertainty.widths.shape[1]
     scale = [
         np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0)
@@ -209,8 +209,7 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
     return Readings(
         resistance_ohm=np.where(read, ohms, 1e4),
         read=read,
-        force_n=(force_n := pairs.force_n[..., axes].reshape(n, -1)),
-        acting_n=force_n,
+        force_n=pairs.force_n[..., axes].reshape(n, -1),
         unknown_n=unknown.reshape(len(pair), -1) if len(pair) else np.zeros((0, math.prod(unknown.shape[1:]))),
         pair=pair,
         noise=pairs.noise,

@@ -25,8 +25,7 @@ class Readings:
 
     resistance_ohm: FloatArray  #: (n, P); anything where not read
     read: NDArray[np.bool_]  #: (n, P)
-    force_n: FloatArray  #: (n, Q): expected; effective forces, if the model has a correction for finite strain
-    acting_n: FloatArray  #: (n, Q): forces that these stand for
+    force_n: FloatArray  #: (n, Q): expected
     unknown_n: FloatArray  #: (n_unknown, Q): directions in which forces may differ, a standard deviation each
     pair: NDArray[np.int64]  #: (n_unknown,): of which pair
     noise: float
