@@ -243,7 +243,8 @@ class _Relaxation:
             asked = self.change(x[going], going)
             for sample, g in zip(going, asked, strict=True):
                 count[sample] += 1
-                size = float(np.linalg.norm(g * weight))
+                with np.errstate(over="ignore"):  # an iterate that runs away is halved below
+                    size = float(np.linalg.norm(g * weight))
                 if not np.isfinite(size) or size > MAX_GROWTH * last_size[sample]:
                     x[sample] = (x[sample] + (places[sample][-1] if places[sample] else self.rest)) / 2
                     change[sample] = np.inf

@@ -172,30 +172,6 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
 
 
-@pytest.mark.long
-def test_samples_at_finite_strain_correct_the_design(house):
-    """Rubber that stiffens by 20 % at 500 N: read with its samples beside the pairs, it errs less."""
-
-    def stiffened(force_n):
-        return force_n / (1.0 + 4e-4 * np.abs(force_n))
-
-    forces = [np.random.default_rng(seed).uniform(0.0, 1.0, (n, 3, 3, 3)) for seed, n in ((0, 100), (1, 5), (2, 20))]
-    finite, pairs, test = (
-        Samples(force_n=force_n, resistance_ohm=shown(stiffened(force_n)), design=DESIGN)
-        for force_n in (each * [50.0, 50.0, 500.0] for each in forces)
-    )
-    finite.write(house.folder / "finite.nc")
-    pairs.write(house.folder / "five.nc")
-    words = "identify", "--data", "five.nc", "-q", "-o"
-    house.result(*words, "with.safetensors", "--finite", "finite.nc")
-    house.result(*words, "without.safetensors")
-    with_them, without = (
-        np.abs(read_model(house.folder / f"{name}.safetensors").forces(test.resistance_ohm) - test.force_n).mean()
-        for name in ("with", "without")
-    )
-    assert with_them < 0.5 * without
-
-
 def test_samples_at_finite_strain_of_another_array_are_refused(house):
     pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
