@@ -115,7 +115,7 @@ class ForwardModel:
         vectors = self.linear.vectors(state_n)
         signed = vectors if self.sign is None else vectors * self.sign
         squares = (signed * vectors).sum(axis=1)
-        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self._by_component)[:, :, 0]
+        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self.by_component)[:, :, 0]
         force_n, by_force = state_n, np.tile(np.eye(Q), (n, 1, 1))
         if self.maps is not None:
             values, slopes = self.maps.slopes(state_n)
@@ -126,7 +126,7 @@ class ForwardModel:
         return squares, by_state, force_n, by_force
 
     @cached_property
-    def _by_component(self) -> FloatArray:
+    def by_component(self) -> FloatArray:
         """Derivatives of each pillar's vector by the forces, (n_pillars, n_components, n_forces) [mm/N]."""
         B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
         return np.ascontiguousarray(B.transpose(2, 1, 0))

@@ -258,19 +258,16 @@ class Decoupler:
                 shared = slopes @ errors.shared(columns, self.rows, self.cols)
                 common.append(shared if drift_factor is None else shared @ drift_factor)
             if self.ensemble is not None:
-                differences = self._ensemble_differences(columns)
-                common.append(slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble)))
+                common.append(slopes @ self._ensemble_factors(columns))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
 
-    def _ensemble_differences(self, columns_ohm: FloatArray) -> FloatArray:
-        """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""
+    def _ensemble_factors(self, columns_ohm: FloatArray) -> FloatArray:
+        """`Ensemble.factors` under the forces of readings, (n, n_in) [Ω] -> (n, n_in, m) [Ω]."""
         assert self.ensemble is not None
         assert self.inverse is not None
         modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
-        force_n = self.inverse.forces(modelled)
-        slopes = self.inverse.forward.relative_slopes(force_n)
         without_offset = columns_ohm if self.calibration is None else columns_ohm - self.calibration.offset_ohm
-        return self.ensemble.differences(force_n, slopes, without_offset)
+        return self.ensemble.factors(self.inverse.forward, self.inverse.forces(modelled), without_offset)
 
     @property
     def is_identified(self) -> bool:
@@ -365,8 +362,13 @@ class Decoupler:
         modelled = settled if self.calibration is None else self.calibration.modelled(settled)
         errors, gain = self.uncertainty.errors, 1.0 if self.calibration is None else self.calibration.gain
         deviation_ohm = errors.deviation(settled) / gain
-        shared_ohm = (errors.shared(settled, self.rows, self.cols).swapaxes(1, 2) / gain).swapaxes(1, 2)
-        return self.posterior.found(modelled, self.first_answers(columns_ohm), deviation_ohm, shared_ohm, readable)
+        first_n, shared_ohm = self.first_answers(columns_ohm), errors.shared(settled, self.rows, self.cols)
+        if self.ensemble is not None:
+            state_n = self.posterior.first_states(first_n)
+            unsure_ohm = self.ensemble.factors(self.posterior.forward, state_n, modelled * gain)
+            shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
+        shared_ohm = (shared_ohm.swapaxes(1, 2) / gain).swapaxes(1, 2)
+        return self.posterior.found(modelled, first_n, deviation_ohm, shared_ohm, readable)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""

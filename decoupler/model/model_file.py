@@ -14,8 +14,7 @@ from decoupler.data.columns import Calibration, Resting, Scaling, component_name
 from decoupler.data.enough import AnySamples
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.specimen import Specimen
-from decoupler.inverse.strain_maps import FEW, N_AXES, N_FEATURES, OWN, StrainMaps
+from decoupler.inverse.strain_maps import N_AXES, N_FEATURES, OWN, StrainMaps
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
@@ -64,10 +63,6 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "to_state": ("posterior.to_state", ("out + 1", "out")),
     "precision": ("posterior.precision", ("out", "out")),
     "loads_n": ("posterior.loads_n", ("loads", "out")),
-    "specimen_changes": ("posterior.specimen.changes", ("parameters", "few", "forces and pillars")),
-    "specimen_shift": ("posterior.specimen.shift", ("few", "forces and pillars")),
-    "specimen_unknowns": ("posterior.specimen.unknowns", ("unknowns",)),
-    "specimen_factor": ("posterior.specimen.factor", ("unknowns", "unknowns")),
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
@@ -92,6 +87,8 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "drawn_offset_ohm": ("ensemble.offset_ohm", ("draws", "in")),
     "drawn_rest_mm": ("ensemble.rest_mm", ("draws", "in", "3")),
     "drawn_influence": ("ensemble.influence", ("draws", "in", "3", "out")),
+    "drawn_parameters": ("ensemble.parameters", ("draws", "parameters")),
+    "drawn_by_weights": ("ensemble.by_weights", ("finite features", "parameters", "forces and pillars")),
     "least_squares": ("least_squares.coefficients", ("in + 1", "out")),
     "dead": ("dead", ("rows", "cols", "3")),
 }
@@ -197,8 +194,7 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_specimen = decoupler.posterior is not None and decoupler.posterior.specimen is not None
-        of_twin = of_specimen or decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
@@ -248,7 +244,7 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
     model = decoupler.inverse or decoupler.posterior
-    specimen = None if decoupler.posterior is None else decoupler.posterior.specimen
+    parameters = None if decoupler.ensemble is None else decoupler.ensemble.parameters
     forward = None if model is None else model.forward
     electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
     if decoupler.ensemble is not None:
@@ -265,10 +261,8 @@ def _sizes(decoupler: Decoupler) -> dict[str, int]:
         "out": n_out,
         "out + 1": n_out + 1,
         "2": 2,
-        "few": len(FEW),
         "loads": 0 if decoupler.posterior is None else len(decoupler.posterior.loads_n),
-        "parameters": 0 if specimen is None else len(specimen.changes),
-        "unknowns": 0 if specimen is None else specimen.n_unknowns(n_in),
+        "parameters": 0 if parameters is None else parameters.shape[1],
         "forces and pillars": N_AXES + len(component.pillars),
         "hidden": hidden,
         "seen": seen,
@@ -320,7 +314,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         """Fields of a part of the model, from the file's arrays."""
         places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
         mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        optional = ("sign", "drift_factor", "log_ohm", "log_ohm_covariance")
+        optional = ("sign", "drift_factor", "log_ohm", "log_ohm_covariance", "parameters", "by_weights")
         return {field: arrays[name] for field, name in mine.items() if name in arrays or field not in optional}
 
     inverse = posterior = uncertainty = least_squares = None
@@ -328,9 +322,8 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
     if "maps_weights" in arrays:
         maps = StrainMaps(**held("posterior.forward.maps"))
-        specimen = Specimen(**held("posterior.specimen")) if "specimen_factor" in arrays else None
         forward = ForwardModel(**held("posterior.forward"), maps=maps)
-        posterior = Posterior(forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior"))
+        posterior = Posterior(forward=forward, misfit=float(header["misfit"]), **held("posterior"))
     if "inverse_matrix" in arrays:
         uncertainty = Uncertainty(**held("uncertainty"), errors=_errors(header))
     component, dead = component_named(header["component"]), arrays.get("dead")

@@ -11,12 +11,13 @@ from scipy.optimize import nnls
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.samples import SampleError, Samples
-from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
+from decoupler.data.columns import Calibration, Component, Resting, force_columns, pillar_columns
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -152,7 +153,12 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
 
 
 def drawn_samples(
-    posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
+    posterior: Posterior,
+    loads_n: FloatArray,
+    design: SensorDesign,
+    errors: ReadingError,
+    seed: int = 0,
+    specimen: tuple[Ensemble, Calibration] | None = None,
 ) -> Samples:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
 
@@ -166,6 +172,8 @@ def drawn_samples(
     errors : ReadingError
         Of the readings.
     seed : int
+    specimen : (Ensemble, Calibration), optional
+        Draws of one sensor and its gains and offsets, which are taken off its readings.
 
     Notes
     -----
@@ -184,22 +192,27 @@ def drawn_samples(
     low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
     states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
-    squares, force_n = [], []
-    for part in np.array_split(states, max(1, len(states) // CHUNK)):
+    calibration = Calibration.none(forward.n_pillars) if specimen is None else specimen[1]
+    shown, force_n = [], []
+    for start in range(0, len(states), CHUNK):
+        part = states[start : start + CHUNK]
         values = maps.values(part)
         y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
-        y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
-        if posterior.specimen is not None:
-            factors = posterior.squares_factors(part)
-            y += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
-        squares.append(y)
+        missed = np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
+        by_square = calibration.gain * forward.ohm_per_mm2
+        ohms = by_square * (y + missed) + calibration.offset_ohm
+        if specimen is not None:
+            factors = specimen[0].factors(forward, part, by_square * y)
+            ohms += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
+        shown.append(ohms)
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
-    y, forces = np.concatenate(squares), np.concatenate(force_n)
-    possible = (y > 0).all(axis=1)
+    ohms, forces = np.concatenate(shown), np.concatenate(force_n)
+    possible = (ohms > np.maximum(calibration.offset_ohm, 0.0)).all(axis=1)
     shape = (-1, design.array.rows, design.array.cols, N_AXES)
+    read_ohm = errors.read(ohms[possible].reshape(shape), generator).reshape(-1, ohms.shape[1])
     return Samples(
         force_n=forces[possible].reshape(shape),
-        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible]).reshape(shape), generator),
+        resistance_ohm=calibration.modelled(read_ohm).reshape(shape),
         design=design,
         noise=errors.noise,
         bits=errors.bits,

@@ -1,4 +1,4 @@
-"""From the posterior of a sensor to the decoder of its forces."""
+"""From the posterior of a sensor to the decoder of its forces, made for readings drawn from that posterior."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,29 +6,18 @@ from typing import Any
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.data.columns import MIN_CALIBRATED_OHM, Component, Resting, Scaling, readable_columns
+from decoupler.inverse.forward_model import ModelInverse
+from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
 from decoupler.training.error_bars import best_ridge, fitted_uncertainty
+from decoupler.training.finite_strain import drawn_samples, refined, trained_on
 from decoupler.training.light import light_loads
 from decoupler.twin.posterior import Posterior
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-
-
-def forward_of(found: Posterior) -> ForwardModel:
-    """The most probable response, each pillar with an influence of its own."""
-    expected, state = found.expected, found.state
-    P, _, Q = expected.influence.shape
-    return ForwardModel(
-        influence=np.ascontiguousarray(state.influence(expected).transpose(2, 1, 0).reshape(Q, -1)),
-        top=np.arange(P),
-        rest_mm=np.ascontiguousarray(state.rest_mm(expected).T),
-        ohm_per_mm2=state.ohm_per_mm2(expected),
-        sign=None if (expected.sign == 1.0).all() else np.ascontiguousarray(expected.sign.T),
-    )
 
 
 def decoder_of(
@@ -36,13 +25,12 @@ def decoder_of(
     component: Component,
     size: tuple[int, int],
     loads_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
     design: SensorDesign | None = None,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
 ) -> Decoupler:
-    """The decoder that errs least, in the mean square, on sensors of the posterior under usual loads.
+    """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
     Parameters
     ----------
@@ -52,8 +40,8 @@ def decoder_of(
         Rows and columns of the array.
     loads_n : array, shape (n, Q)
         Usual loads [N]; rest and light touches are added.
-    noise, bits
-        Of the readings that it will take; drifts are the design's.
+    errors : ReadingError
+        Of the readings that it will take.
     design : SensorDesign, optional
         The design that was meant.
     dead : array, shape (rows, cols, 3), optional
@@ -64,15 +52,11 @@ def decoder_of(
     The inverse of the most probable response, then a linear map of its forces by ridge regression, fitted to readings
     of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
     """
-    errors = ReadingError(noise=noise, bits=bits).with_drifts_of(None if design is None else design.electrics)
     generator = np.random.default_rng(0)
-    forward = forward_of(found)
-    calibration = Calibration(found.state.gain, found.state.offset_ohm)
+    forward, calibration = found.sensor, found.calibration
 
     def read(force_n: FloatArray) -> FloatArray:
-        of_gain = calibration.gain * forward.resistances(force_n)
-        drawn = calibration.offset_ohm + of_gain
-        drawn += found.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain)
+        drawn = found.ensemble.readings(forward, calibration, force_n)
         own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
         drawn += own * generator.standard_normal(drawn.shape)
         drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
@@ -84,7 +68,6 @@ def decoder_of(
     readable = readable_columns(component, dead, columns.shape[1])
     missed = columns / calibration.shown(forward.resistances(force_n)) - 1.0
     unsure = float(np.sqrt(np.mean(missed[:, readable] ** 2)))
-    rest_ohm = calibration.shown(forward.at_rest_ohm())
     scaling = Scaling.fitted(force_n)
     n_forces = forward.n_forces
     inverse = ModelInverse.about(
@@ -102,7 +85,7 @@ def decoder_of(
         design=design,
         inverse=inverse,
         calibration=calibration,
-        resting=Resting.read_with(rest_ohm, bits),
+        resting=Resting.read_with(calibration.shown(forward.at_rest_ohm()), errors.bits),
         dead=dead,
         usual=UsualLoads.of(loads_n, component, np.maximum(columns[: len(loads_n)], MIN_CALIBRATED_OHM)),
         ensemble=found.ensemble,
@@ -118,3 +101,24 @@ def decoder_of(
     load = np.arange(len(columns))
     uncertainty = fitted_uncertainty(trained, columns, force_n, errors, ridge, load, len(light_n))
     return replace(trained, uncertainty=uncertainty)
+
+
+def decoder_at_strain(
+    found: Posterior,
+    designed: ForcePosterior,
+    loads_n: FloatArray,
+    errors: ReadingError,
+    design: SensorDesign,
+    dead: np.ndarray | None = None,
+    made_from: dict[str, Any] | None = None,
+    seed: int = 0,
+) -> Decoupler:
+    """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
+
+    `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
+    """
+    forward, calibration = found.sensor, found.calibration
+    own = replace(designed, forward=forward, misfit=found.expected.widths.misfit)
+    drawn = drawn_samples(own, loads_n, design, errors, seed, (found.ensemble, calibration))
+    decoder = refined(trained_on(drawn), own, drawn)
+    return replace(decoder, calibration=calibration, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

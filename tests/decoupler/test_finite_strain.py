@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from decoupler.inverse.specimen import Specimen
 
 from dataset.measurement import measured
 from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
 from decoupler.export.checked import ExportError, export_model
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
 from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import with_strain_maps
