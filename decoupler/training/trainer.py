@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.columns import (
-    MIN_CALIBRATED_OHM,
-    Calibration,
     Component,
     Resting,
     Scaling,
@@ -23,7 +21,7 @@ from decoupler.data.columns import (
 )
 from decoupler.data.enough import ENOUGH, AnySamples, drawn
 from decoupler.data.repeats import distinct, load_numbers
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel, ModelInverse
 from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -220,13 +218,13 @@ def _untrained(
     forward: ForwardModel | None,
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
-    inverse = calibration = resting = None
+    inverse = resting = None
     output_scaling = Scaling.fitted(force_n)
     dead = None if data.dead is None or not data.dead.any() else data.dead
     if forward is not None:
         readable = readable_columns(component, dead, columns_ohm.shape[1])
-        calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
-        resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), data.bits)
+        forward = forward.calibrated(columns_ohm, force_n, data.noise, readable)
+        resting = Resting.read_with(forward.at_rest_ohm(), data.bits)
         inverse = ModelInverse.about(forward, force_n, readable, data.noise)
         input_scaling = output_scaling
     else:
@@ -243,7 +241,6 @@ def _untrained(
         output_weights=nothing,
         design=data.design,
         inverse=inverse,
-        calibration=calibration,
         resting=resting,
         dead=dead,
         usual=UsualLoads.of(force_n, component, columns_ohm),
@@ -266,12 +263,11 @@ def _light_samples_too(
     fitted under load make up for it there and not at rest; the linear part puts rest right.
     """
     assert untrained.inverse is not None
-    assert untrained.calibration is not None
     generator = np.random.default_rng(0)
     light_n = light_loads(force_n, generator)
     all_n = np.concatenate([force_n, light_n])
-    modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(all_n))
-    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM)), [len(force_n)])  # √Ω
+    modelled_ohm = untrained.inverse.forward.resistances(all_n)
+    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, LEAST_OHM)), [len(force_n)])  # √Ω
     A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
     root = np.sqrt(columns_ohm)
