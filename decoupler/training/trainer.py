@@ -1,6 +1,6 @@
 """From labelled data to a trained `Decoupler`. Loads torch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from decoupler.data.columns import (
     pillar_columns,
     readable_columns,
 )
-from decoupler.data.enough import ENOUGH, AnySamples, drawn
+from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.repeats import distinct, load_numbers
 from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel, ModelInverse
 from decoupler.inverse.sample_checks import explaining, without_stuck
@@ -30,7 +30,7 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
-from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
+from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import (
     DRAWS,
     drawn_samples,
@@ -44,7 +44,6 @@ from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
-from decoupler.training.output_layer import Sums, sums_of, sums_over
 from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
@@ -67,14 +66,13 @@ def train(
     training: TrainingConfig | None = None,
     progress: Progress = _silent,
     response: "ArrayResponse | None" = None,
-    counted: Callable[[int], None] = lambda samples: None,
 ) -> Decoupler:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
     Parameters
     ----------
     data : Samples or StoredSamples
-        At least two samples that differ; one that is given twice counts once among `ENOUGH`.
+        At least two samples that differ; one that is given twice counts once.
     component : str, optional
         fz, fx, fy or all; default: the forces that act.
     network : NetworkConfig, optional
@@ -84,8 +82,6 @@ def train(
         Called as progress(iteration, mse) once an iteration.
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
-    counted : callable
-        Called with the number of samples of each block that the output layer is fitted to, of more than `ENOUGH`.
 
     Returns
     -------
@@ -112,8 +108,7 @@ def train(
     Readings are given the drifts that the design states, where they have less. Hidden nodes learn
     single draws of the drifts by heart: errors then are those on the samples kept for validation.
 
-    Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
-    to all of them by least squares, block by block.
+    Of more than `ENOUGH` samples a random draw is learned from: more would change the errors by half a percent.
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     given, data = data, drawn(data, seed)
@@ -168,19 +163,10 @@ def train(
             point, outcome = train_all(samples, hidden, output, training, progress)
     # in the order of a file's, since products round by it
     hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
-    trained, matrix = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights), None
-    if len(given) > ENOUGH:
-        sums = sums_over(trained, given, known, counted)
-        if n_light:
-            light = sums_of(trained, columns_ohm[-n_light:], force_n[-n_light:], known)
-            sums = sums.plus(light, len(given) / len(data))
-        ridge = _ridge_over(sums, network, known, readings)
-        output_weights, mse = sums.solved(ridge)
-        matrix, outcome = sums.matrix, replace(outcome, mse=mse)
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
-    trained = replace(trained, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix, judged)
+    trained = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, judged)
     return replace(
         trained,
         uncertainty=uncertainty,
@@ -188,19 +174,11 @@ def train(
             **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
             "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
-            "n_samples": len(given) if len(given) > ENOUGH else len(data),
+            "n_samples": len(data),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
     )
-
-
-def _ridge_over(sums: Sums, network: NetworkConfig, known: bool, readings: float) -> float:
-    """λ on the output weights by sums over all samples."""
-    if not known:
-        return _ridge(network, int(sums.n))
-    linear = slice(network.hidden, None)
-    return ridge_by_sums(sums.matrix[linear, linear], sums.right[linear], sums.squares, sums.n, readings)
 
 
 def _ridge(network: NetworkConfig, n_samples: int) -> float:
