@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.measurement import ReadingError
@@ -56,6 +57,7 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
 def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError
@@ -59,6 +60,7 @@ def _silent(iteration: int, mse: float) -> None:
     """The progress callback of whoever does not want one."""
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small two threads are slower
 def train(
     data: AnySamples,
     component: str | None = None,
