@@ -11,7 +11,7 @@ import numpy as np
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
 from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.forward_model import LEAST_OHM
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -219,7 +219,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "least_ohm": _literal(dtype(LEAST_OHM)),
+        "least_ohm": _literal(dtype(MIN_WHOLE_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
         "sense": _literal(dtype(SENSE_OHM)),
         "half": _literal(dtype(MAX_COUNTS_FROM_REST)),

@@ -9,7 +9,7 @@ from onnx import helper, numpy_helper
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.forward_model import LEAST_OHM, ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -109,7 +109,7 @@ def _settled(graph: _Graph, columns_ohm: str, resting: Resting) -> str:
 def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:
     """Add `ModelInverse.forces`: resistances (n, n_pillars) [Ω] -> forces (n, n_forces) [N]."""
     forward = inverse.forward
-    whole = graph.add("Max", graph.add("Sub", columns_ohm, forward.offset_ohm), np.array(LEAST_OHM))
+    whole = graph.add("Max", graph.add("Sub", columns_ohm, forward.offset_ohm), np.array(MIN_WHOLE_OHM))
     lengths = graph.add("Sqrt", graph.add("Div", whole, forward.ohm_per_mm2))
     first, *others = inverse.correctors
     forces = graph.add(

@@ -23,7 +23,7 @@ MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a
 ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
 ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
 MIN_LENGTH_MM = 1e-6  #: of a pillar, in divisions by it
-LEAST_OHM = 1.0  #: least resistance without its offset; a pillar with less is broken
+MIN_WHOLE_OHM = 1.0  #: least resistance without its offset; a pillar with less is broken
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
 MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
@@ -206,7 +206,7 @@ class ForwardModel:
 
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
-        return np.sqrt(np.maximum(resistance_ohm - self.offset_ohm, LEAST_OHM) / self.ohm_per_mm2)
+        return np.sqrt(np.maximum(resistance_ohm - self.offset_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
 
     def at_rest_ohm(self) -> FloatArray:
         """Resistance of each pillar without any force, (n_pillars,) [Ω]."""

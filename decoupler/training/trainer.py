@@ -22,7 +22,7 @@ from decoupler.data.columns import (
 )
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.repeats import distinct, load_numbers
-from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel, ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
 from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -247,7 +247,7 @@ def _light_samples_too(
     light_n = light_loads(force_n, generator)
     all_n = np.concatenate([force_n, light_n])
     modelled_ohm = untrained.inverse.forward.resistances(all_n)
-    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, LEAST_OHM)), [len(force_n)])  # √Ω
+    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_WHOLE_OHM)), [len(force_n)])  # √Ω
     A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
     root = np.sqrt(columns_ohm)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Component, Resting, Scaling, readable_columns
-from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel, ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
@@ -76,7 +76,7 @@ def decoder_of(
         own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
         drawn += own * generator.standard_normal(drawn.shape)
         drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
-        return np.maximum(drawn, LEAST_OHM)
+        return np.maximum(drawn, MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])

@@ -13,7 +13,7 @@ from dataset.protocols import pad_protocol
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
-from decoupler.inverse.forward_model import LEAST_OHM
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError
@@ -74,7 +74,7 @@ def simulate_twin(
     drawn = shown + decoder.ensemble.drawn(force_n, slopes, shown - forward.offset_ohm, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
-    exact_ohm[..., pillars] = np.maximum(drawn, LEAST_OHM).reshape(*exact_ohm.shape[:3], -1)
+    exact_ohm[..., pillars] = np.maximum(drawn, MIN_WHOLE_OHM).reshape(*exact_ohm.shape[:3], -1)
     design = twin.design
     return replace(
         samples,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.inverse.forward_model import LEAST_OHM
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
@@ -78,7 +78,7 @@ class SensorCalibration:
 
     def as_designed_ohm(self, measured_ohm: FloatArray) -> FloatArray:
         """Resistances that a sensor as designed would show, (..., rows, cols, 3) [Ω]; kept above 0."""
-        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, LEAST_OHM)
+        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_WHOLE_OHM)
 
     def tare_factor(self, rest_as_designed_ohm: FloatArray) -> FloatArray:
         """R₀/R_rest of every pillar, (rows, cols, 3), for R₀ of the same shape or (3,) [Ω]; 1 for a broken one.

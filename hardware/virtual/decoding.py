@@ -5,7 +5,7 @@ from torch import Tensor
 
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
-from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import DesignError
 from geometry.layout import PILLARS
@@ -108,7 +108,7 @@ class TorchDecoder:
 
     def _inverse(self, columns: Tensor) -> Tensor:
         """Forces by the response's inverse, as `ModelInverse.forces`."""
-        lengths = ((columns - self._forward.offset_ohm).clamp(min=LEAST_OHM) / self._forward.ohm_per_mm2).sqrt()
+        lengths = ((columns - self._forward.offset_ohm).clamp(min=MIN_WHOLE_OHM) / self._forward.ohm_per_mm2).sqrt()
         centre_mm, forces = self._start
         forces = forces + (lengths - centre_mm) @ self._correctors[0]
         for corrector in self._correctors[1:]:

@@ -15,7 +15,7 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import SENSE_OHM
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS
-from decoupler.inverse.forward_model import LEAST_OHM, ForwardModel
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.twin.twin_file import TwinFile, read_twin
@@ -277,7 +277,7 @@ class VirtualSensor:
         """
         self._require(resistance_ohm, "resistance_ohm")
         settings = self._imperfections
-        ohms = (self._gain * resistance_ohm + self._offset).clamp(min=LEAST_OHM)
+        ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_WHOLE_OHM)
         if settings.noise:
             ohms = ohms * (1.0 + settings.noise * self._normal(ohms.shape))
         if self._wires is not None:
@@ -351,7 +351,7 @@ class _TorchTwin:
             moved_by.append((force_n[some] @ self._influence[m]).reshape(len(some), *slopes.shape[1:]))
         moved = torch.cat(moved_by)[torch.argsort(order)]
         relative = self._relative[member] + ((moved + self._rest[member]) * slopes).sum(dim=1)
-        return ((1.0 + relative) * of_gain + self.forward.offset_ohm + self._offset[member]).clamp(min=LEAST_OHM)
+        return ((1.0 + relative) * of_gain + self.forward.offset_ohm + self._offset[member]).clamp(min=MIN_WHOLE_OHM)
 
     @staticmethod
     def _groups(sorted_members: Tensor, order: Tensor) -> tuple[list[int], tuple[Tensor, ...]]:
