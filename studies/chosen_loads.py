@@ -53,7 +53,7 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     """Errors of the most probable sensor's inverse on test samples, over the usual force of each axis, (3,)."""
     every = range(3)
     found = infer(expected, readings_of(pairs, [*every], [*every]), draws=2)
-    columns = found.calibration.modelled(resistance_ohm.reshape(len(force_n), -1))
+    columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
     missed = (exact_inverse(found.sensor, columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.samples import SampleError, Samples
-from decoupler.data.columns import Calibration, Component, Resting, force_columns, pillar_columns
+from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
@@ -158,9 +158,9 @@ def drawn_samples(
     design: SensorDesign,
     errors: ReadingError,
     seed: int = 0,
-    specimen: tuple[Ensemble, Calibration] | None = None,
+    ensemble: Ensemble | None = None,
 ) -> Samples:
-    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
+    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def drawn_samples(
     errors : ReadingError
         Of the readings.
     seed : int
-    specimen : (Ensemble, Calibration), optional
-        Draws of one sensor and its gains and offsets, which are taken off its readings.
+    ensemble : Ensemble, optional
+        Draws of a sensor that is not quite known.
 
     Notes
     -----
@@ -192,27 +192,23 @@ def drawn_samples(
     low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
     states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
-    calibration = Calibration.none(forward.n_pillars) if specimen is None else specimen[1]
-    shown, force_n = [], []
-    for start in range(0, len(states), CHUNK):
-        part = states[start : start + CHUNK]
+    squares, force_n = [], []
+    for part in np.array_split(states, max(1, len(states) // CHUNK)):
         values = maps.values(part)
         y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
-        missed = np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
-        by_square = calibration.gain * forward.ohm_per_mm2
-        ohms = by_square * (y + missed) + calibration.offset_ohm
-        if specimen is not None:
-            factors = specimen[0].factors(forward, part, by_square * y)
-            ohms += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
-        shown.append(ohms)
+        y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
+        if ensemble is not None:
+            factors = ensemble.factors(forward, part)
+            unsure_ohm = factors @ generator.standard_normal((len(part), factors.shape[2], 1))
+            y += unsure_ohm[..., 0] / forward.ohm_per_mm2
+        squares.append(y)
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
-    ohms, forces = np.concatenate(shown), np.concatenate(force_n)
-    possible = (ohms > np.maximum(calibration.offset_ohm, 0.0)).all(axis=1)
+    y, forces = np.concatenate(squares), np.concatenate(force_n)
+    possible = (y > 0).all(axis=1)
     shape = (-1, design.array.rows, design.array.cols, N_AXES)
-    read_ohm = errors.read(ohms[possible].reshape(shape), generator).reshape(-1, ohms.shape[1])
     return Samples(
         force_n=forces[possible].reshape(shape),
-        resistance_ohm=calibration.modelled(read_ohm).reshape(shape),
+        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible] + forward.offset_ohm).reshape(shape), generator),
         design=design,
         noise=errors.noise,
         bits=errors.bits,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import MIN_CALIBRATED_OHM, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.forward_model import ModelInverse
+from decoupler.data.columns import Component, Resting, Scaling, readable_columns
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
@@ -53,26 +53,24 @@ def decoder_of(
     of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
     """
     generator = np.random.default_rng(0)
-    forward, calibration = found.sensor, found.calibration
+    forward = found.sensor
 
     def read(force_n: FloatArray) -> FloatArray:
-        drawn = found.ensemble.readings(forward, calibration, force_n)
+        drawn = found.ensemble.readings(forward, force_n)
         own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
         drawn += own * generator.standard_normal(drawn.shape)
         drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
-        return np.maximum(drawn, MIN_CALIBRATED_OHM)
+        return np.maximum(drawn, MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])
     columns = read(force_n)
     readable = readable_columns(component, dead, columns.shape[1])
-    missed = columns / calibration.shown(forward.resistances(force_n)) - 1.0
+    missed = columns / forward.resistances(force_n) - 1.0
     unsure = float(np.sqrt(np.mean(missed[:, readable] ** 2)))
     scaling = Scaling.fitted(force_n)
     n_forces = forward.n_forces
-    inverse = ModelInverse.about(
-        forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(calibration.modelled(read(some_n)))
-    )
+    inverse = ModelInverse.about(forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(read(some_n)))
     untrained = Decoupler(
         component=component,
         rows=size[0],
@@ -84,10 +82,9 @@ def decoder_of(
         output_weights=np.eye(n_forces, n_forces + 1),
         design=design,
         inverse=inverse,
-        calibration=calibration,
-        resting=Resting.read_with(calibration.shown(forward.at_rest_ohm()), errors.bits),
+        resting=Resting.read_with(forward.at_rest_ohm(), errors.bits),
         dead=dead,
-        usual=UsualLoads.of(loads_n, component, np.maximum(columns[: len(loads_n)], MIN_CALIBRATED_OHM)),
+        usual=UsualLoads.of(loads_n, component, columns[: len(loads_n)]),
         ensemble=found.ensemble,
         made_from=made_from or {},
     )
@@ -117,8 +114,7 @@ def decoder_at_strain(
 
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
-    forward, calibration = found.sensor, found.calibration
-    own = replace(designed, forward=forward, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, seed, (found.ensemble, calibration))
+    own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
+    drawn = drawn_samples(own, loads_n, design, errors, seed, found.ensemble)
     decoder = refined(trained_on(drawn), own, drawn)
-    return replace(decoder, calibration=calibration, ensemble=found.ensemble, dead=dead, made_from=made_from or {})
+    return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

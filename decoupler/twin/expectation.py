@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import Calibration, Component
+from decoupler.data.columns import Component
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.twin.start import started
 from geometry.design import SensorDesign
@@ -161,6 +161,7 @@ class Expectation:
                 top=np.arange(P),
                 rest_mm=np.ascontiguousarray(rest.T),
                 ohm_per_mm2=np.ones(P),
+                offset_ohm=np.zeros(P),
             ),
             names=(),
             values=np.zeros(0),
@@ -227,12 +228,8 @@ class Expectation:
         """Offset of each pillar, (P,) [Ω]."""
         return self.widths.offset * self.rest_ohm * state.own[:, 1]
 
-    def calibration(self, state: State) -> Calibration:
-        """Gains and offsets of a sensor."""
-        return Calibration(self.gain(state), self.offset_ohm(state))
-
     def sensor(self, state: State) -> ForwardModel:
-        """A sensor but for its gains and offsets, each pillar with an influence of its own."""
+        """A sensor, each pillar with an influence of its own."""
         parameters, resistivity, shared, _ = self.parts(state.shared)
         B = self.influence + np.tensordot(parameters, self.by_influence, axes=1)
         B[:, :3] += self.own_influence(state.own[:, 2:]) + self.shared_influence(shared)
@@ -245,7 +242,8 @@ class Expectation:
             mean,
             influence=np.ascontiguousarray(B.transpose(2, 1, 0).reshape(self.n_forces, -1)),
             rest_mm=mean.rest_mm + np.tensordot(parameters, self.by_rest_mm, axes=1).T,
-            ohm_per_mm2=mean.ohm_per_mm2 * np.exp(log_c),
+            ohm_per_mm2=self.gain(state) * mean.ohm_per_mm2 * np.exp(log_c),
+            offset_ohm=self.offset_ohm(state),
             maps=maps,
         )
 

@@ -10,9 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
-from decoupler.data.columns import MIN_CALIBRATED_OHM, component_named, force_columns
+from decoupler.data.columns import component_named
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
@@ -140,10 +141,11 @@ def identify(
             loads_n = loads_like(pairs.force_n, axes, design, LOADS)
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
-    usual_n = force_columns(loads_n, parts).reshape(-1, rows, cols, len(axes))
+    usual_n = loads_n[..., axes]
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    usual_n = images_of(usual_n, axes, LOADS if at_strain is None else DRAWS).reshape(-1, expected.n_forces)
+    usual_n = images_of(usual_n, axes, LOADS if at_strain is None else DRAWS)
+    usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
@@ -191,7 +193,7 @@ def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoup
     if not len(tested):
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
-    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_CALIBRATED_OHM)
+    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
     A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
     force_n = decoder.outputs(as_left_out)
     variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)

@@ -1,6 +1,6 @@
 """Readings of a sensor about a state of it that may be: linearised, whitened, each pillar's own unknowns marginalised.
 
-A pillar reads R = g c (Σ s (d + B G)² + ρ(G)) + o under forces F = G + χ(G). What all pillars share (parameters of the
+A pillar reads R = c (Σ s (d + B G)² + ρ(G)) + o under forces F = G + χ(G). What all pillars share (parameters of the
 design, resistivity, the correction that all units share, forces that are not quite known) is one vector; what is a
 pillar's own is its gain, its offset and the correction of its influence.
 """
@@ -44,7 +44,7 @@ class Readings:
 class Shown:
     """Squares of lengths of a sensor under forces (n, Q) [N], or in states that are known, and their derivatives.
 
-    Squares y are resistances over g c [mm²]. ``there`` (n,) says which forces have a state far from a fold.
+    Squares y are resistances without offset over c [mm²]. ``there`` (n,) says which forces have a state.
     """
 
     def __init__(
@@ -62,6 +62,11 @@ class Shown:
         if maps is not None:
             self.squares += maps.values(self.state_n)[..., N_AXES:].reshape(self.squares.shape)
         self.by_vector = 2.0 * signed.transpose(0, 2, 1)  #: (n, P, C) [mm]
+
+    @property
+    def resistance_ohm(self) -> FloatArray:
+        """Resistances, (n, P) [Ω]."""
+        return self.sensor.ohm_per_mm2 * self.squares + self.sensor.offset_ohm
 
     @cached_property
     def _by_force(self) -> FloatArray:
@@ -100,7 +105,7 @@ class Shown:
         """Where a state is known that a deviation of a parameter moves little, (n,)."""
         if self.sensor.maps is None:
             return self.there
-        by_rest = np.abs(self.by_parameters).max(axis=2) / self.expected.rest_ohm * self.sensor.ohm_per_mm2
+        by_rest = np.abs(self.by_parameters).max(axis=2) / self.expected.rest_ohm * self.expected.forward.ohm_per_mm2
         return self.there & (by_rest.max(axis=1) < FOLDED)
 
 
@@ -135,21 +140,20 @@ class Linear:
 
     def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
         self.expected, self.readings, self.state = expected, readings, state
-        gain, offset_ohm = expected.gain(state), expected.offset_ohm(state)
         self.shown = shown = Shown(expected, state, readings.forces(expected.parts(state.shared)[3]))
         c, ohms = shown.sensor.ohm_per_mm2, readings.resistance_ohm
         self.read = readings.read & shown.far_from_folds()[:, None]
-        distance = ohms - gain * shown.sensor.linear.at_rest_ohm() - offset_ohm
-        misfit_ohm2 = (expected.widths.misfit * distance) ** 2
+        misfit_ohm2 = (expected.widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
         variance = readings.deviation_ohm**2 + (MIN_NOISE * ohms) ** 2 + misfit_ohm2
         if shown.sensor.maps is not None:
             missed = shown.sensor.maps.misfit_variance(shown.state_n)[..., N_AXES:].reshape(variance.shape)
-            variance += (gain * c) ** 2 * missed
+            variance += c**2 * missed
         #: one over the deviation of each reading, (n, P) [1/Ω], 0 where not read; misfit's fraction of the variance
         self.weight = self.read / (np.sqrt(variance) * readings.scale[:, None])
         self.unsure = self.read * misfit_ohm2 / variance
-        self._misfit = self.weight * (ohms - gain * c * shown.squares - offset_ohm)
-        self._by_squares = gain * c * self.weight
+        self._misfit = self.weight * (ohms - shown.resistance_ohm)
+        self._by_squares = c * self.weight
+        self._by_gain = expected.widths.gain * self._by_squares * shown.squares / expected.gain(state)
         self._by_parameters = self._by_squares[..., None] * shown.by_parameters
         along = shown.along(readings.unknown_n[:, None], readings.pair)[..., 0]
         self._by_unknown = self._by_squares[readings.pair] * along  # (n_unknown, P)
@@ -181,7 +185,7 @@ class Linear:
         D[:, : k + 1] = self._by_parameters[:, p]
         D[pair, k + 1 + np.arange(len(pair))] = self._by_unknown[:, p]
         J = np.empty((n, 2 + 3 * Q))
-        J[:, 0] = widths.gain * self.weight[:, p] * shown.sensor.ohm_per_mm2[p] * shown.squares[:, p]
+        J[:, 0] = self._by_gain[:, p]
         J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
         slope = self._by_squares[:, p, None] * shown.by_vector[:, p, :3]
         moved = shown.state_n * (expected.sizes[p] * widths.own)

@@ -60,16 +60,15 @@ class Knowledge:
         """
         expected, widths, gain = self.expected, self.expected.widths, self.expected.gain(self.state)
         shown = Shown(expected, self.state, force_n[None])
-        c = shown.sensor.ohm_per_mm2
-        modelled = c * shown.squares[0]
-        shared = (gain * c)[:, None] * shown.by_parameters[0]
-        own = np.diag(widths.gain * modelled), np.diag(widths.offset * expected.rest_ohm)
-        by_force = (gain * c)[:, None] * shown.along(np.eye(len(force_n))[None])[0]
-        reading = self.errors.deviation(gain * modelled + expected.offset_ohm(self.state))
+        c, ohms = shown.sensor.ohm_per_mm2, shown.resistance_ohm[0]
+        shared = c[:, None] * shown.by_parameters[0]
+        own = np.diag(widths.gain * c * shown.squares[0] / gain), np.diag(widths.offset * expected.rest_ohm)
+        by_force = c[:, None] * shown.along(np.eye(len(force_n))[None])[0]
+        reading = self.errors.deviation(ohms)
         corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * shown.state_n, axis=1)
-        by_vector = gain * c * np.linalg.norm(shown.by_vector[0], axis=1)
+        by_vector = c * np.linalg.norm(shown.by_vector[0], axis=1)
         variance = reading**2 + (by_vector * corrected_mm) ** 2
-        variance += (widths.misfit * (modelled - shown.sensor.linear.at_rest_ohm())) ** 2
+        variance += (widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
         return np.column_stack([shared, *own]), by_force, np.sqrt(variance)
 
     def fall(self, force_n: FloatArray, unknown_n: FloatArray) -> FloatArray:

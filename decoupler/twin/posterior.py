@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from dataset.samples import SampleError
-from decoupler.data.columns import Calibration
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, State, Widths
@@ -46,13 +45,8 @@ class Posterior:
 
     @cached_property
     def sensor(self) -> ForwardModel:
-        """The most probable sensor but for its gains and offsets."""
+        """The most probable sensor."""
         return self.expected.sensor(self.state)
-
-    @cached_property
-    def calibration(self) -> Calibration:
-        """Its gains and offsets."""
-        return self.expected.calibration(self.state)
 
 
 def infer(
@@ -98,11 +92,7 @@ def infer(
 
 def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
     """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
-    return _resistances(found.expected, found.state, Shown(found.expected, found.state, force_n))
-
-
-def _resistances(expected: Expectation, state: State, shown: Shown) -> FloatArray:
-    return expected.calibration(state).shown(shown.sensor.ohm_per_mm2 * shown.squares)
+    return Shown(found.expected, found.state, force_n).resistance_ohm
 
 
 @dataclass(kw_only=True)
@@ -161,9 +151,9 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     state_n = Shown(expected, state, force_n).state_n  # the same for all unknowns of a pillar's own
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        tried = replace(state, own=unknowns)
-        modelled = _resistances(expected, tried, Shown(expected, tried, force_n, state_n))
-        return ((linear.weight * (readings.resistance_ohm - modelled)) ** 2).sum(axis=0) + (unknowns**2).sum(axis=1)
+        shown = Shown(expected, replace(state, own=unknowns), force_n, state_n)
+        misfit = linear.weight * (readings.resistance_ohm - shown.resistance_ohm)
+        return np.asarray((misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1))
 
     size, before = np.ones((len(own), 1)), cost(own)
     for _ in range(HALVINGS):

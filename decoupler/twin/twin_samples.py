@@ -10,7 +10,7 @@ from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
-from decoupler.data.columns import Calibration, force_columns
+from decoupler.data.columns import force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError
@@ -67,8 +67,7 @@ def simulate_twin(
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     force_n = force_columns(samples.force_n, decoder.component)
     forward = decoder.inverse.forward
-    calibration = decoder.calibration or Calibration.none(forward.n_pillars)
-    drawn = decoder.ensemble.readings(forward, calibration, force_n, numbers.start)
+    drawn = decoder.ensemble.readings(forward, force_n, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)

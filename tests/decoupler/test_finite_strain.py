@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from decoupler.inverse.specimen import Specimen
 
 from dataset.measurement import measured
 from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
 from decoupler.export.checked import ExportError, export_model
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import N_CURVED, N_FEATURES, StrainMaps, neighbours
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import with_strain_maps
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.linearised import Shown
+from fem.array.sensitivities import ResponseSensitivities
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR, ALL = sensor(1, 2), component_named("all")
@@ -72,27 +75,50 @@ def test_maps_are_learned_from_samples():
 
 
 def test_derivatives_are_slopes():
-    """Of squares and forces by states, and of squares by the unknowns of a specimen."""
+    """Of squares and forces by states; of a specimen's readings by forces and parameters, alone and as draws of it."""
     model, at = law(1.0), STATES[:1]
     _, by_state, _, by_force = model.at_states(at)
     for part, slopes in ((0, by_state), (2, by_force)):
         assert_slopes(lambda x, part=part: model.at_states(x)[part], at, slopes[0], 1e-3)
-    changes = np.random.default_rng(1).standard_normal((2, len(FEW), 6)) * 1e-4 * np.repeat([np.std(STATES), 100.0], 3)
-    exact = Specimen.as_designed(changes, LINEAR.n_pillars)
-    some = np.random.default_rng(2).standard_normal(len(exact.unknowns)) * 1e-3
-    specimen = replace(exact, unknowns=some)
+    by_weights = np.random.default_rng(1).standard_normal((N_FEATURES, 2, 6))
+    by_weights *= 1e-5 * np.repeat([np.std(STATES), 100.0], 3)
+    expected = expected_at_strain(model, by_weights)
+    forces, state = model.at_states(at)[2], expected.mean()
+    own = np.random.default_rng(2).standard_normal(state.own.shape)
+    shared = np.random.default_rng(3).standard_normal(state.shared.shape)
+    state = replace(state, shared=0.3 * shared, own=0.3 * own)
 
-    def shown(unknowns: np.ndarray) -> np.ndarray:
-        """Squares as a sensor of the specimen's gains and offsets shows them under the same forces."""
-        other = [replace(exact, unknowns=x) for x in unknowns]
-        rest = LINEAR.lengths(np.zeros((1, 6)))[0] ** 2
-        gain, offset, *_ = specimen.parts
-        squares = [(1 + o.parts[0]) * o.model(model).lengths(forces)[0] ** 2 + o.parts[1] * rest for o in other]
-        return (np.array(squares) - offset * rest) / (1 + gain)
+    def shown(shared: np.ndarray) -> np.ndarray:
+        """Readings of a specimen under the same forces by its parameters and its resistivity."""
+        others = [np.concatenate([some, state.shared[3:]]) for some in shared]
+        return np.array([Shown(expected, replace(state, shared=x), forces).resistance_ohm[0] for x in others])
 
-    own = specimen.model(model)
-    forces = own.at_states(at)[2]
-    assert_slopes(shown, some[None], specimen.derivatives(own, at)[0], 1e-4)
+    here = Shown(expected, state, forces)
+    by_parameters = here.sensor.ohm_per_mm2[:, None] * here.by_parameters[0]
+    assert_slopes(shown, state.shared[None, :3], by_parameters, 1e-4)
+    by_forces = here.sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
+    assert_slopes(lambda x: Shown(expected, state, x).resistance_ohm, forces, by_forces, 1e-3)
+    nothing = np.zeros((2, 6))
+    ensemble = Ensemble(
+        resistance=nothing,
+        offset_ohm=nothing,
+        rest_mm=np.zeros((2, 6, 3)),
+        influence=np.zeros((2, 6, 3, 6)),
+        parameters=np.eye(2),
+        by_weights=by_weights,
+    )
+    differences = ensemble.differences(here.sensor, here.state_n)[0]
+    np.testing.assert_allclose(differences.T, by_parameters[:, :2], rtol=1e-9, atol=1e-6)
+
+
+def expected_at_strain(designed: ForwardModel, by_weights: np.ndarray) -> Expectation:
+    """The prior of specimens of a made-up law with two parameters."""
+    influence = np.stack([response(SENSOR).influence_mm_per_n] * 2)
+    names, deviation = ("rubber.young_mpa", "unit.height_mm"), np.array([0.61, 0.2])
+    sensitivities = ResponseSensitivities(
+        design=SENSOR, parameters=names, deviation=deviation, influence_mm_per_n=influence
+    )
+    return Expectation.of(response(SENSOR), sensitivities, ALL).at_strain(designed, by_weights)
 
 
 def assert_slopes(function, point, slopes, size):
