@@ -47,6 +47,8 @@ class Widths:
 FLAT = Widths(resistivity=0.0, gain=1.0, offset=0.05, shared=0.0, own=1.0, misfit=1e-4)
 #: a sensor that is as designed but for the gains and offsets of its pillars; the width of corrections is negligible
 HELD = Widths(shared=0.0, own=1e-9)
+#: a sensor at finite strain: changes of the maps by parameters hold what derivatives of a linear response lack
+AT_STRAIN = Widths(shared=0.003, own=0.003, misfit=0.003)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,6 +146,7 @@ class Expectation:
             by_influence=np.zeros_like(self.by_influence),
             by_rest_mm=np.zeros_like(self.by_rest_mm),
             by_log_c=np.zeros_like(self.by_log_c),
+            widths=AT_STRAIN,
         )
 
     @classmethod

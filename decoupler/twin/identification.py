@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
 from dataset.measurement import ReadingError
@@ -107,7 +108,7 @@ def identify(
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
-        pairs'; at finite strain those that the design has seen. Images of them fill the array.
+        pairs', or at finite strain those that the design has seen. Images of them fill the array.
     at_strain : Posterior, optional
         Of the design at finite strain: that of a decoder which was trained on its samples. Needs the derivatives.
     draws : int, optional
@@ -137,8 +138,8 @@ def identify(
         expected = Expectation.of(response, sensitivities, parts)
         if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
-        if loads_n is None and at_strain is None:
-            loads_n = loads_like(pairs.force_n, axes, design, LOADS)
+        if loads_n is None:
+            loads_n = loads_like(pairs.force_n, axes, design, LOADS if at_strain is None else DRAWS)
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
     usual_n = loads_n[..., axes]
@@ -184,7 +185,8 @@ def _contradicted(found: Posterior, stated: Widths) -> bool:
 def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoupler:
     """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
 
-    It is given readings of the most probable sensor that err as each pair would have, had it been left out.
+    It is given readings of the most probable sensor that err as each pair would have, had it been left out. Few pairs
+    do not tell well how far the errors of others reach: by Student's t of as many degrees of freedom.
     """
     whole = np.flatnonzero((readings.read | ~readings.read.any(axis=0)).all(axis=1))
     tested = whole[np.linspace(0, len(whole) - 1, min(MAX_TESTED, len(whole))).astype(int)]
@@ -203,8 +205,8 @@ def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoup
     ratio = np.abs(force_n - readings.force_n[tested]) / np.sqrt(variance)
     n_axes = uncertainty.widths.shape[1]
     scale = [
-        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0)
-        for share, width in zip(WITHIN, within, strict=True)
+        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0) * stdtrit(len(tested), 0.5 + share / 2) / k
+        for k, share, width in zip((1, 2), WITHIN, within, strict=True)
     ]
     widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))

@@ -24,7 +24,7 @@ CONVERGED = 0.03  #: standard deviations that an unknown still moves, and relati
 FARTHEST = 2.0  #: standard deviations that a shared unknown moves in a step
 HALVINGS = 10  #: of a pillar's own step until its misfit falls
 #: number of unknowns that a stated width counts as, beside those that the pairs determine
-BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1.0}
+BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 5.0, "own": 5.0, "misfit": 1.0}
 BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
