@@ -12,7 +12,7 @@ from tripillar.cli.app import app
 from tripillar.terminal.console import HEADINGS
 
 PAGE = Path(__file__).parents[1] / "commands.md"
-COMMON = 5  #: commands from which on an option of theirs is told once for all
+COMMON = 3  #: commands from which on an option of theirs is told once for all
 
 TITLE = """# Commands
 
