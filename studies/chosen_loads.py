@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from decoupler.data.columns import Calibration, component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
@@ -54,7 +54,7 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     """Errors of the most probable sensor's inverse on test samples, over the usual force of each axis, (3,)."""
     every = range(3)
     found = infer(expected, readings_of(pairs, [*every], [*every]), draws=2)
-    columns = Calibration(found.state.gain, found.state.offset_ohm).modelled(resistance_ohm.reshape(len(force_n), -1))
+    columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
     missed = (exact_inverse(forward_of(found), columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))

@@ -1,7 +1,6 @@
 """Columns of resistances and forces: taken from samples, and prepared for a network.
 
-`Resting`, `Calibration` and `Scaling` are applied to resistances in this order: readings at rest are settled, gains and
-offsets undone, ranges scaled.
+`Resting` and `Scaling` are applied to resistances in this order: readings at rest are settled, ranges scaled.
 """
 
 import math
@@ -22,9 +21,6 @@ DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ev
 ROWS_AT_ONCE = 4  #: rows multiplied together; four cost little more than one, and more gain little
 MAX_COUNTS_FROM_REST = 0.6  #: largest distance of a reading that may be one of rest; 0.1 is for the calibration's error
 MIN_RESTING = 0.5  #: share of a scan's readings that must be near rest before any of them is taken for rest
-GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
-OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
-MIN_CALIBRATED_OHM = 1.0  #: lower bound of a calibrated resistance; a pillar with less is broken
 MIN_NOISE = 1e-4  #: smallest relative error that a modelled resistance is trusted to
 MIN_RELATIVE_RANGE = 1e-12  #: range of a column over its size, below which it is constant up to rounding
 MIN_RANGE = 1e-100  #: a range in newtons or ohms whose square still is a number
@@ -170,49 +166,6 @@ class Resting:
     def _rest_share(self) -> FloatArray:
         """Voltages at rest as shares of the supply's, (n_in,)."""
         return SENSE_OHM / (self.rest_ohm + SENSE_OHM)
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """R measured = gain · R modelled + offset, one pair of numbers a pillar."""
-
-    gain: FloatArray  #: (n_pillars,)
-    offset_ohm: FloatArray  #: (n_pillars,) [Ω]
-
-    @classmethod
-    def none(cls, n_pillars: int) -> Self:
-        """The calibration of a sensor that is exactly as designed."""
-        return cls(np.ones(n_pillars), np.zeros(n_pillars))
-
-    @classmethod
-    def fitted(cls, measured_ohm: FloatArray, modelled_ohm: FloatArray, noise: float) -> Self:
-        """The most probable calibration, from resistances of both kinds, each (n_pairs, n_pillars) [Ω].
-
-        Notes
-        -----
-        Bayes' rule with normal errors of relative size `noise` and normal priors about gain 1 and offset 0, so a single
-        pair sets the gain, and an offset is believed only as far as a pillar's resistance has varied.
-        """
-        size = modelled_ohm.mean(axis=0)
-        weight = (max(noise, MIN_NOISE) * size) ** -2.0
-        misfit = measured_ohm - modelled_ohm
-        # normal equations of (gain − 1, offset), 2 × 2 a pillar
-        a = weight * (modelled_ohm**2).sum(axis=0) + GAIN_SPREAD**-2
-        b = weight * modelled_ohm.sum(axis=0)
-        d = weight * len(misfit) + (OFFSET_SPREAD * size) ** -2.0
-        p, q = weight * (modelled_ohm * misfit).sum(axis=0), weight * misfit.sum(axis=0)
-        determinant = a * d - b * b
-        return cls(1.0 + (d * p - b * q) / determinant, (a * q - b * p) / determinant)
-
-    def shown(self, modelled_ohm: FloatArray) -> FloatArray:
-        """Resistances that this sensor shows where one as designed has `modelled_ohm`, (..., n_pillars) [Ω]."""
-        return self.gain * modelled_ohm + self.offset_ohm
-
-    def modelled(self, measured_ohm: FloatArray) -> FloatArray:
-        """Resistances that a sensor as designed would show, (n, n_pillars) [Ω]; kept above 0."""
-        modelled = measured_ohm - self.offset_ohm
-        modelled /= self.gain
-        return np.maximum(modelled, MIN_CALIBRATED_OHM, out=modelled)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.measurement import ReadingError
@@ -56,6 +57,7 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
 def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
@@ -79,9 +81,8 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     limits = _limits(decoupler, data, response)
     light = None
     if response is not None:
-        own = ForwardModel.of(response, component)
-        if decoupler.inverse is not None and decoupler.ensemble is not None:
-            own = decoupler.inverse.forward  # the sensor that was identified
+        known = decoupler.inverse
+        own = ForwardModel.of(response, component) if known is None else known.forward
         light = light_touches(decoupler, own, data.errors)
     covered = None
     if decoupler.uncertainty is not None:
@@ -145,8 +146,6 @@ def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingEr
     touched = generator.integers(forward.n_forces, size=TOUCHES)
     force_n[np.arange(TOUCHES, 2 * TOUCHES), touched] = generator.uniform(0.0, LIGHT_N, TOUCHES)
     ohms = forward.resistances(force_n)
-    if decoupler.calibration is not None:
-        ohms = decoupler.calibration.shown(ohms)
     ohms = errors.read(ohms.reshape(len(ohms), decoupler.rows, decoupler.cols, -1), generator).reshape(ohms.shape)
     missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
     rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))

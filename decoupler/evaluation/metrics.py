@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
@@ -97,6 +98,7 @@ def errors_over(
     return {name: found.errors() for name, found in sums.items()}
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
 def evaluate(decoupler: Decoupler, data: AnySamples) -> dict[str, ForceErrors]:
     """Errors of a model on data, of every force it gives; of more than `ENOUGH` samples block by block.
 

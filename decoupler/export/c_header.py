@@ -9,8 +9,9 @@ from textwrap import fill
 import numpy as np
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING
+from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
 from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -100,12 +101,6 @@ _SETTLED = """\
             ohm = TRIPILLAR_READ(tripillar_rest_ohm[i]);
 """
 
-_CALIBRATION = """\
-        ohm = (ohm - TRIPILLAR_READ(tripillar_offset_ohm[i])) / TRIPILLAR_READ(tripillar_gain[i]);
-        if (ohm < $least_ohm)
-            ohm = $least_ohm;
-"""
-
 _WORKSPACE = """\
     $real length[TRIPILLAR_INPUTS], residual[TRIPILLAR_INPUTS]; /* [mm] */
     $real moved[TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES]; /* [mm] */
@@ -140,7 +135,8 @@ _FEATURE = {
     "resistance": "        input[i] = ohm;\n",
     "root": "        input[i] = sqrt$f(ohm);\n",
     "inverse": """\
-        length[i] = sqrt$f(ohm / TRIPILLAR_READ(tripillar_ohm_per_mm2[i]));
+        ohm -= TRIPILLAR_READ(tripillar_offset_ohm[i]);
+        length[i] = sqrt$f((ohm > $least_ohm ? ohm : $least_ohm) / TRIPILLAR_READ(tripillar_ohm_per_mm2[i]));
         residual[i] = length[i] - TRIPILLAR_READ(tripillar_centre_mm[i]);
         input[i] = TRIPILLAR_READ(tripillar_centre_n[i]);
 """,
@@ -177,7 +173,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, 3) [Ω]
         and gives (rows, cols, n_axes) [N].
     """
-    network, calibration, inverse = decoupler.network, decoupler.calibration, decoupler.inverse
+    network, inverse = decoupler.network, decoupler.inverse
     place, dead = places(decoupler), dead_inputs(decoupler)
     output = output_weights_n(decoupler)
     numbers = {
@@ -203,9 +199,6 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     if decoupler.resting is not None:
         numbers |= {"rest_ohm": decoupler.resting.rest_ohm, "full_counts": decoupler.resting.full_counts}
         reading += _SETTLED
-    if calibration is not None:
-        numbers |= {"gain": calibration.gain, "offset_ohm": calibration.offset_ohm}
-        reading += _CALIBRATION
     if inverse is not None:
         forward = inverse.forward
         sizes["STEPS"] = len(inverse.correctors)
@@ -214,7 +207,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         working += 2 * len(place) + forward.influence.shape[1]
         indices["top"] = forward.top
         numbers |= {name: getattr(inverse, name) for name in ("centre_n", "centre_mm", "correctors")}
-        numbers |= {name: getattr(forward, name) for name in ("influence", "rest_mm", "ohm_per_mm2")}
+        numbers |= {name: getattr(forward, name) for name in ("influence", "rest_mm", "ohm_per_mm2", "offset_ohm")}
         numbers |= {} if forward.sign is None else {"sign": forward.sign}
     size = np.dtype(dtype).itemsize
     known = {
@@ -226,7 +219,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "real": _real(dtype),
         "f": "f" if dtype is np.float32 else "",
         "bias": "TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS" if network.net == "skip" else "TRIPILLAR_HIDDEN",
-        "least_ohm": _literal(dtype(MIN_CALIBRATED_OHM)),
+        "least_ohm": _literal(dtype(MIN_WHOLE_OHM)),
         "dead_ohm": _literal(dtype(DEAD_OHM)),
         "sense": _literal(dtype(SENSE_OHM)),
         "half": _literal(dtype(MAX_COUNTS_FROM_REST)),

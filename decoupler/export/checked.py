@@ -113,8 +113,6 @@ def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> F
         columns = decoupler.inverse.forward.resistances(columns)
     elif decoupler.network.feature == "root":
         columns = columns**2
-    if decoupler.calibration is not None:
-        columns = columns * decoupler.calibration.gain + decoupler.calibration.offset_ohm
     columns[:, dead_inputs(decoupler)] = np.nan
     resistance_ohm = np.full((n_samples, decoupler.rows * decoupler.cols * len(PILLARS)), np.nan)
     resistance_ohm[:, places(decoupler)] = columns

@@ -7,9 +7,9 @@ import onnx
 from onnx import helper, numpy_helper
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING, Resting
+from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.forward_model import ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 
@@ -40,10 +40,6 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
         x = graph.add("Where", dead, np.array(DEAD_OHM), x)
     if decoupler.resting is not None:
         x = _settled(graph, x, decoupler.resting)
-    if decoupler.calibration is not None:
-        modelled = graph.add("Sub", x, decoupler.calibration.offset_ohm)
-        modelled = graph.add("Div", modelled, decoupler.calibration.gain)
-        x = graph.add("Max", modelled, np.array(MIN_CALIBRATED_OHM))
     if decoupler.inverse is not None:
         x = _inverse(graph, x, decoupler.inverse)
     elif decoupler.network.feature == "root":
@@ -113,7 +109,8 @@ def _settled(graph: _Graph, columns_ohm: str, resting: Resting) -> str:
 def _inverse(graph: _Graph, columns_ohm: str, inverse: ModelInverse) -> str:
     """Add `ModelInverse.forces`: resistances (n, n_pillars) [Ω] -> forces (n, n_forces) [N]."""
     forward = inverse.forward
-    lengths = graph.add("Sqrt", graph.add("Div", columns_ohm, forward.ohm_per_mm2))
+    whole = graph.add("Max", graph.add("Sub", columns_ohm, forward.offset_ohm), np.array(MIN_WHOLE_OHM))
+    lengths = graph.add("Sqrt", graph.add("Div", whole, forward.ohm_per_mm2))
     first, *others = inverse.correctors
     forces = graph.add(
         "Add", graph.add("MatMul", graph.add("Sub", lengths, inverse.centre_mm), first), inverse.centre_n

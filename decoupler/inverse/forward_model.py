@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import Component, rowwise
+from decoupler.data.columns import MIN_NOISE, Component, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
@@ -23,6 +23,9 @@ MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a
 ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
 ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
 MIN_LENGTH_MM = 1e-6  #: of a pillar, in divisions by it
+MIN_WHOLE_OHM = 1.0  #: least resistance without its offset; a pillar with less is broken
+GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
+OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
 MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
 LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
@@ -33,7 +36,7 @@ HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForwardModel:
-    """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|².
+    """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|² + o.
 
     By eq. 1 d + B F is the vector between a pillar's electrodes. By conduction it has more components, each pillar its
     own, and |v|² = Σ sₖ vₖ² with signs s; the *length* |v| then is the one that eq. 1 would need for R. Forces and
@@ -43,7 +46,8 @@ class ForwardModel:
     influence: FloatArray  #: B, (n_forces, 3·n_electrodes): upper electrodes along x, then y, then z [mm/N]
     top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar; itself if each has its own B
     rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
-    ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1
+    ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1, times the gain of one sensor's own pillar
+    offset_ohm: FloatArray  #: o, (n_pillars,): of one sensor's own pillars; 0 of the design's
     maps: StrainMaps | None = None  #: of finite strain; None: linear, where states are forces
     sign: FloatArray | None = None  #: s, (n_components, n_pillars) in the place of 3; None: all are 1
 
@@ -70,6 +74,7 @@ class ForwardModel:
                 top=np.arange(n_units * len(pillars)),
                 rest_mm=_by_component(held.rest_mm, pillars),
                 ohm_per_mm2=np.tile(c[pillars], n_units),
+                offset_ohm=np.zeros(n_units * len(pillars)),
                 sign=_by_component(held.sign, pillars),
             )
         return cls(
@@ -77,7 +82,39 @@ class ForwardModel:
             top=(np.arange(n_units)[:, None] * len(electrodes) + place).reshape(-1),
             rest_mm=np.tile((top - bottom).T, n_units),
             ohm_per_mm2=np.tile(c[pillars], n_units),
+            offset_ohm=np.zeros(n_units * len(pillars)),
         )
+
+    def calibrated(
+        self, measured_ohm: FloatArray, force_n: FloatArray, noise: float, readable: NDArray[np.bool_]
+    ) -> Self:
+        """The model with the most probable gain and offset of each readable pillar (n_pillars,).
+
+        Parameters
+        ----------
+        measured_ohm : array, shape (n, n_pillars)
+        force_n : array, shape (n, n_forces)
+        noise : float
+            Standard deviation of the readings, relative.
+
+        Notes
+        -----
+        Bayes' rule with normal errors and normal priors about gain 1 and offset 0, so a single pair sets the gain, and
+        an offset is believed only as far as a pillar's resistance has varied.
+        """
+        modelled_ohm = self.resistances(force_n)
+        size = modelled_ohm.mean(axis=0)
+        weight = (max(noise, MIN_NOISE) * size) ** -2.0
+        misfit = measured_ohm - modelled_ohm
+        # normal equations of (gain − 1, offset), 2 × 2 a pillar
+        a = weight * (modelled_ohm**2).sum(axis=0) + GAIN_SPREAD**-2
+        b = weight * modelled_ohm.sum(axis=0)
+        d = weight * len(misfit) + (OFFSET_SPREAD * size) ** -2.0
+        p, q = weight * (modelled_ohm * misfit).sum(axis=0), weight * misfit.sum(axis=0)
+        determinant = a * d - b * b
+        gain = np.where(readable, 1.0 + (d * p - b * q) / determinant, 1.0)
+        offset_ohm = np.where(readable, (a * q - b * p) / determinant, 0.0)
+        return replace(self, ohm_per_mm2=gain * self.ohm_per_mm2, offset_ohm=offset_ohm)
 
     @property
     def n_pillars(self) -> int:
@@ -103,7 +140,7 @@ class ForwardModel:
         Returns
         -------
         array, shape (n, n_pillars)
-            Squares of lengths, resistances over `ohm_per_mm2` [mm²].
+            Squares of lengths, resistances without offset over `ohm_per_mm2` [mm²].
         array, shape (n, n_pillars, n_forces)
             Their derivatives [mm²/N].
         array, shape (n, n_forces)
@@ -159,7 +196,7 @@ class ForwardModel:
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
-        return self.ohm_per_mm2 * self.lengths(force_n) ** 2
+        return self.ohm_per_mm2 * self.lengths(force_n) ** 2 + self.offset_ohm
 
     def relative_slopes(self, force_n: FloatArray) -> FloatArray:
         """Relative change of resistances by that of vectors, 2 s v/|v|², (n, n_components, n_pillars) [1/mm]."""
@@ -169,7 +206,7 @@ class ForwardModel:
 
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
-        return np.sqrt(resistance_ohm / self.ohm_per_mm2)
+        return np.sqrt(np.maximum(resistance_ohm - self.offset_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
 
     def at_rest_ohm(self) -> FloatArray:
         """Resistance of each pillar without any force, (n_pillars,) [Ω]."""
@@ -258,7 +295,7 @@ class ModelInverse:
             modelled, J = self.forward.jacobian(forces)
             by_length = by_length + corrector - (by_length @ J.swapaxes(1, 2)) @ corrector
             forces = forces + rowwise(lengths - modelled, corrector)
-        return (by_length * (0.5 * lengths / resistance_ohm)[:, :, None]).swapaxes(1, 2)
+        return (by_length * (0.5 / (self.forward.ohm_per_mm2 * lengths))[:, :, None]).swapaxes(1, 2)
 
 
 def _by_component(values: FloatArray, pillars: list[int]) -> FloatArray:

@@ -102,9 +102,9 @@ def _linearised(
     for start in range(0, len(force_n), CHUNK):
         part = slice(start, start + CHUNK)
         lengths, J = forward.jacobian(force_n[part])
-        ohm = forward.ohm_per_mm2 * lengths**2
-        by_ohm = 0.5 * lengths / ohm
-        deviation = reading_deviation(ohm, noise, bits) * 0.5 * lengths / ohm
+        ohm = forward.ohm_per_mm2 * lengths**2 + forward.offset_ohm
+        by_ohm = 0.5 / (forward.ohm_per_mm2 * lengths)
+        deviation = reading_deviation(ohm, noise, bits) * by_ohm
         U = np.zeros((*ohm.shape, 0)) if shared is None else shared(ohm) * by_ohm[..., None]
         if readable is not None:
             J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]

@@ -69,7 +69,7 @@ class Posterior:
         Parameters
         ----------
         resistance_ohm : array, shape (n, P)
-            Of a sensor as modelled [Ω].
+            Readings [Ω].
         first_n : array, shape (n, Q)
             First answers.
         deviation_ohm, shared_ohm : arrays, shapes (n, P) and (n, P, m)
@@ -112,7 +112,9 @@ class Posterior:
         else:
             covariance = factors @ factors.swapaxes(1, 2) + variance[:, None] * np.eye(len(read))
             whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        given = _Given(y=resistance_ohm / c, whiten=whiten, first_n=first_n, precision=self.precision)
+        given = _Given(
+            y=(resistance_ohm - self.forward.offset_ohm) / c, whiten=whiten, first_n=first_n, precision=self.precision
+        )
         here = _Point.of(self.forward, state, given)
         damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
         for _ in range(MAX_STEPS):

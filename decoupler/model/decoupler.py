@@ -13,7 +13,6 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import (
-    Calibration,
     Component,
     Resting,
     Scaling,
@@ -31,7 +30,7 @@ from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import PILLARS, FloatArray, pillar_volumes
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
@@ -55,7 +54,6 @@ class Decoupler:
     design: SensorDesign | None  #: the sensor of the training data; None if they did not say
     inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
     posterior: Posterior | None = None  #: of a sensor at finite strain: the network's answer is its start and prior
-    calibration: Calibration | None = None  #: gains and offsets of this very sensor; None for one as designed
     resting: Resting | None = None  #: readings at rest; None without a converter
     dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
@@ -188,10 +186,8 @@ class Decoupler:
             assert rest_ohm is not None
             rest = self.columns(rest_ohm[None])
         else:
-            rest, pressed = (
-                self._shown(np.zeros_like(self.output_scaling.centre)),
-                self._shown(self.output_scaling.centre),
-            )
+            centre = self.output_scaling.centre
+            rest, pressed = self.inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
         errors = self.uncertainty.errors
         by_error = self.derivatives(rest)[0] @ np.hstack(
             [np.diag(errors.deviation(rest)[0]), errors.shared(rest, self.rows, self.cols)[0]]
@@ -202,12 +198,6 @@ class Decoupler:
         if self.inverse is not None:
             deviation_n = np.maximum(deviation_n, self.half_widths_of(pressed)[0][0])
         return LoadTest.by(self.usual, covariance, deviation_n)
-
-    def _shown(self, force_n: FloatArray) -> FloatArray:
-        """Columns of resistances (1, n_in) [Ω] that its own response and calibration give under forces (n_out,) [N]."""
-        assert self.inverse is not None
-        modelled = self.inverse.forward.resistances(force_n[None])
-        return modelled if self.calibration is None else self.calibration.shown(modelled)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
@@ -266,11 +256,9 @@ class Decoupler:
         """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""
         assert self.ensemble is not None
         assert self.inverse is not None
-        modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
-        force_n = self.inverse.forces(modelled)
-        slopes = self.inverse.forward.relative_slopes(force_n)
-        without_offset = columns_ohm if self.calibration is None else columns_ohm - self.calibration.offset_ohm
-        return self.ensemble.differences(force_n, slopes, without_offset)
+        force_n = self.inverse.forces(columns_ohm)
+        forward = self.inverse.forward
+        return self.ensemble.differences(force_n, forward.relative_slopes(force_n), columns_ohm - forward.offset_ohm)
 
     @property
     def is_identified(self) -> bool:
@@ -278,12 +266,18 @@ class Decoupler:
 
         Training fits them too, and of a sensor as designed finds 1 and 0 but for noise: that is no knowledge of one.
         """
-        if self.calibration is None:
-            return False
-        if {"identified_on", "fine_tuned_on"} & self.made_from.keys() or self.inverse is None:
+        if "identified_on" in self.made_from:
             return True
-        rest_ohm = self.inverse.forward.resistances(np.zeros((1, self.inverse.forward.n_forces)))
-        return bool(np.abs(self.calibration.modelled(rest_ohm) / rest_ohm - 1.0).max() > ALIKE)
+        if self.inverse is None or self.design is None:
+            return False
+        forward, volumes = self.inverse.forward, pillar_volumes(self.design.unit)
+        own = [PILLARS.index(pillar) for pillar in self.component.pillars]
+        designed = replace(
+            forward,
+            ohm_per_mm2=np.tile(self.design.resistivity_ohm_mm / volumes[own], self.rows * self.cols),
+            offset_ohm=np.zeros(forward.n_pillars),
+        )
+        return bool(np.abs(forward.at_rest_ohm() / designed.at_rest_ohm() - 1.0).max() > ALIKE)
 
     @property
     def knows_uncertainty(self) -> bool:
@@ -320,12 +314,9 @@ class Decoupler:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
         pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
-        of_sensor = rest_ohm[..., pillars]
-        if self.inverse is not None:
-            of_sensor = self.inverse.forward.at_rest_ohm().reshape(of_sensor.shape)
-        if self.calibration is not None:
-            of_sensor = self.calibration.shown(of_sensor.reshape(-1)).reshape(of_sensor.shape)
-        rest_ohm[..., pillars] = of_sensor
+        known = self.inverse or self.posterior
+        if known is not None:
+            rest_ohm[..., pillars] = known.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
         return rest_ohm
 
     def untrusted(self) -> list[tuple[int, int, str]]:
@@ -362,11 +353,10 @@ class Decoupler:
         assert self.uncertainty is not None
         readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
-        modelled = settled if self.calibration is None else self.calibration.modelled(settled)
-        errors, gain = self.uncertainty.errors, 1.0 if self.calibration is None else self.calibration.gain
-        deviation_ohm = errors.deviation(settled) / gain
-        shared_ohm = (errors.shared(settled, self.rows, self.cols).swapaxes(1, 2) / gain).swapaxes(1, 2)
-        return self.posterior.found(modelled, self.first_answers(columns_ohm), deviation_ohm, shared_ohm, readable)
+        errors = self.uncertainty.errors
+        shared_ohm = errors.shared(settled, self.rows, self.cols)
+        first_n = self.first_answers(columns_ohm)
+        return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, readable)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
@@ -386,22 +376,17 @@ class Decoupler:
         """Inputs of the hidden layer for resistances, each (n, n_in): the feature, scaled."""
         if self.resting is not None:
             columns_ohm = self.resting.settled(columns_ohm)
-        if self.calibration is not None:
-            columns_ohm = self.calibration.modelled(columns_ohm)
         if self.inverse is not None:
             return self.input_scaling.scale(self.inverse.forces(columns_ohm))
         return self.input_scaling.scale(np.sqrt(columns_ohm) if self.network.feature == "root" else columns_ohm)
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""
-        modelled = columns_ohm if self.calibration is None else self.calibration.modelled(columns_ohm)
         if self.inverse is not None:
-            by_ohm = self.inverse.derivatives(modelled)  # (n, n_forces, n_in)
+            by_ohm = self.inverse.derivatives(columns_ohm)  # (n, n_forces, n_in)
         else:
-            slope = 0.5 / np.sqrt(modelled) if self.network.feature == "root" else np.ones_like(modelled)
+            slope = 0.5 / np.sqrt(columns_ohm) if self.network.feature == "root" else np.ones_like(columns_ohm)
             by_ohm = slope[:, None, :] * np.eye(slope.shape[1])
-        if self.calibration is not None:
-            by_ohm = by_ohm / self.calibration.gain
         by_ohm = self.input_scaling.scale_differences(by_ohm.swapaxes(1, 2)).swapaxes(1, 2)
         n_hidden, n_in = self.network.hidden, by_ohm.shape[1]
         s = 1.0 - self.activations(columns_ohm)[:, :n_hidden] ** 2

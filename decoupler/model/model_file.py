@@ -10,7 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Calibration, Resting, Scaling, component_named
+from decoupler.data.columns import Resting, Scaling, component_named
 from decoupler.data.enough import AnySamples
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.posterior import Posterior
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 7  #: raise when the same settings train another file, so that old models are not reused
+METHOD = 8  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 #: place of each array of a file in a model, and its shape by the names of `_sizes`
 _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -53,6 +53,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
             ("rest_mm", ("components", "in")),
             ("sign", ("components", "in")),
             ("ohm_per_mm2", ("in",)),
+            ("offset_ohm", ("in",)),
         )
     },
     "maps_influence": ("posterior.forward.maps.influence", ("out", "electrodes along 3")),
@@ -71,8 +72,6 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "centre_n": ("inverse.centre_n", ("out",)),
     "centre_mm": ("inverse.centre_mm", ("in",)),
     "correctors": ("inverse.correctors", ("steps", "in", "out")),
-    "gain": ("calibration.gain", ("in",)),
-    "offset_ohm": ("calibration.offset_ohm", ("in",)),
     "rest_ohm": ("resting.rest_ohm", ("in",)),
     "full_counts": ("resting.full_counts", ("1",)),
     "inverse_matrix": ("uncertainty.inverse_matrix", ("features", "features")),
@@ -348,7 +347,6 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         design=None if header["design"] is None else design_from_toml(header["design"]),
         inverse=inverse,
         posterior=posterior,
-        calibration=Calibration(**held("calibration")) if "gain" in arrays else None,
         resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
         dead=dead,
         uncertainty=uncertainty,

@@ -34,15 +34,11 @@ def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> flo
     Generalised cross-validation (Golub, Heath & Wahba, Technometrics 21, 1979): the λ with the least
     ‖residual‖²/(n − readings · effective number of weights)², from one eigendecomposition of AᵀA.
     """
-    return ridge_by_sums(A.T @ A, A.T @ targets, float((targets**2).sum()), len(A), readings)
-
-
-def ridge_by_sums(matrix: FloatArray, right: FloatArray, squares: float, n: float, readings: float) -> float:
-    """`best_ridge` by AᵀA, AᵀT and the sum of all T² of n samples."""
-    energies, directions = np.linalg.eigh(matrix)
+    n = len(A)
+    energies, directions = np.linalg.eigh(A.T @ A)
     energies = np.maximum(energies, 1e-15 * energies[-1])
-    fitted = ((directions.T @ right) ** 2).sum(axis=1) / energies  # explained by each direction
-    unfitted = max(float(squares - fitted.sum()), 0.0)
+    fitted = ((directions.T @ (A.T @ targets)) ** 2).sum(axis=1) / energies  # explained by each direction
+    unfitted = max(float((targets**2).sum() - fitted.sum()), 0.0)
     kept = energies / (energies + RIDGES[:, None] * n)  # (n_ridges, n_features)
     residual = unfitted + ((1.0 - kept) ** 2 * fitted).sum(axis=1)
     score = residual / np.maximum(n - readings * kept.sum(axis=1), 0.5) ** 2
@@ -57,7 +53,6 @@ def fitted_uncertainty(
     ridge: float,
     load: NDArray[np.int64],
     n_light: int = 0,
-    matrix: FloatArray | None = None,
     judged: NDArray[np.int64] | None = None,
 ) -> Uncertainty:
     """The uncertainty of a model, from its training set.
@@ -73,8 +68,6 @@ def fitted_uncertainty(
         λ on the output weights.
     load : array, shape (n,)
         Number of each sample's load, as `load_numbers` counts them.
-    matrix : array, shape (n_features, n_features), optional
-        AᵀA of all samples that the output weights were fitted to; default: of these.
     judged : array, shape (n_judged,), optional
         Samples that say the errors of those under load; default: all.
 
@@ -87,7 +80,7 @@ def fitted_uncertainty(
     unknown as before training.
     """
     A = decoupler.activations(columns_ohm)
-    M = A.T @ A if matrix is None else matrix.copy()
+    M = A.T @ A
     M.flat[:: len(M) + 1] += ridge
     G = np.linalg.inv(M).astype(np.float64)
     of_weights = leverage(A, G).clip(0.0, 1.0)

@@ -154,7 +154,7 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
 def drawn_samples(
     posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
 ) -> Samples:
-    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them without its gains.
+    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def drawn_samples(
     shape = (-1, design.array.rows, design.array.cols, N_AXES)
     return Samples(
         force_n=forces[possible].reshape(shape),
-        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible]).reshape(shape), generator),
+        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible] + forward.offset_ohm).reshape(shape), generator),
         design=design,
         noise=errors.noise,
         bits=errors.bits,

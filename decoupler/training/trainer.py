@@ -1,6 +1,6 @@
 """From labelled data to a trained `Decoupler`. Loads torch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.columns import (
-    MIN_CALIBRATED_OHM,
-    Calibration,
     Component,
     Resting,
     Scaling,
@@ -21,9 +20,9 @@ from decoupler.data.columns import (
     pillar_columns,
     readable_columns,
 )
-from decoupler.data.enough import ENOUGH, AnySamples, drawn
+from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.repeats import distinct, load_numbers
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
 from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
@@ -32,7 +31,7 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model.usual import UsualLoads
 from decoupler.training.damping import Progress
-from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty, ridge_by_sums
+from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import (
     DRAWS,
     drawn_samples,
@@ -46,7 +45,6 @@ from decoupler.training.levenberg_marquardt import train_lm
 from decoupler.training.light import light_loads
 from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
-from decoupler.training.output_layer import Sums, sums_of, sums_over
 from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
@@ -62,6 +60,7 @@ def _silent(iteration: int, mse: float) -> None:
     """The progress callback of whoever does not want one."""
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small two threads are slower
 def train(
     data: AnySamples,
     component: str | None = None,
@@ -69,14 +68,13 @@ def train(
     training: TrainingConfig | None = None,
     progress: Progress = _silent,
     response: "ArrayResponse | None" = None,
-    counted: Callable[[int], None] = lambda samples: None,
 ) -> Decoupler:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
     Parameters
     ----------
     data : Samples or StoredSamples
-        At least two samples that differ; one that is given twice counts once among `ENOUGH`.
+        At least two samples that differ; one that is given twice counts once.
     component : str, optional
         fz, fx, fy or all; default: the forces that act.
     network : NetworkConfig, optional
@@ -86,8 +84,6 @@ def train(
         Called as progress(iteration, mse) once an iteration.
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
-    counted : callable
-        Called with the number of samples of each block that the output layer is fitted to, of more than `ENOUGH`.
 
     Returns
     -------
@@ -114,8 +110,7 @@ def train(
     Readings are given the drifts that the design states, where they have less. Hidden nodes learn
     single draws of the drifts by heart: errors then are those on the samples kept for validation.
 
-    Of more than `ENOUGH` samples a random draw trains the network and says its errors. Then the output layer is fitted
-    to all of them by least squares, block by block.
+    Of more than `ENOUGH` samples a random draw is learned from: more would change the errors by half a percent.
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     given, data = data, drawn(data, seed)
@@ -170,19 +165,10 @@ def train(
             point, outcome = train_all(samples, hidden, output, training, progress)
     # in the order of a file's, since products round by it
     hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
-    trained, matrix = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights), None
-    if len(given) > ENOUGH:
-        sums = sums_over(trained, given, known, counted)
-        if n_light:
-            light = sums_of(trained, columns_ohm[-n_light:], force_n[-n_light:], known)
-            sums = sums.plus(light, len(given) / len(data))
-        ridge = _ridge_over(sums, network, known, readings)
-        output_weights, mse = sums.solved(ridge)
-        matrix, outcome = sums.matrix, replace(outcome, mse=mse)
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
-    trained = replace(trained, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, matrix, judged)
+    trained = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights)
+    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, judged)
     return replace(
         trained,
         uncertainty=uncertainty,
@@ -190,19 +176,11 @@ def train(
             **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
             "recipe": model_cache_key(given, parts.name, network, training, response),
             "data_hash": given.content_hash,
-            "n_samples": len(given) if len(given) > ENOUGH else len(data),
+            "n_samples": len(data),
             "training": asdict(training),
             "outcome": asdict(outcome),
         },
     )
-
-
-def _ridge_over(sums: Sums, network: NetworkConfig, known: bool, readings: float) -> float:
-    """λ on the output weights by sums over all samples."""
-    if not known:
-        return _ridge(network, int(sums.n))
-    linear = slice(network.hidden, None)
-    return ridge_by_sums(sums.matrix[linear, linear], sums.right[linear], sums.squares, sums.n, readings)
 
 
 def _ridge(network: NetworkConfig, n_samples: int) -> float:
@@ -220,13 +198,13 @@ def _untrained(
     forward: ForwardModel | None,
 ) -> Decoupler:
     """A decoupler that has its scaling and features, but no weights yet."""
-    inverse = calibration = resting = None
+    inverse = resting = None
     output_scaling = Scaling.fitted(force_n)
     dead = None if data.dead is None or not data.dead.any() else data.dead
     if forward is not None:
         readable = readable_columns(component, dead, columns_ohm.shape[1])
-        calibration = Calibration.fitted(columns_ohm, forward.resistances(force_n), data.noise)
-        resting = Resting.read_with(calibration.shown(forward.at_rest_ohm()), data.bits)
+        forward = forward.calibrated(columns_ohm, force_n, data.noise, readable)
+        resting = Resting.read_with(forward.at_rest_ohm(), data.bits)
         inverse = ModelInverse.about(forward, force_n, readable, data.noise)
         input_scaling = output_scaling
     else:
@@ -243,7 +221,6 @@ def _untrained(
         output_weights=nothing,
         design=data.design,
         inverse=inverse,
-        calibration=calibration,
         resting=resting,
         dead=dead,
         usual=UsualLoads.of(force_n, component, columns_ohm),
@@ -266,12 +243,11 @@ def _light_samples_too(
     fitted under load make up for it there and not at rest; the linear part puts rest right.
     """
     assert untrained.inverse is not None
-    assert untrained.calibration is not None
     generator = np.random.default_rng(0)
     light_n = light_loads(force_n, generator)
     all_n = np.concatenate([force_n, light_n])
-    modelled_ohm = untrained.calibration.shown(untrained.inverse.forward.resistances(all_n))
-    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_CALIBRATED_OHM)), [len(force_n)])  # √Ω
+    modelled_ohm = untrained.inverse.forward.resistances(all_n)
+    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_WHOLE_OHM)), [len(force_n)])  # √Ω
     A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
     readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
     root = np.sqrt(columns_ohm)

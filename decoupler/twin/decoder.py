@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import MIN_CALIBRATED_OHM, Calibration, Component, Resting, Scaling, readable_columns
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.data.columns import Component, Resting, Scaling, readable_columns
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
@@ -19,14 +19,15 @@ from geometry.layout import FloatArray
 
 
 def forward_of(found: Posterior) -> ForwardModel:
-    """The most probable response, each pillar with an influence of its own."""
+    """The most probable sensor, each pillar with an influence of its own."""
     expected, state = found.expected, found.state
     P, _, Q = expected.influence.shape
     return ForwardModel(
         influence=np.ascontiguousarray(state.influence(expected).transpose(2, 1, 0).reshape(Q, -1)),
         top=np.arange(P),
         rest_mm=np.ascontiguousarray(state.rest_mm(expected).T),
-        ohm_per_mm2=state.ohm_per_mm2(expected),
+        ohm_per_mm2=state.gain * state.ohm_per_mm2(expected),
+        offset_ohm=state.offset_ohm,
         sign=None if (expected.sign == 1.0).all() else np.ascontiguousarray(expected.sign.T),
     )
 
@@ -67,29 +68,25 @@ def decoder_of(
     errors = ReadingError(noise=noise, bits=bits).with_drifts_of(None if design is None else design.electrics)
     generator = np.random.default_rng(0)
     forward = forward_of(found)
-    calibration = Calibration(found.state.gain, found.state.offset_ohm)
 
     def read(force_n: FloatArray) -> FloatArray:
-        of_gain = calibration.gain * forward.resistances(force_n)
-        drawn = calibration.offset_ohm + of_gain
+        drawn = forward.resistances(force_n)
+        of_gain = drawn - forward.offset_ohm
         drawn += found.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain)
         own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
         drawn += own * generator.standard_normal(drawn.shape)
         drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
-        return np.maximum(drawn, MIN_CALIBRATED_OHM)
+        return np.maximum(drawn, MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])
     columns = read(force_n)
     readable = readable_columns(component, dead, columns.shape[1])
-    missed = columns / calibration.shown(forward.resistances(force_n)) - 1.0
+    missed = columns / forward.resistances(force_n) - 1.0
     unsure = float(np.sqrt(np.mean(missed[:, readable] ** 2)))
-    rest_ohm = calibration.shown(forward.at_rest_ohm())
     scaling = Scaling.fitted(force_n)
     n_forces = forward.n_forces
-    inverse = ModelInverse.about(
-        forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(calibration.modelled(read(some_n)))
-    )
+    inverse = ModelInverse.about(forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(read(some_n)))
     untrained = Decoupler(
         component=component,
         rows=size[0],
@@ -101,10 +98,9 @@ def decoder_of(
         output_weights=np.eye(n_forces, n_forces + 1),
         design=design,
         inverse=inverse,
-        calibration=calibration,
-        resting=Resting.read_with(rest_ohm, bits),
+        resting=Resting.read_with(forward.at_rest_ohm(), bits),
         dead=dead,
-        usual=UsualLoads.of(loads_n, component, np.maximum(columns[: len(loads_n)], MIN_CALIBRATED_OHM)),
+        usual=UsualLoads.of(loads_n, component, columns[: len(loads_n)]),
         ensemble=found.ensemble,
         made_from=made_from or {},
     )

@@ -10,9 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from dataset.measurement import reading_deviation
 from dataset.samples import SampleError
-from decoupler.data.columns import MIN_CALIBRATED_OHM, component_named, force_columns
+from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.twin.decoder import decoder_of
@@ -170,7 +171,7 @@ def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoup
     if not len(tested):
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
-    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_CALIBRATED_OHM)
+    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
     A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
     force_n = decoder.outputs(as_left_out)
     variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)

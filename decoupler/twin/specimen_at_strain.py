@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 from dataset.changed_designs import ChangedDesigns
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
-from decoupler.data.columns import Calibration
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
@@ -297,17 +296,17 @@ def identify_at_strain(
                 progress(share)
         specimen = found.specimen
         gain, offset, modulus, parameters, _ = specimen.parts
-        own = replace(designed, forward=specimen.model(designed.forward), specimen=specimen, misfit=found.misfit)
+        rest_ohm, model = designed.forward.linear.at_rest_ohm(), specimen.model(designed.forward)
+        model = replace(model, ohm_per_mm2=(1.0 + gain) * model.ohm_per_mm2, offset_ohm=offset * rest_ohm)
+        own = replace(designed, forward=model, specimen=specimen, misfit=found.misfit)
         if loads_n is None:
             loads_n = images_of(designed.loads_n.reshape(-1, rows, cols, 3), [0, 1, 2], DRAWS)
         draws = drawn_samples(own, loads_n.reshape(len(loads_n), -1), design, errors, seed)
         progress(0.1)
         decoder = refined(trained_on(draws), own, draws)
-    rest_ohm = designed.forward.linear.at_rest_ohm()
     dead = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     decoder = replace(
         decoder,
-        calibration=Calibration(1.0 + gain, offset * rest_ohm),
         dead=dead if dead.any() else None,
         made_from={"identified_on": pairs.content_hash, "pairs": len(pairs)},
     )

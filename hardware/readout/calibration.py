@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.data.columns import Calibration
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray
@@ -74,12 +74,11 @@ class SensorCalibration:
 
     def tared(self, measured_ohm: FloatArray) -> "SensorCalibration":
         """The same with another state at rest: resistances (rows, cols, 3) [Ω] of the crossbar, NaN where open."""
-        return replace(self, rest_ohm=self.pillars.modelled(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
+        return replace(self, rest_ohm=self.as_designed_ohm(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
 
-    @property
-    def pillars(self) -> Calibration:
-        """Gain and offset of every pillar."""
-        return Calibration(self.gain, self.offset_ohm)
+    def as_designed_ohm(self, measured_ohm: FloatArray) -> FloatArray:
+        """Resistances that a sensor as designed would show, (..., rows, cols, 3) [Ω]; kept above 0."""
+        return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_WHOLE_OHM)
 
     def tare_factor(self, rest_as_designed_ohm: FloatArray) -> FloatArray:
         """R₀/R_rest of every pillar, (rows, cols, 3), for R₀ of the same shape or (3,) [Ω]; 1 for a broken one.

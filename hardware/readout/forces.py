@@ -126,7 +126,6 @@ class ForceReader:
                 "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
                 "or train on data that state their design."
             )
-        self._pillars = self.calibration.pillars
         self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
         self.description = describe(model, info)
         self._weights = wrench_weights(self.description.position_mm, model.component.axes)
@@ -167,7 +166,7 @@ class ForceReader:
     def forces(self, counts: NDArray[Any]) -> Forces:
         """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
         measured_ohm, saturated = self.measured(counts)
-        resistance_ohm = self._pillars.modelled(measured_ohm) * self._tare_factor
+        resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
         force_n = self.model.forces(resistance_ohm)
         return Forces(
             force_n=force_n,

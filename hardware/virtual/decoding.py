@@ -4,15 +4,15 @@ import torch
 from torch import Tensor
 
 from dataset.measurement import SENSE_OHM
-from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_CALIBRATED_OHM, MIN_RESTING
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import DesignError
 from geometry.layout import PILLARS
 
 
 class TorchForward:
-    """Resistances R = c |d + B F|² of a `ForwardModel`; F and R are its columns, (n, n_forces) and (n, n_pillars)."""
+    """R = c |d + B F|² + o of a `ForwardModel`; F and R are its columns, (n, n_forces) and (n, n_pillars)."""
 
     def __init__(self, forward: ForwardModel, like: Tensor) -> None:
         n_components, n_pillars = forward.rest_mm.shape
@@ -20,7 +20,7 @@ class TorchForward:
         self.influence = like.new_tensor(by_electrode[:, :, forward.top]).reshape(forward.n_forces, -1)
         self.rest_mm = like.new_tensor(forward.rest_mm)
         self.sign = None if forward.sign is None else like.new_tensor(forward.sign)
-        self.ohm_per_mm2 = like.new_tensor(forward.ohm_per_mm2)
+        self.ohm_per_mm2, self.offset_ohm = like.new_tensor(forward.ohm_per_mm2), like.new_tensor(forward.offset_ohm)
         self._shape = (-1, n_components, n_pillars)
 
     def vectors(self, force_n: Tensor) -> Tensor:
@@ -38,7 +38,7 @@ class TorchForward:
 
     def resistances(self, force_n: Tensor) -> Tensor:
         """Resistances, (n, n_pillars) [Ω]; eq. 1."""
-        return self.ohm_per_mm2 * self.squares(self.vectors(force_n))
+        return self.ohm_per_mm2 * self.squares(self.vectors(force_n)) + self.offset_ohm
 
 
 class TorchDecoder:
@@ -71,8 +71,6 @@ class TorchDecoder:
         self._input = tensor(model.input_scaling.centre), tensor(model.input_scaling.factor)
         self._output = tensor(model.output_scaling.half_range), tensor(model.output_scaling.centre)
         self._hidden, self._weights = tensor(model.hidden_weights.T), tensor(model.output_weights.T)
-        found = model.calibration
-        self._calibration = None if found is None else (tensor(found.gain), tensor(found.offset_ohm))
         resting = model.resting
         self._resting = None if resting is None else (tensor(resting.rest_ohm), float(resting.full_counts[0]))
         inverse = model.inverse
@@ -101,9 +99,6 @@ class TorchDecoder:
         """Inputs of the hidden layer, as `Decoupler.inputs`."""
         if self._resting is not None:
             columns = self._settled(columns, *self._resting)
-        if self._calibration is not None:
-            gain, offset = self._calibration
-            columns = ((columns - offset) / gain).clamp(min=MIN_CALIBRATED_OHM)
         if self.model.inverse is not None:
             feature = self._inverse(columns)
         else:
@@ -113,7 +108,7 @@ class TorchDecoder:
 
     def _inverse(self, columns: Tensor) -> Tensor:
         """Forces by the response's inverse, as `ModelInverse.forces`."""
-        lengths = (columns / self._forward.ohm_per_mm2).sqrt()
+        lengths = ((columns - self._forward.offset_ohm).clamp(min=MIN_WHOLE_OHM) / self._forward.ohm_per_mm2).sqrt()
         centre_mm, forces = self._start
         forces = forces + (lengths - centre_mm) @ self._correctors[0]
         for corrector in self._correctors[1:]:

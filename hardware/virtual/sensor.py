@@ -14,8 +14,8 @@ from torch import Tensor
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import SENSE_OHM
 from dataset.simulation import require_conducted
-from decoupler.data.columns import COMPONENTS, MIN_CALIBRATED_OHM
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.data.columns import COMPONENTS
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.twin.twin_file import TwinFile, read_twin
@@ -277,7 +277,7 @@ class VirtualSensor:
         """
         self._require(resistance_ohm, "resistance_ohm")
         settings = self._imperfections
-        ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_CALIBRATED_OHM)
+        ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_WHOLE_OHM)
         if settings.noise:
             ohms = ohms * (1.0 + settings.noise * self._normal(ohms.shape))
         if self._wires is not None:
@@ -333,8 +333,7 @@ class _TorchTwin:
                 f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
             )
         self.forward = TorchForward(decoder.inverse.forward, like)
-        found, held = decoder.calibration, decoder.ensemble
-        self._calibration = None if found is None else (like.new_tensor(found.gain), like.new_tensor(found.offset_ohm))
+        held = decoder.ensemble
         self.members = len(held)
         self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
         self._rest = like.new_tensor(held.rest_mm).mT  # (m, 3, P)
@@ -344,11 +343,7 @@ class _TorchTwin:
         """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
         vectors = self.forward.vectors(force_n)
         squares = self.forward.squares(vectors)
-        shown = of_gain = self.forward.ohm_per_mm2 * squares
-        if self._calibration is not None:
-            gain, offset = self._calibration
-            of_gain = gain * shown
-            shown = of_gain + offset
+        of_gain = self.forward.ohm_per_mm2 * squares
         signed = vectors if self.forward.sign is None else vectors * self.forward.sign
         slopes = (2.0 * signed / squares[:, None])[:, : self._rest.shape[1]]
         order, moved_by = torch.argsort(member, stable=True), []
@@ -356,7 +351,7 @@ class _TorchTwin:
             moved_by.append((force_n[some] @ self._influence[m]).reshape(len(some), *slopes.shape[1:]))
         moved = torch.cat(moved_by)[torch.argsort(order)]
         relative = self._relative[member] + ((moved + self._rest[member]) * slopes).sum(dim=1)
-        return (shown + relative * of_gain + self._offset[member]).clamp(min=MIN_CALIBRATED_OHM)
+        return ((1.0 + relative) * of_gain + self.forward.offset_ohm + self._offset[member]).clamp(min=MIN_WHOLE_OHM)
 
     @staticmethod
     def _groups(sorted_members: Tensor, order: Tensor) -> tuple[list[int], tuple[Tensor, ...]]:

@@ -21,17 +21,13 @@ def float_rounding_n(model: Decoupler, resistance_ohm: FloatArray) -> FloatArray
     response's inverse the last correction counts; what was rounded before it, it corrects. Counted are errors in units
     of `HALF_BIT`.
     """
-    given = model.columns(resistance_ohm)
-    ohms, ohms_error = given, given
-    if model.calibration is not None:
-        gain, offset = model.calibration.gain, model.calibration.offset_ohm
-        ohms = model.calibration.modelled(given)
-        ohms_error = _together(given / gain, offset / gain, ohms, ohms, ohms)
+    ohms = ohms_error = model.columns(resistance_ohm)
     if model.inverse is not None:
         x = model.inverse.forces(ohms)
         D = model.inverse.derivatives(ohms)
-        length_error = _length_error(model, ohms, ohms_error, x)
-        by_length = D * (2.0 * ohms / model.inverse.forward.lengths_of(ohms))[:, None]
+        whole = ohms - model.inverse.forward.offset_ohm
+        length_error = _length_error(model, ohms, whole, x)
+        by_length = D * (2.0 * whole / model.inverse.forward.lengths_of(ohms))[:, None]
         x_error = _together(x, np.sqrt(np.einsum("nfp,np->nf", by_length**2, length_error**2)))
     elif model.network.feature == "root":
         x = np.sqrt(ohms)
@@ -53,13 +49,14 @@ def float_rounding_n(model: Decoupler, resistance_ohm: FloatArray) -> FloatArray
     return (SURELY * SPREAD * HALF_BIT * error).reshape(shape)
 
 
-def _length_error(model: Decoupler, ohms: FloatArray, ohms_error: FloatArray, force_n: FloatArray) -> FloatArray:
-    """Error of √(R / c) − |d + B F|, (n, n_pillars) [mm]."""
+def _length_error(model: Decoupler, ohms: FloatArray, whole: FloatArray, force_n: FloatArray) -> FloatArray:
+    """Error of √((R − o) / c) − |d + B F|, (n, n_pillars) [mm]; `whole` is R − o."""
     forward = model.inverse.forward
     lengths, vectors = forward.lengths_of(ohms), forward.vectors(force_n)
     moved = 2.0 * (force_n**2 @ forward.influence**2)  # B and products; partial sums are smaller than the whole
     along = 2.0 * vectors**2 + forward.rest_mm**2 + moved.reshape(len(ohms), 3, -1)[:, :, forward.top]
-    measured = _together(0.5 * lengths * ohms_error / ohms, 0.5 * lengths, 0.5 * lengths, lengths)
+    whole_error = _together(ohms, forward.offset_ohm, whole)
+    measured = _together(0.5 * lengths * whole_error / whole, 0.5 * lengths, 0.5 * lengths, lengths)
     modelled = _together(np.sqrt(((vectors / lengths[:, None]) ** 2 * along).sum(axis=1)), 0.5 * lengths, lengths)
     return _together(measured, modelled)
 

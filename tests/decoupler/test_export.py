@@ -12,7 +12,6 @@ import onnxruntime
 import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, train, write_model
-from decoupler.data.columns import Calibration
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, compiled_forces, header_text
 from decoupler.export.checked import run_onnx
@@ -47,9 +46,6 @@ def trained(component: str, feature: str, net: str):
     data = replace(data, resistance_ohm=gain * data.resistance_ohm + offset, dead=DEAD)
     network = NetworkConfig(hidden=5, net=net, feature=feature)
     model = train(data, component, network, TrainingConfig(max_iterations=3), response=response(SENSOR))
-    if model.calibration is None:  # only `inverse` fits one in training
-        n_in = model.hidden_weights.shape[1] - 1
-        model = replace(model, calibration=Calibration(np.linspace(0.95, 1.05, n_in), np.linspace(-9.0, 9.0, n_in)))
     return model, np.where(DEAD, np.nan, data.resistance_ohm[:20])
 
 
@@ -87,7 +83,7 @@ def test_header_gives_the_models_forces(component, feature, net):
 
 
 def test_as_designed_and_nothing_dead():
-    """Without calibration and dead pillars the exported forms lack those steps, and still agree."""
+    """Without gains, offsets and dead pillars the exported forms lack those steps, and still agree."""
     data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
     model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
     content = onnx_model(model, np.float64).SerializeToString()

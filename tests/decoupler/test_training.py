@@ -82,7 +82,7 @@ def test_a_net_on_the_response_starts_from_its_inverse(trainer):
     decoupler = train(TRAIN, "fx", network, config, lambda _, mse: errors.append(mse), response(SENSOR))
     outcome = decoupler.made_from["outcome"]
     columns = decoupler.columns(TRAIN.resistance_ohm)
-    known = decoupler.inverse.forces(decoupler.calibration.modelled(columns))
+    known = decoupler.inverse.forces(columns)
     scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
     if trainer != "varpro":  # whose output layer is never at its start
         assert np.mean(scaled**2) / 1.1 <= errors[0] <= np.mean(scaled**2)
@@ -221,7 +221,7 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     rest_ohm = ForwardModel.of(own, FX).at_rest_ohm()
     for given, by_calibration, most in ((own, 0.0, 1e-6), (other, 1e-2, 1e-3)):
         untrained = trainer._untrained(TRAIN, FX, network, columns, forces, ForwardModel.of(given, FX))
-        assert np.abs(untrained.calibration.shown(rest_ohm) / rest_ohm - 1.0).max() >= by_calibration
+        assert np.abs(untrained.inverse.forward.at_rest_ohm() / rest_ohm - 1.0).max() >= by_calibration
         light_ohm, light_n, n = trainer._light_samples_too(untrained, columns, forces, TRAIN)
         at_rest = light_ohm[~light_n.any(axis=1)]
         assert n == 30

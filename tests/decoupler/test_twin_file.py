@@ -15,6 +15,7 @@ from fem.array.sensitivities import ResponseSensitivities
 from geometry.design import Array, SensorDesign
 from geometry.design_file import read_design, write_design
 from geometry.errors import DesignError, FileFormatError
+from geometry.layout import pillar_volumes
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, with_values
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=2))
@@ -61,7 +62,8 @@ def test_a_twin_is_a_design_at_its_most_probable_values(folder):
     assert design.unit.height_mm == pytest.approx(twin.parameters["unit.height_mm"][0])
     assert twin.covariance.shape == (len(twin.parameters),) * 2
     decoder = twin.read_decoder()
-    assert np.allclose(np.stack([twin.gain[p] for p in "zxy"], axis=-1).ravel(), decoder.calibration.gain, rtol=1e-5)
+    by_file = np.stack([twin.gain[p] for p in "zxy"], axis=-1) * design.resistivity_ohm_mm / pillar_volumes(design.unit)
+    assert np.allclose(by_file.ravel(), decoder.inverse.forward.ohm_per_mm2, rtol=1e-3)  # volumes to first order
     assert all((deviation > 0).all() for deviation in twin.gain_deviation.values())
     write_design(DESIGN, folder / "design.toml")
     assert read_twin(folder / "design.toml") is None
@@ -74,9 +76,9 @@ def test_samples_of_a_twin_show_what_is_unknown(folder, truth):
     samples = simulate_twin(twin, layer_response(twin.design), settings)
     decoder = twin.read_decoder()
     require_same_sensor(decoder, samples, folder / "own.safetensors", folder / "samples.nc")
-    expected = decoder.calibration.shown(decoder.inverse.forward.resistances(samples.force_n.reshape(300, -1)))
+    expected = decoder.inverse.forward.resistances(samples.force_n.reshape(300, -1))
     apart = samples.resistance_ohm.reshape(300, -1) / expected - 1.0
-    found = decoder.calibration.shown(decoder.inverse.forward.resistances(truth.force_n.reshape(200, -1)))
+    found = decoder.inverse.forward.resistances(truth.force_n.reshape(200, -1))
     off = truth.resistance_ohm.reshape(200, -1) / found - 1.0
     assert 0 < np.sqrt(np.mean(apart**2)) < 0.02
     assert np.sqrt(np.mean(off**2)) < 3 * np.sqrt(np.mean(apart**2) + 0.001**2)

@@ -29,7 +29,7 @@ def a_calibration(**changes):
 
 def as_designed(calibration, measured_ohm):
     """Resistances that the sensor as designed would show."""
-    return calibration.pillars.modelled(measured_ohm) * calibration.tare_factor(REST_OHM)
+    return calibration.as_designed_ohm(measured_ohm) * calibration.tare_factor(REST_OHM)
 
 
 def test_modelled_undoes_what_the_sensor_does():

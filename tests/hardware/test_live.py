@@ -22,7 +22,7 @@ from tests.hardware.models import Unknown
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3)
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
-MAX_FILES = 9  #: of the product that a scan passes from its bytes to its forces
+MAX_FILES = 10  #: of the product that a scan passes from its bytes to its forces, calibration included
 
 
 class Shares(Unknown):

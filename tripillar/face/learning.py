@@ -104,8 +104,7 @@ def train(
     Parameters
     ----------
     samples : Samples or StoredSamples
-        Simulated or measured; leave those for tests out. Of more than 20,000 a random draw trains the hidden layer, and
-        the output layer is fitted to all of them.
+        Simulated or measured; leave those for tests out. Of more than 20,000 a random draw is learned from.
     component : str, optional
         Forces that the network tells: fz, fx, fy or all; default: those that act.
     net : str
@@ -164,21 +163,12 @@ def train(
     from tripillar.face.checks import Caller
 
     training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
-    few = _enough(samples, seed, caller, "train the hidden layer, all are for the output layer")
+    few = _enough(samples, seed, caller, "train the network")
     parts, network, solved, forced = _checked(few, component, net, hidden, feature, design, response, force, caller)
     from decoupler import train  # loads torch: only once the samples are found right
 
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
-    passed = caller.bars.begin("output layer", total=len(samples)) if len(samples) > len(few) else None
-    model = train(
-        samples,
-        parts,
-        network,
-        training,
-        lambda _, mse: advance(1, f"mse {mse:.2e}"),
-        solved,
-        (lambda n: passed(n, "")) if passed else (lambda n: None),
-    )
+    model = train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
     return replace(model, made_from=model.made_from | forced)
 
 
