@@ -4,8 +4,8 @@ The converter sees a voltage divider: the pillar between the supply and the inpu
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
-from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,8 @@ class ReadingError(Drifts):
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
         pairs = zip(self._drifts, own._drifts, strict=True)
         left = [float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs]
-        return replace(ReadingError(), **dict(zip(DRIFTS, left, strict=True)))
+        by_name: dict[str, Any] = dict(zip(DRIFTS, left, strict=True))
+        return ReadingError(**by_name)
 
     @property
     def _drifts(self) -> list[float]:
