@@ -21,8 +21,8 @@ from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
 from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES
 from dataset.resistance import conducted_lengths, pillar_lengths, pillar_resistances, pillar_strains
-from dataset.samples import LABELS, SampleError, Samples, require_samples, require_variables
-from dataset.variables import ARRAYS, VARIABLES
+from dataset.samples import SampleError, Samples, require_samples, require_variables
+from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
@@ -155,8 +155,8 @@ def simulate_part(
 def shapes(design: SensorDesign, is_conducted: bool) -> dict[str, tuple[int, ...]]:
     """Shape of each variable of one sample, of a response that holds conduction or not."""
     rows, cols = design.array.rows, design.array.cols
-    names = ARRAYS if is_conducted else VARIABLES
-    return {name: (rows, cols, 2, 3) if name == "displacement_mm" else (rows, cols, 3) for name in names}
+    names = [name for name in ARRAYS if is_conducted or name != "effective_length_mm"]
+    return {name: VARIABLES[name].shape(rows, cols) for name in names}
 
 
 def require_memory(design: SensorDesign, samples: int, only: Sequence[str] | None = None) -> None:

@@ -43,7 +43,7 @@ def test_a_directory_gives_back_every_bit_and_what_made_it(data, written):
     assert (stored.design, stored.noise, stored.bits) == (data.design, 1e-3, 12)
     assert stored.made_from["recipe"] == data.made_from["recipe"]
     whole = stored[:]
-    for name in VARIABLES:
+    for name in data.arrays():
         assert np.array_equal(getattr(whole, name), getattr(data, name))
     assert "recipe" not in whole.made_from  # as of a part of samples in memory
 
@@ -82,7 +82,7 @@ def test_float32_is_the_nearest_number_and_keeps_its_own_hash(data, tmp_path):
 
 def test_xarray_reads_it_lazily_as_the_contract_says(data, written):
     lazy = read_samples(written).to_xarray()
-    assert all(lazy[name].dims == dims for name, (dims, _) in VARIABLES.items())
+    assert all(lazy[name].dims == VARIABLES[name].dims for name in data.arrays())
     assert lazy["force_n"].chunks[0] == (LEAF, 300)
     assert list(lazy["pillar"].values) == ["z", "x", "y"]
     some = lazy["resistance_ohm"].sel(pillar="x").isel(sample=slice(0, 3)).to_numpy()
