@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
-from geometry.design import quantity, require_sound
+from geometry.design import SensorDesign, quantity, require_sound
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import stated
@@ -150,6 +150,14 @@ class Imperfections(ReadingError):
             ohms = readout.measured(ohms, generator)
         ohms[:, dead] = OPEN_OHM
         return ohms
+
+    def of_samples(self, design: SensorDesign) -> dict[str, Any]:
+        """Noise, converter and dead pillars of samples that were read so, by their names in `Samples`."""
+        return {
+            "noise": self.noise,
+            "bits": self.bits,
+            "dead": self.dead_mask(design.array.rows, design.array.cols),
+        }
 
     def as_attributes(self) -> dict[str, Any]:
         """Every field as a NetCDF attribute can hold it; what is None, empty or no drift is left out."""

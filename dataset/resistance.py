@@ -53,6 +53,11 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     return np.where(along_rest > 0, strain, np.inf)
 
 
+def largest_strains(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
+    """Largest strain of a pillar of each sample, (n, n_units, 2, 3) [mm] -> (n,)."""
+    return pillar_strains(displacement_mm, pillar_lengths(displacement_mm, unit), unit).max(axis=(1, 2))
+
+
 def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
     """Factors (n,) that scale displacements up until some pillar's strain |l − l₀|/l₀ reaches the cap.
 
