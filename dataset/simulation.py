@@ -117,7 +117,7 @@ def simulate_part(
     require_conducted(response)
     require_variables(only or ())
     design, n = response.design, len(numbers)
-    arrays = {name: np.empty((n, *shape)) for name, shape in _kept_shapes(design, only).items()}
+    arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in _kept_shapes(design, only).items()}
 
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
@@ -269,7 +269,7 @@ def labelled(
     settings: DatasetSettings,
     readout: Readout | None,
     first: int = 0,
-) -> dict[str, FloatArray]:
+) -> dict[str, Any]:
     """All variables (n, rows, cols, ...) of samples from number `first` on.
 
     Takes tractions (n, n_units, 3) [MPa], displacements (n, n_units, 2, 3) [mm], and effective lengths (n, n_units, 3)

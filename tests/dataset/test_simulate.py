@@ -275,12 +275,12 @@ def test_resistivity_scales_resistances_alone(response):
         ({"cap": 0.0}, "cap=0 must be above 0 and below 1; the paper uses 0.2 and 0.3"),
         ({"cap": 1.0}, "cap=1 must be above 0 and below 1"),
         ({"cap": float("nan")}, "cap=nan must be a finite number"),
-        ({"noise": -0.001}, "noise=-0.001 must be from 0 to 0.1"),
+        ({"noise": -0.001}, "noise=-0.001 must be a finite number not below 0"),
         ({"noise": 0.11}, "noise=0.11 must be from 0 to 0.1"),
         ({"noise": "loud"}, "noise='loud' must be a finite number"),
-        ({"bits": 3}, "bits=3 must be from 4 to 24"),
-        ({"bits": 25}, "bits=25 must be from 4 to 24"),
-        ({"bits": 12.5}, "bits=12.5 must be from 4 to 24"),
+        ({"bits": 3}, "bits=3 must be a whole number from 4 to 24"),
+        ({"bits": 25}, "bits=25 must be a whole number from 4 to 24"),
+        ({"bits": 12.5}, "bits=12.5 must be a whole number from 4 to 24"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused_by_name(changed, message):
