@@ -72,38 +72,26 @@ def require_finite(design: SensorDesign) -> None:
 
 
 class GroupSolver:
-    """Draws and solves groups of one array; its two equilibria are found once.
+    """Draws and solves groups of one array, by its linear response; its two equilibria are found once.
 
-    Parameters
-    ----------
-    response : ArrayResponse
-        Linear response of the same array, of stiff pads.
-    settings : DatasetSettings
-        Only their protocol and their cap count.
+    Of settings only protocol, seed and cap count.
     """
 
     def __init__(self, response: ArrayResponse, settings: DatasetSettings) -> None:
         require_finite(response.design)
-        self.design, self.cap, self._linear_error = response.design, settings.cap, response.error_estimate
+        self.design, self._linear_error = response.design, response.error_estimate
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
         conducted = response.conducted
         per_n = None if conducted is None else conducted.relative_per_n.reshape(k, -1, k, 3)
-        self._solver = SampleSolver(self.design, influence, per_n, unwanted=self._is_far)
-
-    def _is_far(self, displacement_mm: FloatArray) -> NDArray[np.bool_]:
-        return largest_strains(displacement_mm, self.design.unit) > FAR * self.cap
+        unit, far = self.design.unit, FAR * settings.cap
+        self._solver = SampleSolver(self.design, influence, per_n, unwanted=lambda u: largest_strains(u, unit) > far)
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
-        """Samples number · GROUP and on; of `settings` only protocol, seed and cap count.
-
-        Raises
-        ------
-        LoadError
-            If a sample was drawn `MAX_DRAWS` times in vain.
-        """
+        """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
         design, protocol = self.design, pad_protocol(settings.protocol)
         unsolved = np.zeros(GROUP, dtype=np.int64)
+        names = [name for name in Group.__dataclass_fields__ if name not in ("redrawn", "unsolved")]
 
         def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
             seeds = [[settings.seed, number * GROUP + int(sample), attempt, _STREAM] for sample in waiting]
@@ -113,21 +101,11 @@ class GroupSolver:
             over = largest_strains(found.displacement_mm, design.unit) > settings.cap
             unsolved[waiting] += ~over & ~found.settled
             estimate = np.hypot(found.error_estimate, self._linear_error)
-            ratios = found.resistance_ratio, found.ratio_error
-            return [traction, found.displacement_mm, estimate, found.iterations, *ratios], ~over & found.settled
+            drawn = vars(found) | {"traction_mpa": traction, "error_estimate": estimate}
+            return [drawn[name] for name in names], ~over & found.settled
 
         kept, redrawn = below_cap(draw, GROUP, MAX_DRAWS, settings, design)
-        traction, displacement, estimate, iterations, ratio, ratio_error = kept
-        return Group(
-            traction_mpa=traction,
-            displacement_mm=displacement,
-            error_estimate=estimate,
-            iterations=iterations,
-            redrawn=redrawn - unsolved,
-            unsolved=unsolved,
-            resistance_ratio=ratio,
-            ratio_error=ratio_error,
-        )
+        return Group(**dict(zip(names, kept, strict=True)), redrawn=redrawn - unsolved, unsolved=unsolved)
 
 
 def n_groups(samples: int) -> int:
@@ -138,13 +116,7 @@ def n_groups(samples: int) -> int:
 def samples_of(
     response: ArrayResponse, settings: DatasetSettings, groups: Sequence[Group], readout: Readout | None = None
 ) -> Samples:
-    """Samples of all groups in order, measured as `settings` say.
-
-    Raises
-    ------
-    DesignError
-        As `Imperfections.apply` does.
-    """
+    """Samples of all groups in order, measured as `settings` say; errors as of `Imperfections.apply`."""
     design, n = response.design, settings.samples
     joined = {name: np.concatenate([getattr(group, name) for group in groups])[:n] for name in vars(groups[0])}
     displacement, effective, told = joined["displacement_mm"], None, {}

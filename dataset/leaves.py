@@ -166,12 +166,9 @@ def put(folder: Path, path: Path) -> None:
 def open_zarr(
     path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str, optional: Mapping[str, tuple[str, ...]]
 ) -> "xr.Dataset":
-    """The variables of a directory as `read_netcdf` gives those of a file, but read when they are used.
+    """The variables of a directory as `read_netcdf` gives those of a file, but read when used; errors as there.
 
-    Raises
-    ------
-    FileFormatError
-        If it is missing or no zarr directory, lacks a variable or has it on other dims, or holds pickles.
+    A directory that holds pickles is a `FileFormatError`, too.
     """
     import xarray as xr
 

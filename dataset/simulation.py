@@ -180,15 +180,9 @@ def measured_again(
 ) -> Samples:
     """Measure the same loads with a sensor of these imperfections, however `samples` were measured.
 
-    Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
-    last bit what `simulate` gives with the same loads, imperfections, seed and readout.
-
-    Raises
-    ------
-    SampleError
-        If the samples do not hold their lengths and their design.
-    DesignError
-        As `Imperfections.apply` does.
+    Starts from the lengths, which are exact, and draws noise as a dataset of that seed does: the outcome is to the last
+    bit what `simulate` gives with the same loads, imperfections, seed and readout. Samples without lengths or design
+    are a `SampleError`; other errors are those of `Imperfections.apply`.
     """
     require_samples("samples", samples)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
@@ -298,12 +292,8 @@ def below_cap(
     """Draw n samples, and those again that are not accepted.
 
     `draw` takes the numbers (m,) of those that are wanted and how often they were drawn before; it gives arrays
-    (m, ...) and which samples are accepted (m,). Returns arrays (n, ...) and how often each was drawn again (n,).
-
-    Raises
-    ------
-    LoadError
-        If a sample was drawn in vain in all rounds.
+    (m, ...) and which samples are accepted (m,). Returns arrays (n, ...) and how often each was drawn again (n,). A
+    sample drawn in vain in all rounds is a `LoadError`.
     """
     waiting, redrawn = np.arange(n), np.zeros(n, dtype=np.int64)
     kept: list[np.ndarray] = []

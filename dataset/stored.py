@@ -150,17 +150,10 @@ def in_memory(samples: Samples | StoredSamples) -> Samples:
 def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSamples:
     """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
-    Parameters
-    ----------
-    path : Path
-        Resistances and forces must be there; tractions, displacements and lengths may be missing. Axes and pillars may
-        be unlabelled, x, y, z and z, x, y then. Columns of a CSV table are named as `dataset.table` names them.
-    labels_only : bool
-        True leaves tractions, displacements and lengths in the file: training does not need them.
-
-    Notes
-    -----
-    Attributes are free in files of others: one that is missing or makes no sense counts as not stated.
+    Resistances and forces must be there; tractions, displacements and lengths may be missing, and `labels_only` leaves
+    them in the file. Axes and pillars may be unlabelled, x, y, z and z, x, y then. Columns of a CSV table are named as
+    `dataset.table` names them. Attributes are free in files of others: one that is missing or makes no sense counts as
+    not stated.
 
     Raises
     ------
