@@ -6,7 +6,7 @@ the input and ground, so its reading is the fraction R_sense/(R + R_sense) of fu
 
 import math
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +58,11 @@ class ReadingError(Drifts):
 
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
-        pairs = {spec.name: (getattr(self, spec.name), getattr(own, spec.name)) for spec in fields(Drifts)}
-        return ReadingError(**{name: math.sqrt(max(all_**2 - drawn**2, 0.0)) for name, (all_, drawn) in pairs.items()})
+        drifts: dict[str, Any] = {
+            spec.name: math.sqrt(max(getattr(self, spec.name) ** 2 - getattr(own, spec.name) ** 2, 0.0))
+            for spec in fields(Drifts)
+        }
+        return ReadingError(**drifts)
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
