@@ -13,7 +13,6 @@ from dataset.simulation import (
     DatasetSettings,
     LoadError,
     dataset_cache_key,
-    displacements,
     forces,
     measured_again,
     simulate,
@@ -59,17 +58,6 @@ def test_a_dataset_is_what_the_equations_say(response, protocol):
     assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)
     resistance = 4000.0 * data.length_mm**2 / (4.0 * np.array([10.0, np.sqrt(200), np.sqrt(200)]))
     assert data.resistance_ohm == pytest.approx(resistance, rel=1e-14)
-
-
-def test_superposition_is_linear(response):
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 4, 6, 3))
-    both = displacements(response, 2.0 * a - 3.0 * b)
-    apart = 2.0 * displacements(response, a) - 3.0 * displacements(response, b)
-    assert both == pytest.approx(apart, abs=1e-12)  # rounding
-    assert np.abs(both).max() > 1.0
-    a[..., :2] = 0.0  # skipping unloaded axes changes nothing: the same products, summed in another order
-    assert displacements(response, a, ("z",)) == pytest.approx(displacements(response, a), abs=1e-14)
 
 
 @pytest.mark.parametrize("measurement", [{}, {"noise": 0.01, "bits": 12}], ids=["exact", "measured"])
