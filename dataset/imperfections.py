@@ -76,6 +76,8 @@ class Imperfections(ReadingError):
 
         A pillar or wire that the array does not have is a `DesignError`.
 
+        Examples
+        --------
         >>> Imperfections(dead_rows=(0,)).dead_mask(1, 1).tolist()  # U1's wire: z and x
         [[[True, True, False]]]
         """

@@ -17,6 +17,8 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
 
     The distance between the electrode centroids, not linearised; the lower electrodes are clamped.
 
+    Examples
+    --------
     >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
     np.float64(9.0)
     """
@@ -75,6 +77,8 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
     piezoresistive change of ρ and no contact resistance. A length that is not above 0, of a collapsed pillar, is a
     `ValueError`.
 
+    Examples
+    --------
     >>> pillar_resistances(np.array([[10.0, 20.0, 20.0]]), np.array([40.0, 80.0, 80.0]), 4000.0)
     array([[10000., 20000., 20000.]])
     """

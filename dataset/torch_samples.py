@@ -19,6 +19,8 @@ class TorchSamples(TensorDataset):
     `displacement` puts the electrodes' displacements between them. Samples that hold none, or a type that is neither
     torch.float32 nor torch.float64, are a `SampleError`.
 
+    Examples
+    --------
     >>> samples = Samples(force_n=np.ones((5, 2, 3, 3)), resistance_ohm=np.full((5, 2, 3, 3), 1e4))
     >>> loader = torch.utils.data.DataLoader(TorchSamples(samples), batch_size=4)
     >>> [(resistance_ohm.shape, force_n.dtype) for resistance_ohm, force_n in loader][0]
@@ -46,6 +48,8 @@ class TorchBatches(IterableDataset[tuple[Tensor, ...]]):
     ArgumentError, SampleError
         If the samples are not on disk, a setting is none of those, or displacements are wanted and there are none.
 
+    Examples
+    --------
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
     >>> from dataset import read_samples
