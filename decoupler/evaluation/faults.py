@@ -219,7 +219,9 @@ class FaultTest:
         """The fault that explains readings (n, P) best, of those that are decidedly likelier than none."""
         y = y - y.mean(axis=0)
         passing = sorted(self._hypotheses(y), key=lambda one: one.ratio)
-        best = {(one.kind, len(one.which) > 1): one for one in passing if one.ratio > -math.log(FALSE_ALARMS)}
+        passing = [one for one in passing if one.ratio > -math.log(FALSE_ALARMS)]
+        # of swaps, whose caps leave ties, all are compared
+        best = {(one.kind, len(one.which) > 1 if one.order is None else one.place): one for one in passing}
         return max(best.values(), key=lambda one: self._gain(one, y), default=None)
 
     def _gain(self, fault: _Hypothesis, y: FloatArray) -> float:
@@ -241,11 +243,16 @@ class FaultTest:
 
     def _log_density(self, y: FloatArray) -> float:
         """Log-density of readings (n, P) but for a constant, each scan by the likeliest size of its loads."""
-        spread, U = np.linalg.eigh(self.covariance / np.outer(self.noise, self.noise) - np.eye(len(self.noise)))
+        spread, U = self._independent
         squares = (y / self.noise @ U) ** 2
         each = [1.0 + size**2 * np.maximum(spread, 0.0) for size in SIZES]
         by_size = [-0.5 * (squares @ (1.0 / one) + np.log(one).sum()) for one in each]
         return float(np.max(by_size, axis=0).sum()) - len(y) * float(np.log(self.noise).sum())
+
+    @cached_property
+    def _independent(self) -> tuple[FloatArray, FloatArray]:
+        """Variances (P,) and directions (P, P) of independent loads, over those of noise."""
+        return np.linalg.eigh(self.covariance / np.outer(self.noise, self.noise) - np.eye(len(self.noise)))
 
     def _hypotheses(self, y: FloatArray) -> Iterator[_Hypothesis]:
         """All faults, by readings (n, P) about their means."""
