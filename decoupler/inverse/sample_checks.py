@@ -71,7 +71,7 @@ def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
 
 
 def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:
-    """Residuals of measured motions beside expected ones, both (n, n_columns) [mm] or relative; slopes are in `SLOPES`."""
+    """Residuals of measured motions beside expected ones, both (n, n_columns) [mm] or relative, slopes in `SLOPES`."""
     both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
     slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
     return moved - slope * expected
