@@ -93,6 +93,9 @@ def dataset(
     drift_pillar: Annotated[
         float, typer.Option(help="Standard deviation of its drift of each pillar alone, relative.")
     ] = 0.0,
+    drift_offset: Annotated[
+        float, typer.Option(help="Standard deviation of its drift that adds as much to all readings [Ω].")
+    ] = 0.0,
     gain_spread: GainSpreadOption = 0.0,
     offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
@@ -144,10 +147,10 @@ def dataset(
     require_other(out, design)
     from dataset import DatasetSettings
     from dataset.imperfections import place_of
+    from dataset.leaves import is_zarr
     from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
-    from dataset.zarr_folder import is_zarr
     from fem.contact.surface import require_bare
     from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
@@ -171,6 +174,7 @@ def dataset(
         drift=drift,
         drift_tilt=drift_tilt,
         drift_pillar=drift_pillar,
+        drift_offset_ohm=drift_offset,
         gain_spread=gain_spread,
         offset_ohm=offset,
         specimen=specimen,

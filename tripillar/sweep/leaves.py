@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dataset.leaves import LEAF, Leaf, n_leaves, packed, write_leaf, write_leaves_header
+from dataset.leaves import LEAF, Leaf, chunk_name, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
-from dataset.samples import LABELS, Samples
-from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
+from dataset.samples import Samples
+from dataset.simulation import DatasetSettings, dataset_cache_key, simulate, simulate_part
 from dataset.stored import is_current, read_samples
-from dataset.zarr_folder import chunk_name, put
+from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
@@ -174,7 +174,7 @@ def kept_leaves(folder: Path, job: LeafJob) -> dict[int, dict[str, Any]]:
             if record["samples"] != [job.size(number), min(LEAF, job.settings.samples)]:
                 continue  # the last leaf of another number of samples
             for name, stated in record["files"].items():
-                if _hash((folder / "data.zarr" / _chunk(name, number)).read_bytes()) != stated:
+                if _hash((folder / "data.zarr" / chunk_name(name, number)).read_bytes()) != stated:
                     raise ValueError
             found[number] = record
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -211,15 +211,14 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
     numbers = range(n_leaves(job.settings.samples))
     names = records[0]["hashes"]
     for name in names:
-        wanted = {Path(_chunk(name, number)).name for number in numbers}
+        wanted = {Path(chunk_name(name, number)).name for number in numbers}
         for path in (tree / name).iterdir():
             if path.name not in wanted:
                 path.unlink()
     shutil.rmtree(header, ignore_errors=True)
     hashes = {name: [records[number]["hashes"][name] for number in numbers] for name in names}
-    of_one = shapes(job.response.design, job.response.conducted is not None)
-    whole = {name: (job.settings.samples, *of_one[name]) for name in names}
-    write_leaves_header(header, whole, hashes, attributes, job.dtype)
+    array = job.response.design.array
+    write_header(header, (job.settings.samples, array.rows, array.cols), hashes, attributes, job.dtype)
     for path in sorted(header.rglob("*")):
         target = tree / path.relative_to(header)
         if path.is_dir():
@@ -249,10 +248,6 @@ def _is_begun(folder: Path) -> bool:
 
 def _record_path(folder: Path, number: int) -> Path:
     return folder / "leaves" / f"{number:07d}.json"
-
-
-def _chunk(name: str, number: int) -> str:
-    return chunk_name(name, number, 5 if name == "displacement_mm" else 4)
 
 
 def _hash(content: bytes) -> str:
