@@ -10,13 +10,14 @@ from scipy.optimize import nnls
 
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import pillar_lengths
+from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
+from decoupler.data.enough import ENOUGH
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, SCALES, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import SensorDesign
@@ -31,11 +32,10 @@ FLIPPED = np.array([1.0, -1.0, 1.0])  #: sign of x, y and z in a mirror at y = 0
 ALIKE = 1e-9  #: largest difference of a mirrored influence, relative
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
 LOADS = 600  #: most loads of samples that a posterior keeps
-DRAWS = 20_000  #: samples that are drawn from the maps to train the network that starts
+DRAWS = 27_000  #: loads that are drawn to train the network that starts; some strain the array too much
 HIDDEN = 60  #: hidden nodes of that network
 STATE_RIDGE = 1e-3  #: of the linear way from forces to states, over the number of samples
 LIGHTER = 10  #: one of so many draws is lighter
-BEYOND = 1.07  #: of the samples' range of states, that draws may reach
 JUDGED = 4000  #: draws that say how the network errs
 TRUST = 3.0  #: factor of the network's errors as a prior: it has seen the same readings
 CHUNK = 256  #: states worked on together
@@ -111,7 +111,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     scale = SCALES / np.maximum(np.sqrt((A**2).mean(axis=0)), TINY)
     A *= scale
     off_n = np.concatenate(forces) - np.concatenate(states)
-    off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2)]
+    off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2, strict=False)]
     found = [
         _ridge(A[: part.size // width], part.reshape(-1, width))
         for part, width in ((off_n, N_AXES), (np.concatenate(off_mm2), n_values - N_AXES))
@@ -194,7 +194,7 @@ def drawn_samples(
     posterior : Posterior
     loads_n : array, shape (n, 3 k)
         Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
-        left out, and a tenth is made lighter.
+        left out, `ENOUGH` at most are kept, and a tenth is made lighter.
     design : SensorDesign
     errors : ReadingError
         Of the readings.
@@ -213,9 +213,7 @@ def drawn_samples(
     states = (
         np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
     )
-    own, known = maps.own(states), np.append(maps.own(known_n), np.zeros((1, len(maps.near), OWN)), axis=0)
-    low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
-    states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
+    states = states[_strains(maps, states, design).max(axis=1) <= _strains(maps, known_n, design).max()][:ENOUGH]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
     squares, force_n = [], []
     for part in np.array_split(states, max(1, len(states) // CHUNK)):
@@ -238,6 +236,12 @@ def drawn_samples(
         bits=errors.bits,
         made_from={name: value for name, value in vars(errors).items() if name.startswith("drift")},
     )
+
+
+def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> FloatArray:
+    """Strains of all pillars in states, (n, 3 k) [N] -> (n, 3 k)."""
+    moved = _moved(state_n, maps.influence, design.array.rows, design.array.cols)
+    return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
 
 
 def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
