@@ -25,7 +25,12 @@ from geometry.tolerances import usual_deviations
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR, ALL = sensor(1, 2), component_named("all")
-LINEAR = ForwardModel.of(response(SENSOR), ALL)
+EVEN = response(SENSOR)
+#: not its own image in a mirror, as made-up laws are not
+RESPONSE = replace(
+    EVEN, influence_mm_per_n=EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
+)
+LINEAR = ForwardModel.of(RESPONSE, ALL)
 STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
 
@@ -50,7 +55,7 @@ def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
     """Samples at finite strain whose states are `STATES`."""
     squares, _, force_n, _ = model.at_states(STATES)
     shape = (len(STATES), 1, 2, 3)
-    moved = (STATES @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+    moved = (STATES @ model.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
     ohms = (model.ohm_per_mm2 * squares).reshape(shape)
     return Samples(
         force_n=force_n.reshape(shape),
@@ -66,7 +71,7 @@ def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
 def test_maps_are_learned_from_samples():
     """1000 samples leave a hundredth of what the linear response misses on 200 others; left-out errors foretell it."""
     truth = samples(law(1.0))
-    found = with_strain_maps(response(SENSOR), ALL, truth[:1000])
+    found = with_strain_maps(RESPONSE, ALL, truth[:1000])
     assert found.maps is not None
     squares, _, force_n, _ = found.at_states(STATES[1000:])
     true_n = truth.force_n[1000:].reshape(200, -1)
@@ -76,7 +81,24 @@ def test_maps_are_learned_from_samples():
     assert np.std(squares - true) < 0.01 * np.std(lengths**2 - true)
     assert np.sqrt(np.mean(found.maps.misfit_n**2)) == pytest.approx(np.std(force_n - true_n), rel=0.5)
     with pytest.raises(SampleError, match="hold no displacements"):
-        with_strain_maps(response(SENSOR), ALL, truth.labels())
+        with_strain_maps(RESPONSE, ALL, truth.labels())
+
+
+def test_mirrored_forces_are_known():
+    """20 samples of positive Fy teach an array that is its own image, and no other, what negative forces do."""
+    weights = np.zeros((N_FEATURES, 6))
+    weights[126 * np.arange(3) + 2, np.arange(3)] = [0.1 * STATES.std()] * 3  # products of Gx, Gy, Gz with Gz
+    flipped = STATES[100:200] * np.tile([1.0, -1.0, 1.0], 2)
+    missed = []
+    for given in (EVEN, RESPONSE):
+        linear = ForwardModel.of(given, ALL)
+        maps = replace(law(0.0).maps, influence=linear.influence, weights=weights)
+        truth = replace(linear, maps=maps)
+        found = with_strain_maps(given, ALL, samples(truth)[:20])
+        off_n = found.maps.forces(flipped) - maps.forces(flipped)
+        missed.append(np.std(off_n[:, 1::3]) / np.std(maps.forces(flipped)[:, 1::3] - flipped[:, 1::3]))
+    assert missed[0] < 0.02
+    assert missed[1] > 0.1
 
 
 def test_derivatives_are_slopes():
