@@ -26,6 +26,7 @@ OPTIONS = {
     "drift": ("--drift", 0.0),
     "drift_tilt": ("--drift-tilt", 0.0),
     "drift_pillar": ("--drift-pillar", 0.0),
+    "drift_offset_ohm": ("--drift-offset", 0.0),
     "gain_spread": ("--gain-spread", 0.0),
     "offset_ohm": ("--offset", 0.0),
     "specimen": ("--specimen", 0),

@@ -4,8 +4,8 @@ The converter sees a voltage divider: the pillar between the supply and the inpu
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from geometry.design import Drifts, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
+DRIFTS = tuple(spec.name for spec in fields(Drifts))
 MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
@@ -58,12 +59,13 @@ class ReadingError(Drifts):
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
         pairs = zip(self._drifts, own._drifts, strict=True)
-        drift, tilt, pillar = (float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs)
-        return ReadingError(drift=drift, drift_tilt=tilt, drift_pillar=pillar)
+        left = [float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs]
+        by_name: dict[str, Any] = dict(zip(DRIFTS, left, strict=True))
+        return ReadingError(**by_name)
 
     @property
-    def _drifts(self) -> tuple[float, float, float]:
-        return self.drift, self.drift_tilt, self.drift_pillar
+    def _drifts(self) -> list[float]:
+        return [getattr(self, name) for name in DRIFTS]
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
@@ -81,7 +83,9 @@ class ReadingError(Drifts):
         """
         unit = self._patterns(rows, cols)
         pillar = np.repeat(unit, resistance_ohm.shape[1] // len(unit), axis=0)
-        return resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
+        relative = resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
+        offset = np.full((*resistance_ohm.shape, int(self.drift_offset_ohm > 0)), self.drift_offset_ohm)
+        return np.concatenate([relative, offset], axis=2)
 
     def total(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
         """Standard deviation of readings, of what they share as well, (n, P) [Ω] -> (n, P) [Ω]."""
@@ -106,7 +110,8 @@ class ReadingError(Drifts):
         n, rows, cols, _ = resistance_ohm.shape
         common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
         own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
-        return resistance_ohm * np.maximum(1.0 + common + own, MIN_LEFT)
+        offset = self.drift_offset_ohm * generator.standard_normal((n, 1, 1, 1))
+        return np.maximum(resistance_ohm * (1.0 + common + own) + offset, MIN_LEFT * resistance_ohm)
 
     def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, n_pillars) [Ω] as measured: drift, noise, and the converter's steps last."""

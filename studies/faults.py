@@ -111,7 +111,7 @@ def exact(response: ArrayResponse, protocol: str, n: int, seed: int) -> FloatArr
 
 
 def main() -> None:
-    """Print what docs/decoupler.md says of faults."""
+    """Print what docs/decoder.md says of faults."""
     response = array_response(SensorDesign())[0]
     light = exact(response, "light", OTHERS * WINDOW, 12)
     for protocol in ("three-axis", "contact"):

@@ -1,7 +1,7 @@
 """Tables of known loads, CSV: a line for each loaded pad, plate or air pressure, what is known of it and how well.
 
 The table of `tripillar identify` and `calibrate`. The readings stand in the same lines, or in a recording, or are
-taken live; docs/measuring.md says how to make each load.
+taken live; docs/decoder.md says how to make each load.
 """
 
 import csv

@@ -27,6 +27,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, SONG2018, FloatArray
@@ -81,7 +82,8 @@ class FaultTest:
         rest_ohm = decoupler.rest_resistances()
         if rest_ohm is None:
             return None
-        errors = replace(decoupler.uncertainty.errors, drift=0.0, drift_tilt=0.0, drift_pillar=0.0)
+        stated = decoupler.uncertainty.errors
+        errors = ReadingError(noise=stated.noise, bits=stated.bits)
         if errors.is_exact:
             return None
         assert usual.log_ohm_covariance is not None

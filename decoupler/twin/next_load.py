@@ -25,7 +25,7 @@ from geometry.layout import AXES, FloatArray
 
 MIN_NOISE = 1e-5  #: of readings to come, relative
 USUAL = 24  #: usual loads over which the expected error is taken
-#: what a kitchen has, see docs/measuring.md: buckets of water, one who stands on a lever, a pulley, a vacuum bag
+#: what a kitchen has, see docs/decoder.md: buckets of water, one who stands on a lever, a pulley, a vacuum bag
 KITCHEN = "pad:5kg,pad:15kg,pad:60kg,plate:20kg,plate:60kg,plate:120kg,string:3kg,string:12kg,air:30kPa,air:80kPa"
 MEANS = {"pad": UNITS_N, "plate": UNITS_N, "string": UNITS_N | {"%": 0.01}, "air": {"kpa": 1.0}}
 HAVE = "write kind:size such as pad:15kg, plate:20kg, string:3kg or string:20% and air:30kPa, separated by commas"

@@ -1,7 +1,7 @@
 """The other formats of recordings: NetCDF, MCAP and CSV are written, NetCDF and MCAP are read.
 
 `convert` writes them, whole or not at all; `read_recording` reads every kind of recording, told by its content.
-`docs/recordings.md` describes them. MCAP needs the package ``mcap``.
+`docs/frames.md` describes them. MCAP needs the package ``mcap``.
 """
 
 import csv
@@ -65,7 +65,7 @@ def read_recording(path: Path) -> Recording:
 def convert(recording: Recording, path: Path) -> None:
     """Write a recording in the format that the suffix of `path` names, whole or not at all.
 
-    NetCDF (.nc), MCAP (.mcap) and CSV (.csv) as `docs/recordings.md` has them.
+    NetCDF (.nc), MCAP (.mcap) and CSV (.csv) as `docs/frames.md` has them.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".nc":

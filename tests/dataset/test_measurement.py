@@ -91,7 +91,7 @@ def test_given_resistances_are_not_written_on():
     assert np.array_equal(exact, RESISTANCES)
 
 
-DRIFTING = ReadingError(drift=0.005, drift_tilt=0.01, drift_pillar=0.002)
+DRIFTING = ReadingError(drift=0.005, drift_tilt=0.01, drift_pillar=0.002, drift_offset_ohm=40.0)
 
 
 def test_drifts_have_the_covariance_that_is_stated():
@@ -104,7 +104,8 @@ def test_drifts_have_the_covariance_that_is_stated():
     stated = shared @ shared.T + np.diag(DRIFTING.deviation(columns)[0] ** 2)
     np.testing.assert_allclose(np.cov(drifted.T), stated, atol=0.04 * stated.max())
     np.testing.assert_allclose(DRIFTING.total(columns, rows, cols)[0] ** 2, stated.diagonal())
-    corner = np.abs(shared[[0, -1]] / columns[0, [0, -1], None])
+    assert (shared[:, 3] == 40.0).all()
+    corner = np.abs(shared[[0, -1], :3] / columns[0, [0, -1], None])
     np.testing.assert_allclose(corner, [[0.005, 0.01, 0.01]] * 2)  # a tilt is stated at the outermost units
 
 

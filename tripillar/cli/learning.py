@@ -91,6 +91,9 @@ def dataset(
     drift_pillar: Annotated[
         float, typer.Option(help="Standard deviation of its drift of each pillar alone, relative.")
     ] = 0.0,
+    drift_offset: Annotated[
+        float, typer.Option(help="Standard deviation of its drift that adds as much to all readings [Ω].")
+    ] = 0.0,
     gain_spread: GainSpreadOption = 0.0,
     offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
@@ -169,6 +172,7 @@ def dataset(
         drift=drift,
         drift_tilt=drift_tilt,
         drift_pillar=drift_pillar,
+        drift_offset_ohm=drift_offset,
         gain_spread=gain_spread,
         offset_ohm=offset,
         specimen=specimen,

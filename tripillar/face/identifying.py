@@ -59,7 +59,7 @@ def identify(
         Number of loads to propose to measure next, in the twin's ``next_loads``.
     have : str or path, optional
         What these are made of, such as ``"plate:20kg,pad:15kg,string:3kg,air:30kPa"``, or a table (.csv) of loads;
-        default: what a kitchen has, see docs/measuring.md.
+        default: what a kitchen has, see docs/decoder.md.
     force : bool
         True goes on although the pairs look wrong; the decoder remembers why they did.
     caller : Caller, optional

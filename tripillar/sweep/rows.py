@@ -1,7 +1,7 @@
 """Rows of a sweep: the metrics of one design each, as small files while it runs and as tables at its end.
 
 A row is written as soon as it is known, so that nothing is lost; a Parquet file holds all rows. Definitions of the
-metrics with their equations are in docs/sweeps.md.
+metrics with their equations are in docs/results.md.
 """
 
 from collections.abc import Sequence
