@@ -174,6 +174,8 @@ def open_pool(
                 yield pool
             finally:
                 _end(pool.executor)
+                for begun in folder.glob("worker-*"):
+                    _forget(int(begun.name.removeprefix("worker-")))
 
 
 def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) -> list[Any]:
@@ -265,6 +267,7 @@ def _timed(make: Callable[..., Any], *words: Any) -> Any:
 def _begin_worker(parent: int, memory_bytes: int, limit_s: float, last_words: Path, log: Path | None) -> None:
     """Watch over this process, a worker, and print into the log."""
     Thread(target=_watch, args=(parent, memory_bytes, limit_s, last_words), daemon=True).start()
+    last_words.with_name(f"worker-{os.getpid()}").touch()
     tempfile.tempdir = None  # it is looked up once, and that may have been before
     if log is not None:
         kept = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -281,6 +284,7 @@ def _watch(parent: int, memory_bytes: int, limit_s: float, last_words: Path) -> 
         terminated = sys.platform != "win32" and signal.SIGTERM in signal.sigpending()
         if terminated or os.getppid() != parent or not psutil.pid_exists(parent):
             remove_unfinished()
+            _forget(os.getpid())
             os._exit(128 + signal.SIGTERM)
         words = ""
         if _at_work_since is not None and monotonic() - _at_work_since > limit_s:
@@ -290,6 +294,13 @@ def _watch(parent: int, memory_bytes: int, limit_s: float, last_words: Path) -> 
         if words:
             last_words.write_text(words, encoding="utf-8")
             os._exit(1)
+
+
+def _forget(worker: int) -> None:
+    """Remove what Intel's OpenMP keeps in shared memory of a process that is killed."""
+    if sys.platform == "linux":
+        with suppress(OSError):
+            os.unlink(f"/dev/shm/__KMP_REGISTERED_LIB_{worker}_{os.getuid()}")
 
 
 def _memory_bytes(worker: psutil.Process) -> int:

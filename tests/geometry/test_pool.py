@@ -19,7 +19,7 @@ from geometry import pool as pools
 from geometry.errors import DesignError
 from geometry.pool import WorkerLost, in_parallel, open_pool
 from geometry.storage.journal import Journal
-from tests.geometry.fake_job import TASKS, go_on, square, threads
+from tests.geometry.fake_job import TASKS, go_on, register, square, threads
 
 ROOT = Path(__file__).parents[2]
 SQUARES = {number: number**2 for number in range(TASKS)}
@@ -160,6 +160,13 @@ def test_a_scheduler_that_is_not_there_is_refused(monkeypatch):
         open_pool(scheduler="tcp://127.0.0.1:9"),
     ):
         pass
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into Linux's shared memory")
+def test_nothing_of_the_workers_is_left_in_shared_memory():
+    """Where Intel's OpenMP registers each process that loads it, until that ends by itself."""
+    places = in_parallel([(register,), (register,)], lambda number: None)
+    assert not any(Path(place).exists() for place in places)
 
 
 def test_results_are_those_of_this_process_to_the_last_bit():
