@@ -4,6 +4,7 @@ The converter sees a voltage divider: the pillar between the supply and the inpu
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
@@ -14,7 +15,6 @@ from geometry.design import Drifts, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
-DRIFTS = tuple(spec.name for spec in fields(Drifts))
 MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
 
@@ -54,18 +54,15 @@ class ReadingError(Drifts):
 
     @property
     def has_drift(self) -> bool:
-        return any(self._drifts)
+        return any(getattr(self, spec.name) for spec in fields(Drifts))
 
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
-        pairs = zip(self._drifts, own._drifts, strict=True)
-        left = [float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs]
-        by_name: dict[str, Any] = dict(zip(DRIFTS, left, strict=True))
-        return ReadingError(**by_name)
-
-    @property
-    def _drifts(self) -> list[float]:
-        return [getattr(self, name) for name in DRIFTS]
+        drifts: dict[str, Any] = {
+            spec.name: math.sqrt(max(getattr(self, spec.name) ** 2 - getattr(own, spec.name) ** 2, 0.0))
+            for spec in fields(Drifts)
+        }
+        return ReadingError(**drifts)
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
@@ -119,7 +116,7 @@ class ReadingError(Drifts):
 
 
 def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:
-    """Counts that a `bits`-bit converter reads for each resistance; any shape.
+    """Counts that a `bits`-bit converter reads for each resistance.
 
     >>> counts_from_resistance(np.array([0.0, 10_000.0]), bits=10)
     array([1023,  512])
@@ -139,14 +136,9 @@ def resistance_from_counts(counts: NDArray[np.int64], bits: int, sense_ohm: floa
 def measured(resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator) -> FloatArray:
     """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then converter steps.
 
-    ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number a
-    resistance, so that what `generator` gives next does not depend on the setting.
-
-    Raises
-    ------
-    DesignError
-        If a resistance is so far from the sense resistor that the converter reads 0 or full scale, which
-        stand for no resistance at all.
+    ``noise=0`` and ``bits=None`` leave them as they are. Noise is drawn even so, one number a resistance, so that what
+    `generator` gives next does not depend on the setting. A resistance so far from the sense resistor that the
+    converter reads 0 or full scale, which stand for none at all, is a `DesignError`.
     """
     disturbance = generator.standard_normal(resistance_ohm.shape)
     if noise:

@@ -136,25 +136,20 @@ def pca_floor(force_n: FloatArray, component: Component, hidden: int) -> PcaFloo
     """
     columns = force_columns(force_n, component)
     scaled = Scaling.fitted(columns).scale(columns)
-    discarded, total = _discarded_energy(scaled, hidden)
     best = _projection(columns, hidden)
+    discarded = float(((scaled - _projection(scaled, hidden)) ** 2).mean())
+    total = float(((scaled - scaled.mean(axis=0)) ** 2).mean())
     shape = (*force_n.shape[:3], len(component.axes))
     return PcaFloor(
         hidden=hidden,
         scaled_mse=discarded,
         variance_share=discarded / total if total > 0 else 0.0,
-        rmse_n=float(np.sqrt(_discarded_energy(columns, hidden)[0])),
+        rmse_n=float(np.sqrt(((columns - best) ** 2).mean())),
         projection={
             name: force_errors(best.reshape(shape)[..., axis], columns.reshape(shape)[..., axis])
             for axis, name in enumerate(component.forces)
         },
     )
-
-
-def _discarded_energy(columns: FloatArray, kept: int) -> tuple[float, float]:
-    """Mean square per entry beyond the first `kept` principal components, and of all of them."""
-    energy = np.linalg.svd(columns - columns.mean(axis=0), compute_uv=False) ** 2 / columns.size
-    return float(energy[kept:].sum()), float(energy.sum())
 
 
 def _projection(columns: FloatArray, kept: int) -> FloatArray:

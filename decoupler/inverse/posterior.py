@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
@@ -41,20 +40,22 @@ class Posterior:
     to_state: FloatArray  #: (Q + 1, Q): to first order from forces to states, the constant last [N]
     precision: FloatArray  #: (Q, Q): inverse covariance of the first answers' errors [1/N²]
     loads_n: FloatArray  #: (m, Q): some loads that the forward model has seen
-    specimen: Specimen | None = None  #: what is not known of this sensor; None for one as designed
-    misfit: float = 0.0  #: of a reading beyond what is known, over its rest
+    misfit: float = 0.0  #: of a square beyond what is known, over its distance from rest
+
+    def first_states(self, first_n: FloatArray) -> FloatArray:
+        """States to which forces lead to first order, both (n, Q) [N]."""
+        return (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
 
     def squares_variance(self, state_n: FloatArray) -> FloatArray:
-        """Variance of the squares of lengths by what maps and specimen miss, (n, Q) [N] -> (n, P) [mm⁴]."""
+        """Variance of the squares of lengths by what the model misses, (n, Q) [N] -> (n, P) [mm⁴]."""
         maps = self.forward.maps
         assert maps is not None
-        rest = self.forward.linear.lengths(np.zeros((1, self.forward.n_forces))) ** 2
-        return maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1) + (self.misfit * rest) ** 2
-
-    def squares_factors(self, state_n: FloatArray) -> FloatArray:
-        """U of the covariance U Uᵀ of the squares by what is not known of a specimen, (n, P, ·) [mm²]."""
-        assert self.specimen is not None
-        return self.specimen.derivatives(self.forward, state_n) @ self.specimen.factor
+        variance = maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1)
+        if self.misfit:
+            y = self.forward.linear.lengths(state_n) ** 2 + maps.values(state_n)[..., N_AXES:].reshape(variance.shape)
+            rest = self.forward.linear.lengths(np.zeros((1, self.forward.n_forces))) ** 2
+            variance += (self.misfit * (y - rest)) ** 2
+        return variance
 
     def found(
         self,
@@ -73,7 +74,8 @@ class Posterior:
         first_n : array, shape (n, Q)
             First answers.
         deviation_ohm, shared_ohm : arrays, shapes (n, P) and (n, P, m)
-            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω].
+            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω]; these may come
+            of a sensor that is not quite known.
         read : array, shape (P,)
             Pillars that are read.
 
@@ -101,12 +103,10 @@ class Posterior:
         n, Q = first_n.shape
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
-        state = (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
+        state = self.first_states(first_n)
         variance = (deviation_ohm / c) ** 2 + self.squares_variance(state)
         variance = np.where(read, variance, UNREAD * variance)
         factors = shared_ohm / c[:, None]
-        if self.specimen is not None:
-            factors = np.concatenate([factors, self.squares_factors(state)], axis=2)
         if not factors.shape[2]:
             whiten = np.eye(len(read)) / np.sqrt(variance)[:, None]
         else:

@@ -17,6 +17,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -152,7 +153,12 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
 
 
 def drawn_samples(
-    posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
+    posterior: Posterior,
+    loads_n: FloatArray,
+    design: SensorDesign,
+    errors: ReadingError,
+    seed: int = 0,
+    ensemble: Ensemble | None = None,
 ) -> Samples:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
 
@@ -166,6 +172,8 @@ def drawn_samples(
     errors : ReadingError
         Of the readings.
     seed : int
+    ensemble : Ensemble, optional
+        Draws of a sensor that is not quite known.
 
     Notes
     -----
@@ -189,9 +197,10 @@ def drawn_samples(
         values = maps.values(part)
         y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
         y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
-        if posterior.specimen is not None:
-            factors = posterior.squares_factors(part)
-            y += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
+        if ensemble is not None:
+            factors = ensemble.factors(forward, part)
+            unsure_ohm = factors @ generator.standard_normal((len(part), factors.shape[2], 1))
+            y += unsure_ohm[..., 0] / forward.ohm_per_mm2
         squares.append(y)
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
     y, forces = np.concatenate(squares), np.concatenate(force_n)

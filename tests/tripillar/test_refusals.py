@@ -124,7 +124,7 @@ dataset --protocol contact --samples 5 -o x.zarr --workers 0 -> --workers 0 must
 dataset --protocol contact --samples 5 -o x.zarr --workers 2 --scheduler tcp://localhost:1 -> give one of them
 dataset --protocol contact --samples 1000000000 -o x.nc -> end the file's name in .zarr, or keep less of them by --only
 dataset --protocol contact --samples 5 -o x.nc --noise 5 -> noise=5 must be from 0 to 0.1
-dataset --protocol contact --samples 5 -o x.nc --bits 40 -> bits=40 must be from 4 to 24
+dataset --protocol contact --samples 5 -o x.nc --bits 40 -> bits=40 must be a whole number from 4 to 24
 dataset --protocol contact --samples 5 -o x.nc --gain-spread 1 -> 0.2 is ± 20 %
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0 -> write row,col,pillar, such as 0,3,z
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,0,z -> its rows are 0 to 5, its columns 0 to 5

@@ -145,10 +145,10 @@ def dataset(
     require_other(out, design)
     from dataset import DatasetSettings
     from dataset.imperfections import place_of
+    from dataset.leaves import is_zarr
     from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
-    from dataset.zarr_folder import is_zarr
     from fem.contact.surface import require_bare
     from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond

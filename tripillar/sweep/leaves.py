@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dataset.leaves import LEAF, Leaf, n_leaves, packed, write_leaf, write_leaves_header
+from dataset.leaves import LEAF, Leaf, chunk_name, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
-from dataset.samples import LABELS, Samples
-from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
+from dataset.samples import Samples
+from dataset.simulation import DatasetSettings, dataset_cache_key, simulate, simulate_part
 from dataset.stored import is_current, read_samples
-from dataset.zarr_folder import chunk_name, put
+from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
@@ -176,7 +176,7 @@ def records(folder: Path) -> Journal:
 def _intact(folder: Path, number: int, record: dict[str, Any]) -> dict[str, Any]:
     """A record of a leaf; `ValueError` or `OSError` if its files are not those that it states."""
     for name, stated in record["files"].items():
-        if _hash((folder / "data.zarr" / _chunk(name, number)).read_bytes()) != stated:
+        if _hash((folder / "data.zarr" / chunk_name(name, number)).read_bytes()) != stated:
             raise ValueError
     return record
 
@@ -187,15 +187,14 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
     numbers = range(n_leaves(job.settings.samples))
     names = records[0]["hashes"]
     for name in names:
-        wanted = {Path(_chunk(name, number)).name for number in numbers}
+        wanted = {Path(chunk_name(name, number)).name for number in numbers}
         for path in (tree / name).iterdir():
             if path.name not in wanted:
                 path.unlink()
     shutil.rmtree(header, ignore_errors=True)
     hashes = {name: [records[number]["hashes"][name] for number in numbers] for name in names}
-    of_one = shapes(job.response.design, job.response.conducted is not None)
-    whole = {name: (job.settings.samples, *of_one[name]) for name in names}
-    write_leaves_header(header, whole, hashes, attributes, job.dtype)
+    array = job.response.design.array
+    write_header(header, (job.settings.samples, array.rows, array.cols), hashes, attributes, job.dtype)
     for path in sorted(header.rglob("*")):
         target = tree / path.relative_to(header)
         if path.is_dir():
@@ -214,10 +213,6 @@ def _require_same(folder: Path, job: LeafJob) -> None:
         raise DesignError(
             f"{folder} holds an unfinished data set of other settings: give those again to finish it, or remove it."
         )
-
-
-def _chunk(name: str, number: int) -> str:
-    return chunk_name(name, number, 5 if name == "displacement_mm" else 4)
 
 
 def _hash(content: bytes) -> str:
