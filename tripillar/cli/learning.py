@@ -1,6 +1,5 @@
 """The commands that make data, and train and test networks."""
 
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,7 +25,6 @@ from tripillar.terminal.console import (
     spelled,
     wrote,
 )
-from tripillar.terminal.interrupts import last_words
 
 if TYPE_CHECKING:
     from dataset import DatasetSettings, Readout, Samples
@@ -272,32 +270,14 @@ def _finite_samples(
     bars: "Bars",
 ) -> "Samples":
     """Samples at finite strain by workers, those of earlier runs taken up again."""
-    from dataset.finite_strain import n_groups, require_finite, samples_of
+    from dataset.finite_strain import n_groups, require_finite
     from tripillar.pipeline.run import respond
-    from tripillar.sweep.finite_samples import GroupJob, group_row, groups_folder, kept_groups, make_groups
-    from tripillar.sweep.tasks import failed_task_row
-    from tripillar.sweep.workers import open_workers
+    from tripillar.sweep.finite_samples import simulate_finite
 
     require_finite(sensor)
     _, solved = respond(with_model(sensor, "linear"), bars)
-    job = GroupJob(response=replace(solved, design=sensor), settings=settings)
-    found = kept_groups(job)
-    total = n_groups(settings.samples)
-    missing = [number for number in range(total) if number not in found]
-    if missing:
-        folder = groups_folder(job)
-        words = f"stopped; the samples in {folder} are kept: give the same command again to go on."
-        count = None if scheduler is not None else min(workers or os.cpu_count() or 1, len(missing))
-        with (
-            last_words(words),
-            open_workers(count, scheduler, folder / "workers.log", group_row, failed_task_row) as hands,
-        ):
-            advance = bars.begin("dataset", total=total)
-            advance(len(found), "workers begin")
-            found |= make_groups(
-                job, hands, missing, lambda group: advance(1, f"{group.iterations.mean():.0f} iterations a sample")
-            )
-    return samples_of(job.response, settings, [found[number] for number in range(total)], readout)
+    advance = bars.begin("dataset", total=n_groups(settings.samples))
+    return simulate_finite(replace(solved, design=sensor), settings, readout, workers, scheduler, advance)
 
 
 def train(
