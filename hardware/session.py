@@ -99,7 +99,7 @@ def live(
     Yields
     ------
     LiveSensor
-        Iterate over it for a `ScanForces` a scan. Its `scanner` has the board's `info`, `stats` and `trouble`.
+        Iterate over it for the `Forces` of each scan. Its `scanner` has the board's `info`, `stats` and `trouble`.
 
     Raises
     ------

@@ -2,11 +2,20 @@
 
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Protocol
 
 from geometry.errors import DesignError, TriPillarError
 from geometry.storage.files import require_file
+from hardware.readout.forces import Forces
 
 LOOPBACK = "127.0.0.1"
+
+
+class Stream(Protocol):
+    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts."""
+
+    def add(self, scan: Forces) -> None:
+        """Take those of one scan."""
 
 
 class StreamError(TriPillarError, RuntimeError):

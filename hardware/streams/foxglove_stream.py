@@ -1,6 +1,5 @@
 """Frames for Foxglove: a WebSocket server, and an MCAP file by the same calls. Needs the package ``foxglove-sdk``."""
 
-import json
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -11,10 +10,20 @@ import numpy as np
 from geometry.errors import needing
 from geometry.layout import FloatArray
 from hardware.readout.description import FRAME, SensorDescription
-from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
+from hardware.readout.forces import Forces
+from hardware.recording.mcap_file import json_bytes
+from hardware.recording.topics import (
+    FORCES,
+    RESISTANCES,
+    SCHEMAS,
+    SENSOR,
+    WRENCH,
+    forces_content,
+    resistances_content,
+    wrench_content,
+)
 from hardware.streams.addresses import LOOPBACK, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.tactile_frame import TactileFrame
 
 if TYPE_CHECKING:
     from foxglove.messages import SceneUpdate
@@ -100,28 +109,27 @@ class FoxgloveStream:
             channel.close()
         self._open.close()
 
-    def add(self, frame: TactileFrame) -> None:
-        """Send a frame."""
+    def add(self, scan: Forces) -> None:
+        """Send the forces of one scan."""
         axes = self._painter.sensor.axes
         if self._asked:
             self._asked = False
-            self._log(SENSOR, self._painter.sensor.plain(), frame)
-        time_s = {"time": frame.stamp_ns * 1e-9}
+            self._log(SENSOR, self._painter.sensor.plain(), scan)
+        time_s = {"time": int(scan.stamp_ns) * 1e-9}
         for topic, content in (
-            (FORCES, lambda: time_s | forces_content(frame.force_n, frame.deviation_n, axes)),
-            (WRENCH, frame.net),
-            (RESISTANCES, lambda: resistances_content(frame.resistance_ohm, frame.saturated)),
+            (FORCES, lambda: time_s | forces_content(scan.force_n, scan.deviation_n, axes)),
+            (WRENCH, lambda: wrench_content(scan.net())),
+            (RESISTANCES, lambda: resistances_content(scan.resistance_ohm, scan.saturated)),
         ):
             if self._channels[topic].has_sinks():
-                self._log(topic, content(), frame)
+                self._log(topic, content(), scan)
         if self._scene.has_sinks():
-            self._scene.log(self._update(frame), log_time=frame.stamp_ns)
+            self._scene.log(self._update(scan), log_time=int(scan.stamp_ns))
 
-    def _log(self, topic: str, content: dict[str, Any], frame: TactileFrame) -> None:
-        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
-        self._channels[topic].log(data, log_time=frame.stamp_ns)
+    def _log(self, topic: str, content: dict[str, Any], scan: Forces) -> None:
+        self._channels[topic].log(json_bytes(content), log_time=int(scan.stamp_ns))
 
-    def _update(self, frame: TactileFrame) -> "SceneUpdate":
+    def _update(self, scan: Forces) -> "SceneUpdate":
         from foxglove.messages import (
             Color,
             CubePrimitive,
@@ -133,8 +141,8 @@ class FoxgloveStream:
             Vector3,
         )
 
-        painter, scene = self._painter, self._painter.scene(frame)
-        stamp = Timestamp(*divmod(frame.stamp_ns, 1_000_000_000))
+        painter, scene = self._painter, self._painter.scene(scan)
+        stamp = Timestamp(*divmod(int(scan.stamp_ns), 1_000_000_000))
         side, height = painter.pad_m, PAD_HEIGHT * painter.pad_m
         upright, size = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0), Vector3(x=side, y=side, z=height)
         cubes = [

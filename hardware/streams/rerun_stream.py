@@ -12,9 +12,9 @@ import numpy as np
 from geometry.errors import needing
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
+from hardware.readout.forces import Forces
 from hardware.streams.addresses import LOOPBACK, StreamError, make_room
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.tactile_frame import TactileFrame
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -77,22 +77,22 @@ class RerunStream:
         self._recording.flush()
         self._recording.disconnect()
 
-    def add(self, frame: TactileFrame) -> None:
-        """Send a frame."""
-        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(frame)
-        self._recording.set_time(TIMELINE, timestamp=np.datetime64(frame.stamp_ns, "ns"))
+    def add(self, scan: Forces) -> None:
+        """Send the forces of one scan."""
+        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(scan)
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(int(scan.stamp_ns), "ns"))
         log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))
         log("sensor/forces", rr.Arrows3D(vectors=scene.arrows_m, origins=self._painter.places_m - scene.arrows_m))
         if scene.net_arrow_m is None or scene.net_tip_m is None:
             log("sensor/net", rr.Clear(recursive=False))
         else:
             log("sensor/net", rr.Arrows3D(vectors=[scene.net_arrow_m], origins=[scene.net_tip_m - scene.net_arrow_m]))
-        wrench = frame.wrench
-        for name, values in self._plots(frame.force_n, frame.resistance_ohm):
+        wrench = scan.wrench
+        for name, values in self._plots(scan.force_n, scan.resistance_ohm):
             log(name, rr.Scalars(values))
-        log("net/force_n", rr.Scalars(wrench.force_n[0]))
-        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm[0]))
-        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm[0]))
+        log("net/force_n", rr.Scalars(wrench.force_n))
+        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm))
+        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm))
 
     def _plots(self, force_n: FloatArray, resistance_ohm: FloatArray) -> list[tuple[str, FloatArray]]:
         """Names of entities, and the values of all units, row by row."""

@@ -113,8 +113,8 @@ def test_a_client_decodes_what_was_sent(received):
         found = np.array([unit["force_n"] for unit in forces["units"]])
         assert found == pytest.approx(frame.force_n.reshape(-1, 3), abs=1e-6)
         assert np.array([unit["deviation_n"] for unit in forces["units"]]).min() > 0
-        assert net["net_force_n"] == pytest.approx(frame.wrench.force_n[0], rel=1e-5)
-        assert net["centre_of_pressure_mm"] == pytest.approx(frame.wrench.centre_mm[0], rel=1e-5)
+        assert net["net_force_n"] == pytest.approx(frame.wrench.force_n, rel=1e-5)
+        assert net["centre_of_pressure_mm"] == pytest.approx(frame.wrench.centre_mm, rel=1e-5)
         found = np.array([unit["resistance_ohm"] for unit in ohms["units"]])
         assert found == pytest.approx(frame.resistance_ohm.reshape(-1, 3), abs=1e-3)
 
@@ -140,8 +140,8 @@ def test_arrows_are_the_forces_on_the_pads(received):
         assert len(arrows) == 6  # every pad is pressed well
         assert np.array(ends[:-1]) == pytest.approx(pads_m, abs=1e-9)
         assert np.array(forces[:-1]) == pytest.approx(frame.force_n.reshape(-1, 3) * SIGNS, abs=1e-6)
-        assert ends[-1] == pytest.approx([*1e-3 * frame.wrench.centre_mm[0], 0.0], abs=1e-9)
-        assert 6**0.5 * forces[-1] == pytest.approx(frame.wrench.vector_n[0], abs=1e-6)
+        assert ends[-1] == pytest.approx([*1e-3 * frame.wrench.centre_mm, 0.0], abs=1e-9)
+        assert 6**0.5 * forces[-1] == pytest.approx(frame.wrench.vector_n, abs=1e-6)
 
 
 def test_the_file_holds_what_the_stream_would(board, tmp_path):

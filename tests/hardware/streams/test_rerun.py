@@ -49,8 +49,8 @@ def check(found, description, sent):
         single = {"rel": 1e-6, "abs": 1e-6}  # precision
         assert vectors / per_newton == pytest.approx(frame.force_n.reshape(-1, 3) * SIGNS, abs=1e-3)
         assert vectors + origins == pytest.approx(description.position_m.reshape(-1, 3), **single)
-        assert found["/net/force_n", "scalars"][k][1] == frame.wrench.force_n[0].tolist()
-        assert found["/net/centre_of_pressure_mm", "scalars"][k][1] == frame.wrench.centre_mm[0].tolist()
+        assert found["/net/force_n", "scalars"][k][1] == frame.wrench.force_n.tolist()
+        assert found["/net/centre_of_pressure_mm", "scalars"][k][1] == frame.wrench.centre_mm.tolist()
         assert found["/resistance_ohm/x", "scalars"][k][1] == frame.resistance_ohm[..., 1].reshape(-1).tolist()
     [(_, [stated])] = found["/sensor/description", "text"]
     assert description.design_hash in stated

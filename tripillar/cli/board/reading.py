@@ -280,11 +280,8 @@ def replay(
     from decoupler.model.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames
-    from hardware.readout.wrench import net_values
-    from hardware.recording.formats import write_mcap
     from hardware.session import hashes_of
     from hardware.session import live as live_forces
-    from hardware.streams.ros2_file import write_ros2
 
     require_suffix("--out", out, ".nc", ".mcap")
     if ros2 and (out is None or out.suffix != ".mcap"):
@@ -313,15 +310,7 @@ def replay(
     if out is not None:
         text = recorded.calibration if own is None else own.to_json()
         used = replace(recorded, calibration=text, made_from=hashes)
-        if ros2:
-            write_ros2(used, found, out)
-        elif out.suffix == ".mcap":
-            net = {name: values for name, (values, _) in net_values(found.wrench).items()}
-            write_mcap(
-                used, out, found.force_n, found.deviation_n, decoupler.component.axes, net, found.description.plain()
-            )
-        else:
-            write_forces(used, found, decoupler.component.axes, out)
+        write_forces(used, found, out, ros2)
     unexplained = int(found.unexplained.sum())
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
     result["faults"] = found.faults

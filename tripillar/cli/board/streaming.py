@@ -12,7 +12,7 @@ from tripillar.terminal.console import require_suffix, say
 
 if TYPE_CHECKING:
     from hardware.readout.description import SensorDescription
-    from hardware.streams.tactile_frame import Stream
+    from hardware.streams.addresses import Stream
 
 FoxgloveOption = Annotated[
     bool, typer.Option("--foxglove", help="Serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone.")
