@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware.link.frames import MAX_DRIFT, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
+from hardware.link.frames import MAX_DRIFT, MAX_OVERRUNS, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
 
 WAIT_NS = 1000  #: least time between two stamps; seconds since 1970 as floating-point numbers tell 240 ns
 MAX_HELD_NS = 1_000_000_000  #: step back of the clock that stamps wait for; after a longer one they follow it
@@ -44,10 +44,20 @@ class LinkStatistics(Statistics):
     INFO frames of another device, which are not delivered.
     """
 
-    overruns: int = 0  #: scans that the board skipped
+    overruns: int = 0  #: scans that the board skipped, as far as it counted
+    uncounted: bool = False  #: its counter was at its end, which stands for more: it may have skipped more
     dropped: int = 0  #: scans that fell out of the scanner's queue, because nobody took them in time
     stalls: int = 0  #: silences longer than the timeout
     reconnects: int = 0  #: the port was lost and found again
+
+    @property
+    def overruns_said(self) -> str:
+        """The overruns in words.
+
+        >>> LinkStatistics(overruns=3).overruns_said, LinkStatistics(overruns=243, uncounted=True).overruns_said
+        ('3 overruns', 'at least 243 overruns')
+        """
+        return f"{'at least ' * self.uncounted}{self.overruns} overruns"
 
 
 _IDENTITY = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
@@ -79,6 +89,7 @@ class Reception:
         self._previous: Frame | None = None
         self._scanned_s = 0.0  # when it was scanned, by the host's clock, at the latest
         self._run = 0
+        self._uncounted = False
         self._foreign: str | None = None  # why nothing is delivered
         self.connected()
 
@@ -91,7 +102,7 @@ class Reception:
 
     @property
     def statistics(self) -> LinkStatistics:
-        return LinkStatistics(info=self.n_infos, **(self._counted + self._decoded()))
+        return LinkStatistics(info=self.n_infos, uncounted=self._uncounted, **(self._counted + self._decoded()))
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
@@ -162,6 +173,7 @@ class Reception:
     def _follow(self, frame: Frame, received_s: float, missing: int | None) -> None:
         """Keep the clock, and count what is missing between the previous frame and this one."""
         scanned_s = received_s
+        self._uncounted |= frame.overruns == MAX_OVERRUNS
         if self._previous:
             if missing is None:
                 self._counted["restarts"] += 1

@@ -62,10 +62,3 @@ def require_new(path: Path | None) -> None:
         require_file(path)
         if path.exists():
             raise StreamError(f"{path}: the file exists: give another name.")
-
-
-def make_room(path: Path | None) -> None:
-    """Make the folder of a stream's file; errors as of `require_new`."""
-    require_new(path)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)

@@ -13,8 +13,9 @@ from geometry.errors import needing
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
-from hardware.streams.addresses import LOOPBACK, StreamError, make_room
+from hardware.streams.addresses import LOOPBACK, StreamError
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
+from hardware.streams.stream_file import StreamFile, require_disk
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -45,7 +46,8 @@ class RerunStream:
     DesignError
         If nobody knows where the pads are.
     StreamError
-        On entering: if the port is taken, or the file exists or cannot be made.
+        On entering: if the port is taken, or the file exists or cannot be made. Later: if the disk is full; the file
+        is ended then and can be read.
     """
 
     def __init__(
@@ -58,12 +60,12 @@ class RerunStream:
         self._host, self._port, self._rrd = host, port, rrd
 
     def __enter__(self) -> Self:
-        make_room(self._rrd)
         rr, sinks = self._rerun, []
         if self._host is not None:
             require_free(self._host, self._port)
             sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
         if self._rrd is not None:
+            StreamFile(self._rrd).close()  # refuses what cannot be written, which the sink would not
             sinks.append(rr.FileSink(self._rrd))
         batches = rr.ChunkBatcherConfig(flush_tick=FILED_S if self._host is None else SERVED_S)
         self._recording = rr.RecordingStream("tripillar", batcher_config=batches)
@@ -79,6 +81,8 @@ class RerunStream:
 
     def add(self, scan: Forces) -> None:
         """Send the forces of one scan."""
+        if self._rrd is not None:
+            require_disk(self._rrd)  # the sink tells nobody when it fails
         rr, log, scene = self._rerun, self._recording.log, self._painter.scene(scan)
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(int(scan.stamp_ns), "ns"))
         log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))

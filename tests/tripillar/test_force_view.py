@@ -111,3 +111,12 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
         assert max(ages) / RATE_HZ < 0.1 + 0.01
     else:
         assert {line["deviation_n"] for line in lines} == {None}
+
+
+def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():
+    """150 Hz on the board's clock, which turns over meanwhile; all received at once, some of a run before."""
+    numbers = [(0, 5), *((1, (2**32 - 20_000 + k * 10**6 // RATE_HZ) % 2**32) for k in range(64))]
+    frames = [(run, Frame(sequence=0, device_us=us, bits=10, counts=np.ones(6, int))) for run, us in numbers]
+    scans = [Scan(frame=frame, received_s=7.0, restarts=0, run=run, stamp_ns=0) for run, frame in frames]
+    assert force_view.pace(scans) == pytest.approx(RATE_HZ, rel=1e-4)
+    assert force_view.pace(scans[:1]) == force_view.pace([]) == 0.0

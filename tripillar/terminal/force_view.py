@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from geometry.layout import AXES, FloatArray
-from hardware.link.reception import LinkStatistics
+from hardware.link.reception import LinkStatistics, Scan
 from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench
 from hardware.recording.topics import wrench_content
@@ -67,7 +67,7 @@ def live_view(
     damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
         f"{rate_hz:5.1f} frames/s   {stats.ok} ok   {stats.lost} lost   {damaged} damaged   "
-        f"{stats.overruns} overruns   {stats.dropped} dropped   {stats.reconnects} reconnects"
+        f"{stats.overruns_said}   {stats.dropped} dropped   {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
@@ -90,12 +90,12 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     """Draw the newest forces ten times a second; scans in between only go to the streams."""
     scanner, axes = sensor.scanner, sensor.model.component.axes
     frame: Forces | None = None
-    times: deque[float] = deque(maxlen=RATE_OVER)
+    newest: deque[Scan] = deque(maxlen=RATE_OVER)
     full_scale, shown = MIN_FULL_SCALE_N, 0.0
     with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans_within(scanner, seconds):
             if scan is not None:
-                times.append(scan.received_s)
+                newest.append(scan)
                 if streams:
                     frame = _sent(sensor.forces(scan, RENEWED_S), streams)
             if time.monotonic() - shown < SHOWN_S:
@@ -115,11 +115,17 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 )
             notes.extend(frame.faults)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
-            rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
             view = live_view(
-                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, rate_hz, scanner.stats, notes
+                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, pace(newest), scanner.stats, notes
             )
             screen.update(view, refresh=True)
+
+
+def pace(scans: Sequence[Scan]) -> float:
+    """Scans a second of the board's own clock, however quickly they are caught up with; those of the newest run."""
+    ticks = [scan.frame.device_us for scan in scans if scan.run == scans[-1].run]
+    elapsed_us = (ticks[-1] - ticks[0]) % 2**32 if ticks else 0
+    return 1e6 * (len(ticks) - 1) / elapsed_us if elapsed_us else 0.0
 
 
 def _sent(frame: Forces, streams: Sequence[Stream]) -> Forces:

@@ -1,5 +1,6 @@
 """Rerun's stream: a file read back by the SDK's own reader, and what its program receives over gRPC."""
 
+import shutil
 import socket
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from hardware.readout.wrench import SIGNS
 from hardware.streams.addresses import StreamError
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
 from hardware.streams.scene import LONGEST, Painter
+from hardware.streams.stream_file import DISK_BYTES
 
 chunk = pytest.importorskip("rerun.chunk")
 
@@ -101,3 +103,17 @@ def wait_for_bytes(path, more_than):
         now = path.stat().st_size if path.exists() else 0
         quiet, size = quiet + 1 if now == size else 0, now
     return size
+
+
+def test_a_full_disk_ends_the_file_and_all_of_it_is_read(board, tmp_path, monkeypatch):
+    path = tmp_path / "shown.rrd"
+    free, usage = [10 * DISK_BYTES], shutil.disk_usage(tmp_path)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage._replace(free=free[0]))
+    sent = board.take(20)
+    with RerunStream(board.description, host=None, rrd=path) as stream:
+        for frame in sent:
+            stream.add(frame)
+        free[0] = DISK_BYTES - 1
+        with pytest.raises(StreamError, match=r"shown.rrd: the disk is full \(4095 kB left\): the file ended"):
+            stream.add(sent[0])
+    check(read(path), board.description, sent)

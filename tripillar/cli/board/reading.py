@@ -26,6 +26,7 @@ from tripillar.cli.board.streaming import (
     AskedStreams,
     FoxgloveAtOption,
     FoxgloveOption,
+    FoxgloveTokenOption,
     McapOption,
     RerunAtOption,
     RerunOption,
@@ -93,6 +94,7 @@ def live(
     timeout: TimeoutOption = TIMEOUT_S,
     foxglove: FoxgloveOption = False,
     foxglove_at: FoxgloveAtOption = None,
+    foxglove_token: FoxgloveTokenOption = "",
     mcap: McapOption = None,
     rerun: RerunOption = False,
     rerun_at: RerunAtOption = None,
@@ -118,6 +120,7 @@ def live(
     require_positive(seconds=seconds, timeout=timeout)
     asked = AskedStreams(
         foxglove=foxglove_at or (LOOPBACK if foxglove else None),
+        token=foxglove_token,
         mcap=mcap,
         rerun=rerun_at or (LOOPBACK if rerun else None),
         rrd=rrd,
@@ -199,7 +202,7 @@ def record(
         n, met = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
-    text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns} overruns", *other_counts(met)])
+    text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns_said}", *other_counts(met)])
     answer(json_, {"file": str(out), "scans": n, "statistics": asdict(met)}, text, out)
 
 

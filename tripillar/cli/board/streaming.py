@@ -21,6 +21,10 @@ FoxgloveAtOption = Annotated[
     str | None,
     typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
 ]
+FoxgloveTokenOption = Annotated[
+    str,
+    typer.Option("--foxglove-token", help="Let in only who opens ws://HOST:PORT/?token=... with this; then any page."),
+]
 McapOption = Annotated[
     Path | None, typer.Option("--mcap", help="File (.mcap) to write as well: what Foxglove is shown.")
 ]
@@ -39,6 +43,7 @@ class AskedStreams:
     """Streams as options ask for them; an address is None where there is no server."""
 
     foxglove: str | None
+    token: str
     mcap: Path | None
     rerun: str | None
     rrd: Path | None
@@ -66,7 +71,9 @@ class AskedStreams:
             streams: list[Stream] = []
             if self.foxglove is not None or self.mcap is not None:
                 host, port = host_and_port(self.foxglove or LOOPBACK, foxglove_stream.PORT)
-                served = foxglove_stream.FoxgloveStream(sensor, host if self.foxglove else None, port, self.mcap)
+                served = foxglove_stream.FoxgloveStream(
+                    sensor, host if self.foxglove else None, port, self.mcap, self.token
+                )
                 streams.append(stack.enter_context(served))
                 if self.foxglove:
                     say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
