@@ -95,13 +95,14 @@ def csv_text(recording: Recording) -> str:
 def _read_netcdf(path: Path) -> Recording:
     """Read what `convert` wrote, or what another program made of it."""
     made_by = "tripillar convert"
+    header = read_header(read_netcdf(path, {}, made_by).attrs, str(path))
     data = read_netcdf(path, {name: frame_dims(name) for name in COLUMNS}, made_by)
     columns = {name: data[name].values for name in COLUMNS}
     for name, values in columns.items():
         if values.dtype.kind not in ("f" if name == "received_s" else "ui"):
             raise FileFormatError(f"{path}: '{name}' is of type {values.dtype}: give a file made by '{made_by}'.")
     counted = {name: max(0, int(data.attrs.get(name, 0))) for name in _COUNTED}
-    return assemble(read_header(data.attrs, str(path)), columns, str(path), counted)
+    return assemble(header, columns, str(path), counted)
 
 
 def recorded_messages(recording: Recording) -> Iterator[Message]:

@@ -12,19 +12,20 @@ import pytest
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import FrameError
 from tests.hardware.boards import COUNTS, INFO, wait_until
+from tests.hardware.faulty_board import FaultyBoard
 from tests.hardware.simulated import listening
 
 
 def quiet(board, listener):
     """Have the board hang, and read what it had sent, to the last frame that the port had room for."""
-    board.stall(3600)
+    board.stall()
     last, _ = board.sent[-1]
     listener.take(lambda self: not self.port.in_waiting if board.dropped_bytes else self.frames[-1].sequence == last)
 
 
 @contextmanager
 def a_board_and_host(counts=COUNTS, info=INFO, **options):
-    with VirtualBoard(counts, info, **options) as board, listening(board) as listener:
+    with FaultyBoard(counts, info, **options) as board, listening(board) as listener:
         yield board, listener
 
 
@@ -56,7 +57,9 @@ def test_counts_go_by_at_their_own_pace(rate_hz):
     with a_board_and_host(steps, step_s=0.01) as (board, host):
         host.ask(b"R%d\n" % rate_hz)
         frames = host.take_frames(20)
-        board.stall(0.1)
+        board.stall()
+        time.sleep(0.1)
+        board.stall(False)
         frames += host.take_frames(20)
     late = [frame.device_us // 10_000 - frame.counts[0] for frame in frames]
     assert set(late) <= {0, 1}  # 1 where rounding to a microsecond took the time to the next step
@@ -140,7 +143,9 @@ def test_a_slow_scan_is_an_overrun_without_a_sequence_number():
 def test_a_stall_is_silent_and_counted():
     with a_board_and_host() as (board, host):
         before = host.take_frames(1)[0]
-        board.stall(0.2)
+        board.stall()
+        time.sleep(0.2)
+        board.stall(False)
         after = host.take_frames(10)[-1]
     assert after.device_us - before.device_us > 200_000
     assert (after.overruns - before.overruns) % 256 >= 39  # 0.2 s of 200 scans a second, less one
@@ -148,7 +153,7 @@ def test_a_stall_is_silent_and_counted():
 
 def test_the_link_follows_the_port(tmp_path):
     link = tmp_path / "board"
-    with VirtualBoard(COUNTS, INFO, link=link) as board:
+    with FaultyBoard(COUNTS, INFO, link=link) as board:
         assert board.port == str(link)
         with listening(board) as host:
             board.unplug()
@@ -175,7 +180,7 @@ def test_a_restart_forgets_the_rate_and_half_a_command():
     with a_board_and_host() as (board, host):
         assert host.ask(b"R500\n").rate_hz == 500
         host.port.write(b"R30")
-        wait_until(lambda: board._commands._line == b"R30")
+        wait_until(lambda: board._board._commands._line == b"R30")
         board.restart()
         host.port.write(b"0\n")
         assert host.ask() == INFO
@@ -188,12 +193,8 @@ def test_a_restart_begins_with_a_delimiter():
     with a_board_and_host() as (board, host):
         host.take_frames(1)
         quiet(board, host)
-
-        def reset_while_sending():
-            board._send(b"\x05ab")
-            board._boot()
-
-        board._do(reset_while_sending)
+        board.do(lambda: board._send(b"\x05ab"))
+        board.restart()
         assert host.take_frames(1)[0].sequence == 0
 
 
@@ -230,8 +231,6 @@ def test_what_was_sent_is_logged_with_its_time():
 def test_what_goes_wrong_in_the_boards_thread_is_not_lost():
     board = VirtualBoard(lambda time_s: np.full(3, 2000), INFO)  # more than 10 bits hold
     wait_until(lambda: not board._thread.is_alive())
-    with pytest.raises(RuntimeError, match="the board is closed"):
-        board.stall(1)
     with pytest.raises(FrameError, match="counts run from 2000"):
         board.close()
     board.close()

@@ -94,7 +94,7 @@ def live(
     timeout: TimeoutOption = TIMEOUT_S,
     foxglove: FoxgloveOption = False,
     foxglove_at: FoxgloveAtOption = None,
-    foxglove_token: FoxgloveTokenOption = "",
+    foxglove_token: FoxgloveTokenOption = None,
     mcap: McapOption = None,
     rerun: RerunOption = False,
     rerun_at: RerunAtOption = None,

@@ -22,8 +22,8 @@ FoxgloveAtOption = Annotated[
     typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
 ]
 FoxgloveTokenOption = Annotated[
-    str,
-    typer.Option("--foxglove-token", help="Let in only who opens ws://HOST:PORT/?token=... with this; then any page."),
+    str | None,
+    typer.Option("--foxglove-token", metavar="TOKEN", help="Let in only who opens ws://HOST:PORT/?token=TOKEN."),
 ]
 McapOption = Annotated[
     Path | None, typer.Option("--mcap", help="File (.mcap) to write as well: what Foxglove is shown.")
@@ -43,7 +43,7 @@ class AskedStreams:
     """Streams as options ask for them; an address is None where there is no server."""
 
     foxglove: str | None
-    token: str
+    token: str | None
     mcap: Path | None
     rerun: str | None
     rrd: Path | None
@@ -72,7 +72,7 @@ class AskedStreams:
             if self.foxglove is not None or self.mcap is not None:
                 host, port = host_and_port(self.foxglove or LOOPBACK, foxglove_stream.PORT)
                 served = foxglove_stream.FoxgloveStream(
-                    sensor, host if self.foxglove else None, port, self.mcap, self.token
+                    sensor, host if self.foxglove else None, port, self.mcap, self.token or ""
                 )
                 streams.append(stack.enter_context(served))
                 if self.foxglove:
