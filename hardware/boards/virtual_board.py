@@ -18,11 +18,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.layout import FloatArray
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
 from hardware.link.serial_ports import PortError
-from hardware.readout.calibration import Electronics
 
 Counts = Callable[[float], NDArray[Any]]
 _RATES_HZ = range(1, 1001)  # that it can hold
@@ -214,41 +212,3 @@ def _looped(counts: NDArray[Any], step_s: float) -> Counts:
     if not step_s > 0:
         raise FrameError(f"step_s={step_s:g} must be above 0: the seconds that the board stays at a row of counts.")
     return lambda time_s: counts[int(time_s / step_s) % len(counts)]
-
-
-def recording_from_resistances(
-    resistance_ohm: FloatArray,
-    info: Info,
-    first_sequence: int = 0,
-    first_us: int = 0,
-    electronics: Electronics | None = None,
-) -> bytes:
-    """The bytes that a board without noise would send of known resistances, crosstalk included.
-
-    Parameters
-    ----------
-    resistance_ohm : array, shape (n, rows, cols, 3)
-        Pillars z, x, y [Ω] of n scans, `info.rate_hz` a second.
-    info : Info
-        The board: its converter's bits and sense resistor set the counts.
-    first_sequence, first_us : int
-        Sequence number and device time [µs] of the first frame.
-    electronics : Electronics, optional
-        Switches, wires and amplifiers; default: the usual ones.
-
-    Returns
-    -------
-    bytes
-        An INFO frame and n data frames.
-
-    Examples
-    --------
-    >>> from hardware.recording import parse_recording
-    >>> info = Info(rows=1, cols=2, bits=12)
-    >>> parse_recording(recording_from_resistances(np.full((5, 1, 2, 3), 10e3), info)).counts.shape
-    (5, 6)
-    """
-    counts = (electronics or Electronics()).crossbar(info).counts(resistance_ohm)
-    times_us = [first_us + round(k * 1e6 / info.rate_hz) for k in range(len(counts))]
-    frames = [a_frame(info, counts[k], first_sequence + k, times_us[k]) for k in range(len(counts))]
-    return encode(info) + b"".join(map(encode, frames))

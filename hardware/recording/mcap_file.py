@@ -35,7 +35,7 @@ class Channel:
 
     schema: str  #: its name
     text: str | bytes  #: its definition
-    encode: Callable[[Mapping[str, Any]], bytes] = json_bytes
+    encode: Callable[[Any], bytes] = json_bytes
     encodings: tuple[str, str] = ("json", "jsonschema")  #: of messages and of the definition
     metadata: Mapping[str, str] = field(default_factory=dict)
 

@@ -20,7 +20,7 @@ from urllib.parse import parse_qs, urlsplit
 from hardware.recording.mcap_file import Channel
 from hardware.streams.addresses import StreamError
 
-SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 TRUSTED_SITES = ("foxglove.dev",)  #: whose pages may connect, and those of this machine
 MAX_CLIENTS = 8
 MAX_WAITING = 256  #: messages that wait for a client; the oldest are dropped. Clients share their bytes.
@@ -67,7 +67,7 @@ class FoxgloveServer:
         self._greeting = [json.dumps(about), json.dumps({"op": "advertise", "channels": advertised})]
         try:
             self._server = serve(
-                self._attend, host, port, process_request=self._refusal, subprotocols=list(SUBPROTOCOLS),
+                self._attend, host, port, process_request=self._refusal, subprotocols=SUBPROTOCOLS,
                 compression=None, max_size=MAX_TOLD, open_timeout=HANDSHAKE_S, close_timeout=1.0, logger=_silent(),
             )  # fmt: skip
         except OSError as error:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hardware import session
-from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
+from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics
 from hardware.link.scanner import Scanner, ScannerError
@@ -18,7 +18,7 @@ from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
-from tests.hardware.boards import INFO, ScriptedPort, a_wire
+from tests.hardware.boards import INFO, ScriptedPort, a_wire, recording_from_resistances
 from tests.hardware.models import PillarModel
 from tripillar.cli.board.reading import other_counts
 

@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 
 from geometry.errors import FileFormatError
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, Statistics
 from hardware.recording import Recorder, convert, parse_recording, read_recording
+from tests.hardware.boards import recording_from_resistances
 from tests.hardware.recording.recorded_frames import (
     CALIBRATION,
     INFO,
