@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from hardware.recording.mcap_file import Channel
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import StreamError, is_loopback
 
 SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 TRUSTED_SITES = ("foxglove.dev",)  #: whose pages may connect, and those of this machine
@@ -202,14 +202,7 @@ def _silent() -> logging.Logger:
 def _is_trusted(origin: Any) -> bool:
     """Whether a page of this origin may connect; a file's and a program's own have no host."""
     host = origin.hostname or ""
-    return not host or _is_loopback(host) or any(host == site or host.endswith(f".{site}") for site in TRUSTED_SITES)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    return not host or is_loopback(host) or any(host == site or host.endswith(f".{site}") for site in TRUSTED_SITES)
 
 
 def _is_number(asked: str, host: str) -> bool:

@@ -22,10 +22,9 @@ from hardware.recording.topics import (
     resistances_content,
     wrench_content,
 )
-from hardware.streams.addresses import LOOPBACK
+from hardware.streams.addresses import LOOPBACK, make_file, require_room
 from hardware.streams.foxglove_server import FoxgloveServer
 from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.stream_file import StreamFile
 
 if TYPE_CHECKING:
     from foxglove.messages import SceneUpdate
@@ -95,11 +94,9 @@ class FoxgloveStream:
                 opened.callback(self._server.close)
                 self.port = self._server.port
             if self._mcap is not None:
-                kept = StreamFile(self._mcap)
-                opened.callback(kept.close)
-                self._file = McapWriter(kept, channels)
+                make_file(self._mcap)
+                self._file = McapWriter(opened.enter_context(self._mcap.open("wb")), channels)
                 opened.callback(self._file.close)
-            self._kept = kept if self._mcap is not None else None
             self._open = opened.pop_all()
         self._is_first = True
         return self
@@ -125,8 +122,8 @@ class FoxgloveStream:
         for topic, content in contents.items():
             if self._file is not None or (self._server is not None and self._server.has_listeners(topic)):
                 self._send(topic, stamp_ns, content())
-        if self._kept is not None:
-            self._kept.require_room()
+        if self._mcap is not None:
+            require_room(self._mcap)
 
     def _send(self, topic: str, stamp_ns: int, data: bytes) -> None:
         if self._server is not None:

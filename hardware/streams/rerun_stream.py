@@ -13,9 +13,8 @@ from geometry.errors import needing
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
-from hardware.streams.addresses import LOOPBACK, StreamError
+from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.stream_file import StreamFile, require_disk
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -65,7 +64,7 @@ class RerunStream:
             require_free(self._host, self._port)
             sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
         if self._rrd is not None:
-            StreamFile(self._rrd).close()  # refuses what cannot be written, which the sink would not
+            make_file(self._rrd)  # refuses what cannot be written, which the sink would not
             sinks.append(rr.FileSink(self._rrd))
         batches = rr.ChunkBatcherConfig(flush_tick=FILED_S if self._host is None else SERVED_S)
         self._recording = rr.RecordingStream("tripillar", batcher_config=batches)
@@ -82,7 +81,7 @@ class RerunStream:
     def add(self, scan: Forces) -> None:
         """Send the forces of one scan."""
         if self._rrd is not None:
-            require_disk(self._rrd)  # the sink tells nobody when it fails
+            require_room(self._rrd)  # the sink tells nobody when it fails
         rr, log, scene = self._rerun, self._recording.log, self._painter.scene(scan)
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(int(scan.stamp_ns), "ns"))
         log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))

@@ -14,12 +14,11 @@ import pytest
 from geometry.errors import DesignError, MissingPackageError
 from hardware.readout.wrench import SIGNS
 from hardware.recording.topics import FORCES, RESISTANCES, SENSOR, WRENCH
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import ROOM_BYTES, StreamError, make_file
 from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
 from hardware.streams.foxglove_stream import SCENE, FoxgloveStream
 from hardware.streams.rerun_stream import RerunStream
 from hardware.streams.scene import LONGEST, Painter
-from hardware.streams.stream_file import RESERVE_BYTES, StreamFile
 from tests.hardware.recording.test_recorder_failures import room_for
 
 pytest.importorskip("foxglove")
@@ -283,11 +282,11 @@ def test_a_full_disk_ends_the_file_and_all_of_it_is_read(board, tmp_path):
             stream.add(scan)
             n += 1
 
-    full = pytest.raises(StreamError, match=r"shown.mcap: the disk is full \(.*all up to here can be read")
-    with room_for(RESERVE_BYTES + 100_000), full, FoxgloveStream(board.description, host=None, mcap=path) as stream:
+    full = pytest.raises(StreamError, match=r"shown.mcap: the disk is full \(.*the file ends here and can be read")
+    with room_for(ROOM_BYTES + 100_000), full, FoxgloveStream(board.description, host=None, mcap=path) as stream:
         add_until_full()
-    with room_for(10_000), pytest.raises(StreamError, match="no room for it"):
-        StreamFile(tmp_path / "other.mcap")
+    with room_for(10_000), pytest.raises(StreamError, match="the disk is full"):
+        make_file(tmp_path / "other.mcap")
     with path.open("rb") as file:
         found = reader.make_reader(file, validate_crcs=True)
         assert found.get_summary().statistics.message_count == 1 + 4 * (n + 1)

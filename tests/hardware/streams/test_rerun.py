@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from hardware.readout.wrench import SIGNS
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import ROOM_BYTES, StreamError
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
 from hardware.streams.scene import LONGEST, Painter
-from hardware.streams.stream_file import DISK_BYTES
 
 chunk = pytest.importorskip("rerun.chunk")
 
@@ -107,13 +106,13 @@ def wait_for_bytes(path, more_than):
 
 def test_a_full_disk_ends_the_file_and_all_of_it_is_read(board, tmp_path, monkeypatch):
     path = tmp_path / "shown.rrd"
-    free, usage = [10 * DISK_BYTES], shutil.disk_usage(tmp_path)
+    free, usage = [10 * ROOM_BYTES], shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage._replace(free=free[0]))
     sent = board.take(20)
     with RerunStream(board.description, host=None, rrd=path) as stream:
         for frame in sent:
             stream.add(frame)
-        free[0] = DISK_BYTES - 1
-        with pytest.raises(StreamError, match=r"shown.rrd: the disk is full \(4095 kB left\): the file ended"):
+        free[0] = ROOM_BYTES - 1
+        with pytest.raises(StreamError, match=r"shown.rrd: the disk is full \(4095 kB left\): the file ends here"):
             stream.add(sent[0])
     check(read(path), board.description, sent)
