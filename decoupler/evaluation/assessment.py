@@ -6,7 +6,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.measurement import ReadingError
@@ -19,6 +18,7 @@ from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import AXES, FloatArray
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -57,7 +57,7 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
+@one_blas_thread()  # `forces` has a thread a core of its own
 def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
@@ -17,6 +16,7 @@ from decoupler.data.enough import ENOUGH, AnySamples
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray
+from geometry.threads import one_blas_thread
 
 BOUNDED_AWAY = 1e-3  #: eq. 17 is given only if every |F| is above this share of full scale
 
@@ -98,7 +98,7 @@ def errors_over(
     return {name: found.errors() for name, found in sums.items()}
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
+@one_blas_thread()  # `forces` has a thread a core of its own
 def evaluate(decoupler: Decoupler, data: AnySamples) -> dict[str, ForceErrors]:
     """Errors of a model on data, of every force it gives; of more than `ENOUGH` samples block by block.
 

@@ -23,9 +23,10 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.solving import array_response
 from geometry.design_file import read_design
 from hardware.boards.simulated import STEP_S, PressAndSlide, press_and_slide
-from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
+from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics
+from tests.hardware.boards import recording_from_resistances
 from tests.house import House
 
 api = pytest.importorskip("playwright.sync_api")
