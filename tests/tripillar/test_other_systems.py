@@ -13,8 +13,6 @@ WITHOUT_POSIX = """
 import concurrent.futures.process, ctypes, mmap, multiprocessing.spawn, os, select, signal, subprocess, sys
 import netCDF4, numpy, psutil, serial.tools.list_ports, serial.urlhandler.protocol_socket, typer, xarray
 from pathlib import Path
-import threadpoolctl
-threadpoolctl.get_cached_controller = lambda found=threadpoolctl.ThreadpoolController(): found  # it asks Windows itself
 sys.platform = "win32"
 made, set_blocking = os.pipe(), os.set_blocking
 set_blocking(made[1], False)  # which this system asks of the pipe that signals wake
