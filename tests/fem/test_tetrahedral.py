@@ -137,13 +137,13 @@ def test_no_load_on_tetrahedra_is_no_answer_but_zero():
     assert (solution.error_estimate, solution.energy_mj) == (0.0, 0.0)
 
 
-def test_a_mesh_is_made_once_and_anew_where_it_is_damaged(tmp_path):
+def test_a_mesh_is_made_once_and_anew_where_it_is_damaged(own_cache):
     scene = pressed_block((4.0, 4.0, 3.0), Material(poisson=0.0), tolerance=0.1)
     first, again = solved(scene), solved(scene)
     assert ["mesher" in first.steps[0], "cache" in again.steps[0]] == [True, True]
     # the same mesh; how the factorisation's threads share the work moves the last bits
     assert np.allclose(first.probes["top"], again.probes["top"], rtol=1e-12, atol=1e-13)
-    (kept,) = (tmp_path / "cache").glob("*")
+    (kept,) = own_cache.glob("*")
     kept.write_bytes(kept.read_bytes()[:100])
     assert "mesher" in solved(scene).steps[0]  # damaged, so made anew
 

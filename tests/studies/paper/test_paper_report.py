@@ -210,6 +210,7 @@ def test_every_table_of_the_report_is_whole(computed):
 
 
 def test_the_command_writes_the_whole_report_and_again_nothing(response, computed, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)  # of figure 7: what is drawn is not on trial
     monkeypatch.setattr(command, "respond", lambda design, bars: (None, response))
     monkeypatch.setattr(command, "Experiments", lambda: SMALL)
     monkeypatch.setattr(command, "Asked", lambda: FEW)
