@@ -150,6 +150,7 @@ optimize key.toml -> key.toml: [[vary]] 1: unknown key 'pitch'
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 optimize small.toml --trials 0 -> --trials 0 must be at least 1
+ports extra -> unexpected extra argument(s) (extra). See '
 doctor extra -> unexpected extra argument(s) (extra). See '
 info -> Missing argument 'PORT'
 info '' -> no port was named
