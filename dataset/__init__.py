@@ -1,12 +1,9 @@
 """From an array's response to labelled training data.
 
 In: a response (influence matrix) and a load protocol. Out: `Samples`, that is tractions, forces, displacements, pillar
-lengths and resistances of many samples, in memory, as a NetCDF file or a zarr directory. In the order of the data:
-`protocols.py` draws the loads, `resistance.py` turns displacements into resistances, `imperfections.py` and
-`measurement.py` say what a real sensor makes of them, `simulation.py` does all of it for many samples, `samples.py`
-holds them, `variables.py` says how files name them, `leaves.py` writes and `stored.py` reads what memory does not hold,
-`torch_samples.py` gives samples to torch, `table.py` and `card.py` to other programs. Names that need the finite
-elements or torch are loaded when they are asked for.
+lengths and resistances of many samples, in memory, as a NetCDF file or a zarr directory. Begin with `simulation.py`,
+which goes from loads (`protocols.py`) to resistances as a real sensor reads them (`imperfections.py`), and with
+`variables.py`, which says what samples hold. Names that need the finite elements or torch are loaded when asked for.
 """
 
 from importlib import import_module
@@ -44,13 +41,8 @@ __all__ = [
     "simulate",
 ]
 
-_LAZY = {
-    "DatasetSettings": "dataset.simulation",
-    "TorchBatches": "dataset.torch_samples",
-    "TorchSamples": "dataset.torch_samples",
-    "measured_again": "dataset.simulation",
-    "simulate": "dataset.simulation",
-}
+_LAZY = dict.fromkeys(["DatasetSettings", "measured_again", "simulate"], "dataset.simulation")
+_LAZY |= dict.fromkeys(["TorchBatches", "TorchSamples"], "dataset.torch_samples")
 
 
 def __getattr__(name: str) -> Any:

@@ -14,15 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
-from dataset.resistance import pillar_lengths, pillar_strains
+from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import Samples
-from dataset.simulation import (
-    DatasetSettings,
-    LoadError,
-    forces,
-    measured_resistances,
-    origin,
-)
+from dataset.simulation import DatasetSettings, below_cap, labelled, origin
 from fem.array.response import ArrayResponse
 from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
@@ -56,10 +50,8 @@ class Group:
 
     @classmethod
     def of_plain(cls, plain: dict[str, Any]) -> "Group":
-        """From `as_plain`; `KeyError`, `TypeError` or `ValueError` if it is none. Older ones know eq. 1 alone."""
-        k = np.reshape(plain["traction_mpa"], (GROUP, -1, 3)).shape[1]
-        eq1 = {"resistance_ratio": np.ones((GROUP, k, 3)), "ratio_error": np.zeros(GROUP)}
-        return cls(**{name: np.array((eq1 | plain)[name]) for name in cls.__dataclass_fields__})
+        """From `as_plain`; `KeyError`, `TypeError` or `ValueError` if it is none."""
+        return cls(**{name: np.array(plain[name]) for name in cls.__dataclass_fields__})
 
 
 def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
@@ -80,78 +72,40 @@ def require_finite(design: SensorDesign) -> None:
 
 
 class GroupSolver:
-    """Draws and solves groups of one array; its two equilibria are found once.
+    """Draws and solves groups of one array, by its linear response; its two equilibria are found once.
 
-    Parameters
-    ----------
-    response : ArrayResponse
-        Linear response of the same array, of stiff pads.
-    settings : DatasetSettings
-        Only their protocol and their cap count.
+    Of settings only protocol, seed and cap count.
     """
 
     def __init__(self, response: ArrayResponse, settings: DatasetSettings) -> None:
         require_finite(response.design)
-        self.design, self.cap, self._linear_error = response.design, settings.cap, response.error_estimate
+        self.design, self._linear_error = response.design, response.error_estimate
         k = self.design.n_units
         influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
         conducted = response.conducted
         per_n = None if conducted is None else conducted.relative_per_n.reshape(k, -1, k, 3)
-        self._solver = SampleSolver(self.design, influence, per_n, unwanted=self._is_far)
-
-    def _strain(self, displacement_mm: FloatArray) -> FloatArray:
-        lengths = pillar_lengths(displacement_mm, self.design.unit)
-        return pillar_strains(displacement_mm, lengths, self.design.unit).max(axis=(1, 2))
-
-    def _is_far(self, displacement_mm: FloatArray) -> NDArray[np.bool_]:
-        return self._strain(displacement_mm) > FAR * self.cap
+        unit, far = self.design.unit, FAR * settings.cap
+        self._solver = SampleSolver(self.design, influence, per_n, unwanted=lambda u: largest_strains(u, unit) > far)
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
-        """Samples number · GROUP and on; of `settings` only protocol, seed and cap count.
+        """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
+        design, protocol = self.design, pad_protocol(settings.protocol)
+        unsolved = np.zeros(GROUP, dtype=np.int64)
+        names = [name for name in Group.__dataclass_fields__ if name not in ("redrawn", "unsolved")]
 
-        Raises
-        ------
-        LoadError
-            If a sample was drawn `MAX_DRAWS` times in vain.
-        """
-        k, protocol = self.design.n_units, pad_protocol(settings.protocol)
-        traction, displacement = np.empty((GROUP, k, 3)), np.empty((GROUP, k, 2, 3))
-        estimate = np.empty(GROUP)
-        ratio, ratio_error = np.ones((GROUP, k, 3)), np.zeros(GROUP)
-        iterations, redrawn, unsolved = np.zeros((3, GROUP), dtype=np.int64)
-        waiting = np.arange(GROUP)
-        for attempt in range(MAX_DRAWS):
-            for sample in waiting:
-                generator = np.random.default_rng([settings.seed, number * GROUP + int(sample), attempt, _STREAM])
-                traction[sample] = protocol.draw(generator, 1, self.design)[0]
+        def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
+            seeds = [[settings.seed, number * GROUP + int(sample), attempt, _STREAM] for sample in waiting]
+            traction = np.concatenate([protocol.draw(np.random.default_rng(seed), 1, design) for seed in seeds])
             with threadpool_limits(1, "blas"):
-                found = self._solver.displacements(traction[waiting] * self.design.pad.size_mm**2)
-            over = self._strain(found.displacement_mm) > settings.cap
-            redrawn[waiting] += over
+                found = self._solver.displacements(traction * design.pad.size_mm**2)
+            over = largest_strains(found.displacement_mm, design.unit) > settings.cap
             unsolved[waiting] += ~over & ~found.settled
-            displacement[waiting] = found.displacement_mm
-            estimate[waiting] = np.hypot(found.error_estimate, self._linear_error)
-            iterations[waiting] = found.iterations
-            ratio[waiting], ratio_error[waiting] = found.resistance_ratio, found.ratio_error
-            waiting = waiting[over | ~found.settled]
-            if not len(waiting):
-                break
-        else:
-            raise LoadError(
-                f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {MAX_DRAWS} draws "
-                "on end: raise the cap, or lower the forces by a smaller pad "
-                f"(size_mm={self.design.pad.size_mm:g})."
-            )
-        return Group(
-            traction_mpa=traction,
-            displacement_mm=displacement,
-            error_estimate=estimate,
-            iterations=iterations,
-            redrawn=redrawn,
-            unsolved=unsolved,
-            resistance_ratio=ratio,
-            ratio_error=ratio_error,
-        )
+            estimate = np.hypot(found.error_estimate, self._linear_error)
+            drawn = vars(found) | {"traction_mpa": traction, "error_estimate": estimate}
+            return [drawn[name] for name in names], ~over & found.settled
+
+        kept, redrawn = below_cap(draw, GROUP, MAX_DRAWS, settings, design)
+        return Group(**dict(zip(names, kept, strict=True)), redrawn=redrawn - unsolved, unsolved=unsolved)
 
 
 def n_groups(samples: int) -> int:
@@ -162,43 +116,25 @@ def n_groups(samples: int) -> int:
 def samples_of(
     response: ArrayResponse, settings: DatasetSettings, groups: Sequence[Group], readout: Readout | None = None
 ) -> Samples:
-    """Samples of all groups in order, measured as `settings` say.
-
-    Raises
-    ------
-    DesignError
-        As `Imperfections.apply` does.
-    """
+    """Samples of all groups in order, measured as `settings` say; errors as of `Imperfections.apply`."""
     design, n = response.design, settings.samples
-    rows, cols = design.array.rows, design.array.cols
     joined = {name: np.concatenate([getattr(group, name) for group in groups])[:n] for name in vars(groups[0])}
-    traction = joined["traction_mpa"].reshape(n, rows, cols, 3)
-    displacement = joined["displacement_mm"].reshape(n, rows, cols, 2, 3)
-    length = pillar_lengths(displacement, design.unit)
-    effective, told = length, {}
+    displacement, effective, told = joined["displacement_mm"], None, {}
     if design.electrics.is_conduction:
-        effective = length * np.sqrt(joined["resistance_ratio"].reshape(length.shape))
+        effective = pillar_lengths(displacement, design.unit) * np.sqrt(joined["resistance_ratio"])
         told = {"resistance_error_estimate": float(joined["ratio_error"].max())}
-    readings = [] if readout is None else [readout]
     return Samples(
         design=design,
-        traction_mpa=traction,
-        force_n=forces(traction, design),
-        displacement_mm=displacement,
-        length_mm=length,
-        effective_length_mm=effective if design.electrics.is_conduction else None,
-        resistance_ohm=measured_resistances(effective, design, settings, settings.seed, readout),
+        **labelled(joined["traction_mpa"], displacement, effective, design, settings, readout),
         strain_model=np.ones(n),
         error_estimate=joined["error_estimate"],
-        iterations=joined["iterations"].astype(np.float64),
-        noise=settings.noise,
-        bits=settings.bits,
-        dead=settings.dead_mask(rows, cols),
+        iterations=joined["iterations"],
+        **settings.of_samples(design),
         made_from={
             **origin(response, settings, int(joined["redrawn"].sum()), readout),
             "strain": "finite",
             **told,
             "unsolved": int(joined["unsolved"].sum()),
-            "recipe": digest(group_cache_key(response, settings), settings, *readings),
+            "recipe": digest(group_cache_key(response, settings), settings, *([] if readout is None else [readout])),
         },
     )

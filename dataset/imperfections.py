@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
-from geometry.design import quantity, require_sound
+from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import stated
@@ -41,12 +41,9 @@ class Imperfections(ReadingError):
     dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
 
     def __post_init__(self) -> None:
-        require_sound(self)
-        if not 0 <= self.noise <= 0.1:  # ten deviations from a negative resistance
-            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
-        if self.bits is not None and (not isinstance(self.bits, int) or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be from 4 to 24; leave it out for exact resistances.")
         super().__post_init__()
+        if self.noise > 0.1:  # ten deviations from a negative resistance
+            raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
         if not 0 <= self.gain_spread < 1:
             raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
         if not 0 <= self.offset_ohm <= 1e6:  # far below OPEN_OHM
@@ -77,10 +74,7 @@ class Imperfections(ReadingError):
     def dead_mask(self, rows: int, cols: int) -> NDArray[np.bool_]:
         """Which pillars cannot be read, shape (rows, cols, 3): broken themselves or on a broken wire.
 
-        Raises
-        ------
-        DesignError
-            If the array has no such pillar or wire.
+        A pillar or wire that the array does not have is a `DesignError`.
 
         Examples
         --------
@@ -108,21 +102,11 @@ class Imperfections(ReadingError):
     def apply(
         self, exact_ohm: FloatArray, generator: np.random.Generator, readout: Readout | None = None
     ) -> FloatArray:
-        """Resistances as this specimen shows them and its electronics read them.
+        """Resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
 
-        Parameters
-        ----------
-        exact_ohm : array, shape (n_samples, rows, cols, 3)
-            Resistance of the z, x and y pillars as designed [Ω].
-        generator : numpy Generator
-            Of the noise; one number a resistance is drawn from it whatever the settings.
-        readout : Readout, optional
-            Electronics in place of a converter that reads each pillar alone; a dead pillar is open to them.
-
-        Returns
-        -------
-        array, shape (n_samples, rows, cols, 3)
-            Measured resistance [Ω], finite and above 0; `OPEN_OHM` where a pillar cannot be read.
+        Takes exact ones of the z, x and y pillars as designed; gives measured ones, finite and above 0, `OPEN_OHM`
+        where a pillar cannot be read. A `readout` is electronics in place of a converter that reads each pillar alone;
+        a dead pillar is open to them. The generator gives one number of noise a resistance whatever the settings.
 
         Raises
         ------
@@ -150,6 +134,10 @@ class Imperfections(ReadingError):
             ohms = readout.measured(ohms, generator)
         ohms[:, dead] = OPEN_OHM
         return ohms
+
+    def of_samples(self, design: SensorDesign) -> dict[str, Any]:
+        """Noise, converter and dead pillars of samples that were read so, by their names in `Samples`."""
+        return {"noise": self.noise, "bits": self.bits, "dead": self.dead_mask(design.array.rows, design.array.cols)}
 
     def as_attributes(self) -> dict[str, Any]:
         """Every field as a NetCDF attribute can hold it; what is None, empty or no drift is left out."""
@@ -191,11 +179,10 @@ def _from_attribute(name: str, value: Any) -> Any:
 
 
 def _is_index(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    return type(value) is int and value >= 0
 
 
 def _is_place(value: object) -> bool:
-    match value:
-        case (row, col, pillar):
-            return _is_index(row) and _is_index(col) and pillar in PILLARS
-    return False
+    return (
+        isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_index, value[:2])) and value[2] in PILLARS
+    )

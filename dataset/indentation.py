@@ -3,14 +3,14 @@
 Their tractions are those of contact, not uniform ones on pads: a truth that no decoder's pads are a model of.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 
 import numpy as np
 
-from dataset.resistance import pillar_lengths, pillar_resistances, pillar_strains
+from dataset.resistance import largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
 from geometry.design import SensorDesign
@@ -26,45 +26,26 @@ VERSION = 2  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
-def indented(
-    design: SensorDesign, seed: int, block: int, count: int, cap: float, rounds: int
-) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """The first samples of a block.
+def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
+    """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
-    Parameters
-    ----------
-    design : SensorDesign
-    seed, block : int
-        A sample depends on these and its number in the block alone, not on how many are made.
-    count : int
-        Samples to make.
-    cap : float
-        Largest pillar strain; what passes it is drawn again.
-    rounds : int
-        Draws of one sample before it is given up.
-
-    Returns
-    -------
-    traction_mpa : array, shape (count, n_units, 3)
-        Force on each unit's share of the top over its pad's area, z < 0 pushing down.
-    displacement_mm : array, shape (count, n_units, 2, 3)
-    redrawn : array, shape (count,)
-        How often each was drawn again; `rounds` where no draw stayed below the cap.
+    It gives their tractions (m, n_units, 3) [MPa], the force on each unit's share of the top over its pad's area, and
+    displacements (m, n_units, 2, 3) [mm]; 0 of numbers from `wanted` on. A sample depends on seed, block and number.
     """
-    surface = _surface(design)
-    traction, displacement = np.zeros((count, design.n_units, 3)), np.zeros((count, design.n_units, 2, 3))
-    redrawn = np.zeros(count, dtype=np.int64)
-    per_area = np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
-    for sample in range(count):
-        for attempt in range(rounds):
-            contact = _drawn(np.random.default_rng([seed, block, sample, attempt]), surface)
-            moved = contact.electrode_mm.reshape(design.n_units, 2, 3)
-            if pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).max() <= cap:
-                break
-            redrawn[sample] += 1
-        traction[sample] = contact.force_n.reshape(-1, 3) * per_area
-        displacement[sample] = moved
-    return traction, displacement, redrawn
+
+    def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
+        surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
+        traction, displacement = (
+            np.zeros((len(numbers), design.n_units, 3)),
+            np.zeros((len(numbers), design.n_units, 2, 3)),
+        )
+        for place in np.flatnonzero(numbers < wanted):
+            contact = _drawn(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
+            traction[place] = contact.force_n.reshape(-1, 3) * per_area
+            displacement[place] = contact.electrode_mm.reshape(-1, 2, 3)
+        return [traction, displacement]
+
+    return draw
 
 
 def samples_of(contacts: Sequence[Contact]) -> Samples:
@@ -85,8 +66,7 @@ def samples_of(contacts: Sequence[Contact]) -> Samples:
 
 def largest_strain(contact: Contact) -> float:
     """Largest strain |l − l₀|/l₀ of a pillar."""
-    unit = contact.design.unit
-    return float(pillar_strains(contact.electrode_mm, pillar_lengths(contact.electrode_mm, unit), unit).max())
+    return float(largest_strains(contact.electrode_mm, contact.design.unit).max())
 
 
 def write_contact(contact: Contact, path: Path) -> None:

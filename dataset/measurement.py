@@ -4,8 +4,9 @@ The converter sees a voltage divider: the pillar between the supply and the inpu
 the input and ground, so its reading is the fraction R_sense/(R + R_sense) of full scale.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +54,15 @@ class ReadingError(Drifts):
 
     @property
     def has_drift(self) -> bool:
-        return any(self._drifts)
+        return any(getattr(self, spec.name) for spec in fields(Drifts))
 
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
-        pairs = zip(self._drifts, own._drifts, strict=True)
-        drift, tilt, pillar = (float(np.sqrt(max(stated**2 - drawn**2, 0.0))) for stated, drawn in pairs)
-        return ReadingError(drift=drift, drift_tilt=tilt, drift_pillar=pillar)
-
-    @property
-    def _drifts(self) -> tuple[float, float, float]:
-        return self.drift, self.drift_tilt, self.drift_pillar
+        drifts: dict[str, Any] = {
+            spec.name: math.sqrt(max(getattr(self, spec.name) ** 2 - getattr(own, spec.name) ** 2, 0.0))
+            for spec in fields(Drifts)
+        }
+        return ReadingError(**drifts)
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
@@ -81,7 +80,9 @@ class ReadingError(Drifts):
         """
         unit = self._patterns(rows, cols)
         pillar = np.repeat(unit, resistance_ohm.shape[1] // len(unit), axis=0)
-        return resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
+        relative = resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
+        offset = np.full((*resistance_ohm.shape, int(self.drift_offset_ohm > 0)), self.drift_offset_ohm)
+        return np.concatenate([relative, offset], axis=2)
 
     def total(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
         """Standard deviation of readings, of what they share as well, (n, P) [Ω] -> (n, P) [Ω]."""
@@ -106,7 +107,8 @@ class ReadingError(Drifts):
         n, rows, cols, _ = resistance_ohm.shape
         common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
         own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
-        return resistance_ohm * np.maximum(1.0 + common + own, MIN_LEFT)
+        offset = self.drift_offset_ohm * generator.standard_normal((n, 1, 1, 1))
+        return np.maximum(resistance_ohm * (1.0 + common + own) + offset, MIN_LEFT * resistance_ohm)
 
     def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, n_pillars) [Ω] as measured: drift, noise, and the converter's steps last."""
@@ -114,7 +116,7 @@ class ReadingError(Drifts):
 
 
 def counts_from_resistance(resistance_ohm: FloatArray, bits: int, sense_ohm: float = SENSE_OHM) -> NDArray[np.int64]:
-    """Counts that a `bits`-bit converter reads for each resistance; any shape.
+    """Counts that a `bits`-bit converter reads for each resistance.
 
     >>> counts_from_resistance(np.array([0.0, 10_000.0]), bits=10)
     array([1023,  512])
@@ -134,14 +136,9 @@ def resistance_from_counts(counts: NDArray[np.int64], bits: int, sense_ohm: floa
 def measured(resistance_ohm: FloatArray, noise: float, bits: int | None, generator: np.random.Generator) -> FloatArray:
     """Resistances as measured: relative Gaussian noise of standard deviation `noise`, then converter steps.
 
-    ``noise=0`` and ``bits=None`` leave the resistances as they are. Noise is drawn even so, one number a
-    resistance, so that what `generator` gives next does not depend on the setting.
-
-    Raises
-    ------
-    DesignError
-        If a resistance is so far from the sense resistor that the converter reads 0 or full scale, which
-        stand for no resistance at all.
+    ``noise=0`` and ``bits=None`` leave them as they are. Noise is drawn even so, one number a resistance, so that what
+    `generator` gives next does not depend on the setting. A resistance so far from the sense resistor that the
+    converter reads 0 or full scale, which stand for none at all, is a `DesignError`.
     """
     disturbance = generator.standard_normal(resistance_ohm.shape)
     if noise:

@@ -7,9 +7,9 @@ shape (n_samples, n_units, 3) [MPa] along x, y, z; z is negative when pushing do
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
+from numpy.random import Generator
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -25,7 +25,10 @@ LIGHT_N = 10.0  #: largest force of a light touch, the paper's smallest range
 MAX_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
 INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
 
-Draw = Callable[[np.random.Generator, int, SensorDesign], FloatArray]
+Range = tuple[float, float]
+Draw = Callable[[Generator, int, SensorDesign], FloatArray]
+#: the same of (n, n_units) sizes alone, by a range and a preload [MPa]
+Sizes = Callable[[Generator, int, SensorDesign, Range, float], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -38,73 +41,54 @@ class Protocol:
     is_light: bool = False  #: whether no pad takes more than `LIGHT_N`
 
 
-#: of protocols that load one axis alone: its number, sign, range and preload
-_ALONE = {
-    "z": (2, -1.0, NORMAL_MPA, NORMAL_PRELOAD_MPA),
-    "x": (0, 1.0, TANGENTIAL_MPA, TANGENTIAL_PRELOAD_MPA),
-}
+def _along(axis: str, sizes: Sizes) -> Draw:
+    """Loads of these sizes along one axis, z or x."""
+
+    def draw(generator: Generator, n: int, design: SensorDesign) -> FloatArray:
+        traction = np.zeros((n, design.n_units, 3))
+        if axis == "z":
+            traction[..., 2] = -sizes(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
+        else:
+            traction[..., 0] = sizes(generator, n, design, TANGENTIAL_MPA, TANGENTIAL_PRELOAD_MPA)
+        return traction
+
+    return draw
 
 
-def _alone(axis: str, sizes_mpa: FloatArray) -> FloatArray:
-    """Tractions (n, n_units, 3) [MPa] of these sizes (n, n_units) along one axis."""
-    number, sign, *_ = _ALONE[axis]
-    traction = np.zeros((*sizes_mpa.shape, 3))
-    traction[..., number] = sign * sizes_mpa
-    return traction
+def _in_cone(sizes: Sizes) -> Draw:
+    """Pressures of these sizes, each with a shear within the friction cone."""
+
+    def draw(generator: Generator, n: int, design: SensorDesign) -> FloatArray:
+        pressure = sizes(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
+        shear = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
+        return np.concatenate([shear, -pressure[..., None]], axis=-1)
+
+    return draw
 
 
-def _independent(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
-    return _alone(axis, generator.uniform(*_ALONE[axis][2], (n, design.n_units)))
-
-
-def _contact_alone(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
-    *_, peak_mpa, preload_mpa = _ALONE[axis]
-    return _alone(axis, preload_mpa + _indenters(generator, n, design, peak_mpa, preload_mpa).sum(axis=1))
-
-
-def _light_alone(generator: np.random.Generator, n: int, design: SensorDesign, axis: str) -> FloatArray:
-    return _alone(axis, _touches(generator, n, design))
-
-
-def _contact(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
+def _contact(generator: Generator, n: int, design: SensorDesign) -> FloatArray:
     pressure = _indenters(generator, n, design, NORMAL_MPA, NORMAL_PRELOAD_MPA)
     drag = _in_disc(generator, (n, MAX_INDENTERS)) * FRICTION
-    traction = np.empty((n, design.n_units, 3))
-    traction[..., :2] = pressure.transpose(0, 2, 1) @ drag  # summed over indenters
-    traction[..., 2] = -NORMAL_PRELOAD_MPA - pressure.sum(axis=1)
-    return traction
+    shear = pressure.transpose(0, 2, 1) @ drag  # summed over indenters
+    return np.concatenate([shear, -NORMAL_PRELOAD_MPA - pressure.sum(axis=1)[..., None]], axis=-1)
 
 
-def _three_axis(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    return _in_cone(generator, generator.uniform(*NORMAL_MPA, (n, design.n_units)))
+def _even(generator: Generator, n: int, design: SensorDesign, range_mpa: Range, preload_mpa: float) -> FloatArray:
+    return generator.uniform(*range_mpa, (n, design.n_units))
 
 
-def _light(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    return _in_cone(generator, _touches(generator, n, design))
+def _pressed(generator: Generator, n: int, design: SensorDesign, range_mpa: Range, preload_mpa: float) -> FloatArray:
+    return preload_mpa + _indenters(generator, n, design, range_mpa, preload_mpa).sum(axis=1)
 
 
-def _in_cone(generator: np.random.Generator, pressure: FloatArray) -> FloatArray:
-    """Tractions (n, n_units, 3) of these pressures (n, n_units), each with a shear within the friction cone."""
-    traction = np.empty((*pressure.shape, 3))
-    traction[..., :2] = _in_disc(generator, pressure.shape) * (FRICTION * pressure)[..., None]
-    traction[..., 2] = -pressure
-    return traction
-
-
-def _touches(generator: np.random.Generator, n: int, design: SensorDesign) -> FloatArray:
-    """Tractions of 0 to `LIGHT_N` on none to `MAX_TOUCHED` pads of each sample, shape (n, n_units) [MPa]."""
+def _touched(generator: Generator, n: int, design: SensorDesign, range_mpa: Range, preload_mpa: float) -> FloatArray:
+    """0 to `LIGHT_N` on none to `MAX_TOUCHED` pads of each sample."""
     number = generator.integers(0, MAX_TOUCHED + 1, (n, 1))
     rank = generator.random((n, design.n_units)).argsort(axis=1)
     return (rank < number) * generator.uniform(0.0, LIGHT_N, rank.shape) / design.pad.size_mm**2
 
 
-def _indenters(
-    generator: np.random.Generator,
-    n: int,
-    design: SensorDesign,
-    peak_mpa: tuple[float, float],
-    preload_mpa: float,
-) -> FloatArray:
+def _indenters(generator: Generator, n: int, design: SensorDesign, peak_mpa: Range, preload_mpa: float) -> FloatArray:
     """Tractions that one to three round indenters add to each pad's preload, (n, MAX_INDENTERS, n_units) [MPa].
 
     An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the
@@ -125,33 +109,26 @@ def _indenters(
     return traction * (limit / most)[:, None, None]
 
 
-def _in_disc(generator: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
+def _in_disc(generator: Generator, shape: tuple[int, int]) -> FloatArray:
     """Points spread evenly over the unit disc, shape (*shape, 2)."""
     radius = np.sqrt(generator.uniform(0.0, 1.0, shape))
     angle = generator.uniform(0.0, 2 * np.pi, shape)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
+ALL = ("x", "y", "z")
 PROTOCOLS = {
-    "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), partial(_independent, axis="z")),
-    "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), partial(_independent, axis="x")),
-    "contact-fz": Protocol(
-        "1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), partial(_contact_alone, axis="z")
-    ),
+    "independent-fz": Protocol("every pad its own pressure, 1-5 MPa", ("z",), _along("z", _even)),
+    "independent-fx": Protocol("every pad its own shear along x, 0.2-1 MPa", ("x",), _along("x", _even)),
+    "contact-fz": Protocol("1-3 indenters press up to 1-5 MPa, 0.5 MPa elsewhere", ("z",), _along("z", _pressed)),
     "contact-fx": Protocol(
-        "1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), partial(_contact_alone, axis="x")
+        "1-3 indenters drag along x up to 0.2-1 MPa, 0.1 MPa elsewhere", ("x",), _along("x", _pressed)
     ),
-    "contact": Protocol("1-3 indenters press and drag within a friction cone", ("x", "y", "z"), _contact),
-    "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ("x", "y", "z"), _three_axis),
-    "light-fz": Protocol(
-        "nothing, or 0-10 N of pressure on 1-3 pads", ("z",), partial(_light_alone, axis="z"), is_light=True
-    ),
-    "light-fx": Protocol(
-        "nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), partial(_light_alone, axis="x"), is_light=True
-    ),
-    "light": Protocol(
-        "nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ("x", "y", "z"), _light, is_light=True
-    ),
+    "contact": Protocol("1-3 indenters press and drag within a friction cone", ALL, _contact),
+    "three-axis": Protocol("every pad 1-5 MPa and its own shear within a friction cone", ALL, _in_cone(_even)),
+    "light-fz": Protocol("nothing, or 0-10 N of pressure on 1-3 pads", ("z",), _along("z", _touched), True),
+    "light-fx": Protocol("nothing, or 0-10 N of shear along x on 1-3 pads", ("x",), _along("x", _touched), True),
+    "light": Protocol("nothing, or 0-10 N on 1-3 pads, shear within a friction cone", ALL, _in_cone(_touched), True),
 }
 INDENT = "indent"  #: loads the top by contact, not pads: see `dataset.indentation`
 #: one line for people about every kind of loads

@@ -13,28 +13,23 @@ if TYPE_CHECKING:
 
 
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
-    """Length of every pillar when its upper electrode has moved; the lower ones are clamped.
+    """Length of the z, x and y pillars (..., 3) [mm] when U1 and U2 have moved by (..., 2, 3) [mm] along x, y, z.
 
-    Parameters
-    ----------
-    displacement_mm : array, shape (..., 2, 3)
-        Displacement of U1 and U2 along x, y, z [mm].
-    unit : Unit
-        Gives the undeformed ends.
-
-    Returns
-    -------
-    array, shape (..., 3)
-        Distance between the electrode centroids of the z, x and y pillars [mm]; not linearised.
+    The distance between the electrode centroids, not linearised; the lower electrodes are clamped.
 
     Examples
     --------
     >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
     np.float64(9.0)
     """
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    along = (top - bottom) + displacement_mm[..., PILLAR_TOP, :]
+    along = _at_rest(unit) + displacement_mm[..., PILLAR_TOP, :]
     return np.sqrt(np.einsum("...k,...k->...", along, along))
+
+
+def _at_rest(unit: Unit) -> FloatArray:
+    """From the lower end of each pillar to the upper one, (3, 3) [mm]."""
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    return top - bottom
 
 
 def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -43,8 +38,7 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     Takes displacements (..., 2, 3) [mm] and the lengths (..., 3) [mm] that `pillar_lengths` gives for them. A length is
     a distance: an electrode pushed through the base and out below it would pass for a small strain.
     """
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    rest, rest_mm = top - bottom, rest_lengths(unit)
+    rest, rest_mm = _at_rest(unit), rest_lengths(unit)
     strain = np.abs(length_mm / rest_mm - 1.0)
     farthest_mm = max(displacement_mm.max(initial=0.0), -displacement_mm.min(initial=0.0))
     if farthest_mm * np.sqrt(3.0) < rest_mm.min():
@@ -53,19 +47,18 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     return np.where(along_rest > 0, strain, np.inf)
 
 
+def largest_strains(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
+    """Largest strain of a pillar of each sample, (n, n_units, 2, 3) [mm] -> (n,)."""
+    return pillar_strains(displacement_mm, pillar_lengths(displacement_mm, unit), unit).max(axis=(1, 2))
+
+
 def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
-    """Factors (n,) that scale displacements up until some pillar's strain |l − l₀|/l₀ reaches the cap.
+    """Factors (n,) that scale displacements (n, n_units, 2, 3) up until some pillar's strain reaches the cap.
 
-    Takes displacements (n, n_units, 2, 3) [mm] of the upper electrodes.
-
-    Notes
-    -----
     |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
     sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
     """
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    rest = top - bottom
-    u = displacement_mm[..., PILLAR_TOP, :]
+    rest, u = _at_rest(unit), displacement_mm[..., PILLAR_TOP, :]
     uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
     dd = rest_lengths(unit) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -78,31 +71,11 @@ def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> Floa
 
 
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
-    """Resistance of conductive pillars that keep their volume as they deform.
+    """Resistance (..., 3) [Ω] of conductive pillars z, x, y of these lengths (..., 3), which keep their volumes (3,).
 
-    Parameters
-    ----------
-    length_mm : array, shape (..., 3)
-        Distance between the two electrode centroids of the z, x and y pillars [mm].
-    volume_mm3 : array, shape (3,)
-        Volume of each pillar at rest [mm³].
-    resistivity_ohm_mm : float
-        Resistivity of the conductive rubber [Ω mm].
-
-    Returns
-    -------
-    array, shape (..., 3)
-        Resistance [Ω]; falls in compression.
-
-    Raises
-    ------
-    ValueError
-        If a length is not above zero: the pillar has collapsed and the model no longer holds.
-
-    Notes
-    -----
-    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236. No piezoresistive change of ρ
-    and no contact resistance.
+    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236; it falls in compression. No
+    piezoresistive change of ρ and no contact resistance. A length that is not above 0, of a collapsed pillar, is a
+    `ValueError`.
 
     Examples
     --------
@@ -115,24 +88,10 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
 
 
 def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
-    """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ).
+    """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, 3) [mm].
 
-    Parameters
-    ----------
-    conducted : ConductedPillars
-        Of the array's response.
-    newtons : array, shape (n, n_units, 3)
-        Forces on the pads along x, y and z, z negative pushing down [N].
-
-    Returns
-    -------
-    array, shape (n, n_units, 3)
-        Effective lengths of the z, x and y pillars [mm].
-
-    Raises
-    ------
-    ValueError
-        If a resistance would not be above 0: the loads are beyond the second order in strain.
+    Takes forces (n, n_units, 3) [N] on the pads along x, y and z, z negative pushing down. Loads beyond the second
+    order in strain, by which a resistance would not be above 0, are a `ValueError`.
     """
     n, n_units, _ = newtons.shape
     n_components = conducted.rest_mm.shape[-1]
@@ -148,11 +107,7 @@ def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> Flo
 
 
 def effective_lengths(response: "ArrayResponse", displacement_mm: FloatArray, newtons: FloatArray) -> FloatArray:
-    """Lengths by which eq. 1 gives the pillars' resistances: their own, or those that conduction needs.
-
-    Takes displacements (n, n_units, 2, 3) [mm] and forces (n, n_units, 3) [N] as `conducted_lengths`; gives lengths
-    (n, n_units, 3) [mm].
-    """
+    """Lengths by which eq. 1 gives the pillars' resistances: their own, or those of `conducted_lengths`."""
     if response.conducted is not None:
         return conducted_lengths(response.conducted, newtons)
     return pillar_lengths(displacement_mm, response.design.unit)

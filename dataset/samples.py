@@ -1,6 +1,6 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,40 +10,84 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
-from dataset.leaves import LEAF, write_leaves
+from dataset.leaves import LEAF, is_zarr, write_leaves
 from dataset.measurement import ReadingError
-from dataset.variables import ARRAYS, COORDINATES, SOLVED
-from dataset.zarr_folder import is_zarr
+from dataset.variables import LABELS, VARIABLES, coordinates
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import PILLARS, FloatArray
-from geometry.storage import files
+from geometry.storage.files import digest
 from geometry.storage.netcdf import write_netcdf
 
 if TYPE_CHECKING:
     import xarray as xr
 
-LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
 #: attributes that are of a whole file and not of some of its samples
 WHOLE_FILE = ("samples", "redrawn", "unsolved", "recipe")
+Choice = int | slice | Sequence[int] | np.ndarray  #: of samples, as of an array's rows
 
 
 class SampleError(TriPillarError, ValueError):
     """Samples (resistances, forces) that no network can be trained on or asked about."""
 
 
+class AnySamples:
+    """Base of samples in memory and on disk: the sensor that they are of, and how it was read."""
+
+    design: SensorDesign | None  #: None if it is not known
+    noise: float  #: relative standard deviation of the resistances; 0 if not known
+    bits: int | None  #: resolution of the converter; None if exact or not known
+    dead: NDArray[np.bool_] | None  #: (rows, cols, 3): pillars that cannot be read; None if all can
+    made_from: dict[str, Any]  #: other attributes of the file: seed, protocol, hashes ...
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
+    def __getitem__(self, which: Choice) -> "Samples":
+        raise NotImplementedError
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the array."""
+        raise NotImplementedError
+
+    def blocks(self, size: int = LEAF) -> Iterator["Samples"]:
+        """All samples in order, so many at a time; on disk a multiple of `LEAF` reads each leaf once."""
+        return (self[start : start + size] for start in range(0, len(self), size))
+
+    @property
+    def errors(self) -> ReadingError:
+        """Errors that its readings have, and the drifts that its design states where these are larger."""
+        return self._own_errors if self.design is None else self._own_errors.with_drifts_of(self.design.electrics)
+
+    @property
+    def _own_errors(self) -> ReadingError:
+        """Errors that readings were drawn with."""
+        stated = stated_imperfections(self.made_from, *self.shape)
+        return ReadingError(noise=self.noise, bits=self.bits).with_drifts_of(stated)
+
+    @property
+    def _of_part(self) -> dict[str, Any]:
+        """Attributes that some of the samples keep."""
+        return {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
+
+    def _rows(self, which: Choice) -> "slice | Sequence[int] | np.ndarray":
+        """A choice as an array takes it to give rows, also of a single number."""
+        if not isinstance(which, int | np.integer):
+            return which
+        if not -len(self) <= which < len(self):
+            raise IndexError(f"no sample {which}: there are {len(self)}.")
+        return [int(which)]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class Samples(AnySamples):
     """Labelled samples: resistances of a sensor, the forces that cause them, and what lies between.
 
     `dataset.simulate` makes them, `read_samples` reads them, training and evaluation take them; ``len(samples)`` and
-    ``samples[:100]`` work as with an array. Samples of others may hold resistances and forces alone.
-
-    Raises
-    ------
-    SampleError
-        If an array has another shape than the others ask for.
+    ``samples[:100]`` work as with an array. Samples of others may hold resistances and forces alone. An array of
+    another shape than the others ask for is a `SampleError`.
 
     Examples
     --------
@@ -54,81 +98,71 @@ class Samples:
 
     force_n: FloatArray  #: (n, rows, cols, 3): axes x, y, z [N]; Fz positive in compression
     resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y [Ω], as measured
-    traction_mpa: FloatArray | None = (
-        None  #: (n, rows, cols, 3): force over pad area [MPa]; z negative when pushing down
-    )
+    traction_mpa: FloatArray | None = None  #: (n, rows, cols, 3): force over pad area [MPa]; z < 0 pushes down
     displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
     effective_length_mm: FloatArray | None = None  #: (n, rows, cols, 3): √(R V/ρ) of conduction [mm]; None by eq. 1
-    strain_model: FloatArray | None = (
-        None  #: (n,): model of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
-    )
+    strain_model: FloatArray | None = None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     error_estimate: FloatArray | None = None  #: (n,): of the displacements, relative; None if not known
     iterations: FloatArray | None = None  #: (n,): of the solution at finite strain
-    design: SensorDesign | None = None  #: None if it is not known
-    noise: float = 0.0  #: relative standard deviation of the resistances; 0 if not known
-    bits: int | None = None  #: resolution of the converter; None if exact or not known
-    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read; None if all can
-    made_from: dict[str, Any] = field(default_factory=dict)  #: other attributes of the file: seed, protocol, hashes ...
+    design: SensorDesign | None = None
+    noise: float = 0.0
+    bits: int | None = None
+    dead: NDArray[np.bool_] | None = None
+    made_from: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.force_n)
         if len(shape) != 4 or shape[3] != 3:
             raise SampleError(f"force_n has shape {shape}, expected (n_samples, rows, cols, 3): axes x, y, z last.")
-        for name in ARRAYS:
-            values = getattr(self, name)
-            if values is not None:
-                expected = (*shape[:3], 2, 3) if name == "displacement_mm" else shape
-                if np.shape(values) != expected:
-                    raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
-                object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
-        for name in SOLVED:
-            values = getattr(self, name)
-            if values is not None and np.shape(values) != shape[:1]:
-                raise SampleError(f"{name} has shape {np.shape(values)}, expected {shape[:1]}: a number a sample.")
+        n, rows, cols, _ = shape
+        for name, values in self.arrays().items():
+            expected = (n, *VARIABLES[name].shape(rows, cols))
+            if np.shape(values) != expected:
+                raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
+            object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
         if self.dead is not None and np.shape(self.dead) != shape[1:]:
             raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[1:]}: one entry a pillar.")
 
     def __len__(self) -> int:
         return len(self.force_n)
 
-    def __getitem__(self, which: "int | slice | Sequence[int] | np.ndarray") -> "Samples":
+    def __getitem__(self, which: Choice) -> "Samples":
         """Some of the samples, chosen as in an array; of a single number, that one."""
-        if isinstance(which, int | np.integer):
-            if not -len(self) <= which < len(self):
-                raise IndexError(f"no sample {which}: there are {len(self)}.")
-            which = [int(which)]
-        arrays = {name: values[which] for name in (*ARRAYS, *SOLVED) if (values := getattr(self, name)) is not None}
-        kept = {name: value for name, value in self.made_from.items() if name not in WHOLE_FILE}
-        return replace(self, **arrays, made_from=kept)
-
-    def blocks(self, size: int = LEAF) -> "Iterator[Samples]":
-        """All samples in order, so many at a time, as `StoredSamples.blocks` gives those that memory does not hold."""
-        return (self[start : start + size] for start in range(0, len(self), size))
-
-    @property
-    def errors(self) -> ReadingError:
-        """Errors that its readings have, and the drifts that its design states where these are larger."""
-        own = own_errors(self.noise, self.bits, self.made_from, self.shape)
-        return own if self.design is None else own.with_drifts_of(self.design.electrics)
-
-    def drifted(self, generator: np.random.Generator) -> "Samples":
-        """With the drifts that its design states where its readings were drawn with less."""
-        further = self.errors.drifts_beyond(own_errors(self.noise, self.bits, self.made_from, self.shape))
-        if not further.has_drift:
-            return self
-        return replace(self, resistance_ohm=further.drifted(self.resistance_ohm, generator))
+        rows = self._rows(which)
+        arrays: dict[str, Any] = {name: values[rows] for name, values in self.arrays().items()}
+        return replace(self, **arrays, made_from=self._of_part)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the array."""
         rows, cols = self.force_n.shape[1:3]
         return rows, cols
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the numbers."""
+        return self.force_n.dtype
 
     @cached_property
     def content_hash(self) -> str:
         """Hash of forces and resistances."""
-        return files.digest(self.force_n, self.resistance_ohm)
+        return digest(self.force_n, self.resistance_ohm)
+
+    @property
+    def is_finite(self) -> NDArray[np.bool_]:
+        """Which samples were solved at finite strain, (n,)."""
+        return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
+
+    def drifted(self, generator: np.random.Generator) -> "Samples":
+        """With the drifts that its design states where its readings were drawn with less."""
+        further = self.errors.drifts_beyond(self._own_errors)
+        if not further.has_drift:
+            return self
+        return replace(self, resistance_ohm=further.drifted(self.resistance_ohm, generator))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Variables that are held, by name."""
+        return {name: values for name in VARIABLES if (values := getattr(self, name)) is not None}
 
     def labels(self) -> "Samples":
         """A copy without tractions, displacements and lengths, which training does not need."""
@@ -137,23 +171,17 @@ class Samples:
     def only(self, *names: str) -> "Samples":
         """A copy that holds, of all variables, forces, resistances and these alone."""
         require_variables(names)
-        dropped: dict[str, Any] = {name: None for name in (*ARRAYS, *SOLVED) if name not in (*names, *LABELS)}
+        dropped: dict[str, Any] = {name: None for name in VARIABLES if name not in (*names, *LABELS)}
         return replace(self, **dropped)
-
-    @property
-    def is_finite(self) -> NDArray[np.bool_]:
-        """Which samples were solved at finite strain, (n,)."""
-        return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
 
     def to_xarray(self) -> "xr.Dataset":
         """The content of a dataset file."""
         import xarray as xr
 
-        known = ARRAYS | {name: (("sample",), notes) for name, notes in SOLVED.items()}
-        held = {name: spec for name, spec in known.items() if getattr(self, name) is not None}
+        held = self.arrays()
         return xr.Dataset(
-            {name: (dims, getattr(self, name), notes) for name, (dims, notes) in held.items()},
-            coords={dim: COORDINATES[dim] for dim in COORDINATES if any(dim in dims for dims, _ in held.values())},
+            {name: (VARIABLES[name].dims, values, VARIABLES[name].notes) for name, values in held.items()},
+            coords=coordinates(held),
             attrs={**self.attributes(), "content_hash": self.content_hash},
         )
 
@@ -174,30 +202,18 @@ class Samples:
         else:
             write_netcdf(self.to_xarray(), path)
 
-    def arrays(self) -> dict[str, FloatArray]:
-        """Variables that are held, by name."""
-        held = {name: getattr(self, name) for name in (*ARRAYS, *SOLVED)}
-        return {name: values for name, values in held.items() if values is not None}
-
     def attributes(self) -> dict[str, Any]:
         """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
-        design = {} if self.design is None else {"design": design_to_toml(self.design)}
-        return design | self._sensor_and_origin()
-
-    def _sensor_and_origin(self) -> dict[str, Any]:
-        rows, cols = self.force_n.shape[1:3]
-        stated, attributes = stated_imperfections(self.made_from, rows, cols), dict(self.made_from)
+        stated, said = stated_imperfections(self.made_from, *self.shape), dict(self.made_from)
         if self.noise != stated.noise:
-            attributes["noise"] = self.noise
+            said["noise"] = self.noise
         if self.bits != stated.bits:
-            attributes.pop("bits", None)
-            attributes |= {} if self.bits is None else {"bits": self.bits}
-        dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool) if self.dead is None else self.dead
-        if not np.array_equal(dead, stated.dead_mask(rows, cols)):
-            attributes = {name: value for name, value in attributes.items() if not name.startswith("dead_")}
-            places = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(dead)]
-            attributes |= {"dead_pillars": places} if places else {}
-        return attributes
+            said["bits"] = self.bits
+        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape)):
+            said = {name: value for name, value in said.items() if not name.startswith("dead_")}
+            said["dead_pillars"] = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
+        design = {} if self.design is None else {"design": design_to_toml(self.design)}
+        return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
@@ -217,25 +233,15 @@ def joined(parts: Sequence[Samples]) -> Samples:
                 raise SampleError(
                     f"data set {number} has another {said} than the first: join samples of one sensor, read alike."
                 )
-        if part.force_n.shape[1:] != first.force_n.shape[1:] or not np.array_equal(_dead(part), _dead(first)):
+        if not np.array_equal(_dead(part), _dead(first)):
             raise SampleError(f"data set {number} has other pillars than the first: join samples of one sensor.")
     if len(parts) == 1:
         return first
-    arrays: dict[str, Any] = {name: _concatenated([getattr(part, name) for part in parts]) for name in ARRAYS}
+    held = set.intersection(*(set(part.arrays()) for part in parts)) - {"error_estimate", "iterations"}
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in held}
     model = np.concatenate([part.is_finite for part in parts]).astype(np.float64)
-    kept = {name: value for name, value in first.made_from.items() if name not in WHOLE_FILE}
-    arrays |= {"strain_model": model if model.any() else None, "error_estimate": None, "iterations": None}
-    return replace(first, **arrays, made_from=kept)
-
-
-def own_errors(noise: float, bits: int | None, attributes: Mapping[str, Any], shape: tuple[int, int]) -> ReadingError:
-    """Errors that readings were drawn with, the drifts by a dataset's attributes."""
-    return ReadingError(noise=noise, bits=bits).with_drifts_of(stated_imperfections(attributes, *shape))
-
-
-def _concatenated(held: Sequence[FloatArray | None]) -> FloatArray | None:
-    known = [values for values in held if values is not None]
-    return np.concatenate(known) if len(known) == len(held) else None
+    arrays = dict.fromkeys(VARIABLES) | arrays | {"strain_model": model if model.any() else None}
+    return replace(first, **arrays, made_from=first._of_part)
 
 
 def _dead(samples: Samples) -> NDArray[np.bool_]:
@@ -244,9 +250,9 @@ def _dead(samples: Samples) -> NDArray[np.bool_]:
 
 def require_variables(names: Sequence[str]) -> None:
     """Refuse names that are no variables of a dataset."""
-    unknown = [name for name in names if name not in (*ARRAYS, *SOLVED)]
+    unknown = [name for name in names if name not in VARIABLES]
     if unknown:
-        raise SampleError(f"'{unknown[0]}' is no variable of a dataset; there are {', '.join((*ARRAYS, *SOLVED))}.")
+        raise SampleError(f"'{unknown[0]}' is no variable of a dataset; there are {', '.join(VARIABLES)}.")
 
 
 def require_dtype(dtype: str, path: Path) -> None:

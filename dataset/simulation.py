@@ -20,9 +20,9 @@ from dataset.imperfections import Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
 from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES
-from dataset.resistance import conducted_lengths, pillar_lengths, pillar_resistances, pillar_strains
-from dataset.samples import LABELS, SampleError, Samples, require_samples, require_variables
-from dataset.variables import ARRAYS, VARIABLES
+from dataset.resistance import conducted_lengths, largest_strains, pillar_lengths, pillar_resistances
+from dataset.samples import SampleError, Samples, require_samples, require_variables
+from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
@@ -88,7 +88,8 @@ def simulate(
     readout : Readout, optional
         Electronics that resistances pass through, such as a crossbar with its crosstalk.
     only : sequence of str, optional
-        Variables to keep beside forces and resistances, which saves memory; default: all.
+        Variables to keep beside forces and resistances, which saves memory; default: all. Another name is a
+        `SampleError`.
 
     Raises
     ------
@@ -96,8 +97,6 @@ def simulate(
         If a sample's strain passes the cap in `MAX_ROUNDS` draws on end.
     DesignError
         As `Imperfections.apply` does.
-    SampleError
-        If a name of `only` is no variable.
     """
     require_type("settings", settings, DatasetSettings, "say the protocol and the number of samples")
     whole = range(settings.samples)
@@ -118,19 +117,14 @@ def simulate_part(
     require_conducted(response)
     require_variables(only or ())
     design, n = response.design, len(numbers)
-    rows, cols = design.array.rows, design.array.cols
-    arrays = {
-        name: np.empty((n, *shape))
-        for name, shape in shapes(design, response.conducted is not None).items()
-        if kept_in(name, only)
-    }
+    arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in _kept_shapes(design, only).items()}
 
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
         kept = min(BLOCK, n - start)
         block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout, kept)
         for name, values in arrays.items():
-            values[start : start + kept] = block[name][:kept].reshape(kept, *values.shape[1:])
+            values[start : start + kept] = block[name][:kept]
         return kept, int(redrawn[:kept].sum())
 
     redrawn = 0
@@ -142,9 +136,7 @@ def simulate_part(
     return Samples(
         design=design,
         **arrays,
-        noise=settings.noise,
-        bits=settings.bits,
-        dead=settings.dead_mask(rows, cols),
+        **settings.of_samples(design),
         made_from={
             **origin(response, settings, redrawn, readout),
             "recipe": dataset_cache_key(response, settings, readout),
@@ -152,28 +144,22 @@ def simulate_part(
     )
 
 
-def shapes(design: SensorDesign, is_conducted: bool) -> dict[str, tuple[int, ...]]:
-    """Shape of each variable of one sample, of a response that holds conduction or not."""
-    rows, cols = design.array.rows, design.array.cols
-    names = ARRAYS if is_conducted else VARIABLES
-    return {name: (rows, cols, 2, 3) if name == "displacement_mm" else (rows, cols, 3) for name in names}
+def _kept_shapes(design: SensorDesign, only: Sequence[str] | None) -> dict[str, tuple[int, ...]]:
+    """Shape of one sample of each variable that `simulate` keeps."""
+    by_design = [name for name in ARRAYS if design.electrics.is_conduction or name != "effective_length_mm"]
+    names = [name for name in by_design if only is None or name in (*LABELS, *only)]
+    return {name: VARIABLES[name].shape(design.array.rows, design.array.cols) for name in names}
 
 
 def require_memory(design: SensorDesign, samples: int, only: Sequence[str] | None = None) -> None:
     """Refuse more samples than memory holds, of all variables or those of `simulate`'s `only`."""
-    held = shapes(design, design.electrics.is_conduction).items()
-    needed = IN_WORK * samples * 8 * sum(math.prod(shape) for name, shape in held if kept_in(name, only))
+    needed = IN_WORK * samples * 8 * sum(map(math.prod, _kept_shapes(design, only).values()))
     free = psutil.virtual_memory().available
     if needed > free:
         raise DesignError(
             f"{samples} samples take {needed / 1e9:.0f} GB of memory on their way to a NetCDF file, {free / 1e9:.0f} "
             "GB are free: end the file's name in .zarr, or keep less of them by --only."
         )
-
-
-def kept_in(name: str, only: Sequence[str] | None) -> bool:
-    """Whether `simulate` keeps a variable."""
-    return only is None or name in (*LABELS, *only)
 
 
 def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, readout: Readout | None) -> dict[str, Any]:
@@ -194,15 +180,9 @@ def measured_again(
 ) -> Samples:
     """Measure the same loads with a sensor of these imperfections, however `samples` were measured.
 
-    Starts from the lengths, which are exact; draws its noise as a dataset of that seed does, so the outcome is to the
-    last bit what `simulate` gives with the same loads, imperfections, seed and readout.
-
-    Raises
-    ------
-    SampleError
-        If the samples do not hold their lengths and their design.
-    DesignError
-        As `Imperfections.apply` does.
+    Starts from the lengths, which are exact, and draws noise as a dataset of that seed does: the outcome is to the last
+    bit what `simulate` gives with the same loads, imperfections, seed and readout. Samples without lengths or design
+    are a `SampleError`; other errors are those of `Imperfections.apply`.
     """
     require_samples("samples", samples)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
@@ -216,9 +196,7 @@ def measured_again(
     return replace(
         samples,
         resistance_ohm=measured_resistances(lengths, design, imperfections, seed, readout),
-        noise=imperfections.noise,
-        bits=imperfections.bits,
-        dead=imperfections.dead_mask(design.array.rows, design.array.cols),
+        **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
 
@@ -230,21 +208,31 @@ def require_conducted(response: ArrayResponse) -> None:
 
 
 def measured_resistances(
-    length_mm: FloatArray, design: SensorDesign, imperfections: Imperfections, seed: int, readout: Readout | None
+    length_mm: FloatArray,
+    design: SensorDesign,
+    imperfections: Imperfections,
+    seed: int,
+    readout: Readout | None,
+    first: int = 0,
 ) -> FloatArray:
     """Resistances (n, rows, cols, 3) [Ω] of pillars of these lengths, as a sensor of these imperfections reads them.
 
-    Lengths of conduction are effective ones.
+    Lengths of conduction are effective ones. Samples are those from number `first` on.
     """
-    return read_resistances(_exact_resistances(length_mm, design), imperfections, seed, readout)
+    exact_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    return read_resistances(exact_ohm, imperfections, seed, readout, first)
 
 
 def read_resistances(
     exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None, first: int = 0
 ) -> FloatArray:
-    """The same of exact resistances (n, rows, cols, 3) [Ω] of the samples from number `first` on."""
+    """The same of exact resistances (n, rows, cols, 3) [Ω]; each block has a stream of noise that no loads use."""
     blocks = [
-        imperfections.apply(exact_ohm[start : start + BLOCK], _noise_stream(seed, (first + start) // BLOCK), readout)
+        imperfections.apply(
+            exact_ohm[start : start + BLOCK],
+            np.random.default_rng([seed, (first + start) // BLOCK, MAX_ROUNDS]),
+            readout,
+        )
         for start in range(0, len(exact_ohm), BLOCK)
     ]
     return np.concatenate(blocks)
@@ -267,6 +255,63 @@ def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple
     return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
 
 
+def labelled(
+    traction_mpa: FloatArray,
+    displacement_mm: FloatArray,
+    effective_mm: FloatArray | None,
+    design: SensorDesign,
+    settings: DatasetSettings,
+    readout: Readout | None,
+    first: int = 0,
+) -> dict[str, Any]:
+    """All variables (n, rows, cols, ...) of samples from number `first` on.
+
+    Takes tractions (n, n_units, 3) [MPa], displacements (n, n_units, 2, 3) [mm], and effective lengths (n, n_units, 3)
+    [mm] of conduction.
+    """
+    grid = (len(traction_mpa), design.array.rows, design.array.cols)
+    traction, displacement = traction_mpa.reshape(*grid, 3), displacement_mm.reshape(*grid, 2, 3)
+    length = pillar_lengths(displacement, design.unit)
+    effective = length if effective_mm is None else effective_mm.reshape(length.shape)
+    return {
+        "traction_mpa": traction,
+        "force_n": forces(traction, design),
+        "displacement_mm": displacement,
+        "length_mm": length,
+        "resistance_ohm": measured_resistances(effective, design, settings, settings.seed, readout, first),
+    } | ({} if effective_mm is None else {"effective_length_mm": effective})
+
+
+def below_cap(
+    draw: Callable[[np.ndarray, int], tuple[Sequence[np.ndarray], np.ndarray]],
+    n: int,
+    rounds: int,
+    settings: DatasetSettings,
+    design: SensorDesign,
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Draw n samples, and those again that are not accepted.
+
+    `draw` takes the numbers (m,) of those that are wanted and how often they were drawn before; it gives arrays
+    (m, ...) and which samples are accepted (m,). Returns arrays (n, ...) and how often each was drawn again (n,). A
+    sample drawn in vain in all rounds is a `LoadError`.
+    """
+    waiting, redrawn = np.arange(n), np.zeros(n, dtype=np.int64)
+    kept: list[np.ndarray] = []
+    for attempt in range(rounds):
+        drawn, accepted = draw(waiting, attempt)
+        kept = kept or list(drawn)  # in the first round these are all
+        for values, new in zip(kept, drawn, strict=True):
+            values[waiting] = new
+        waiting = waiting[~accepted]
+        redrawn[waiting] += 1
+        if not len(waiting):
+            return kept, redrawn
+    raise LoadError(
+        f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {rounds} draws on end: "
+        f"raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
+    )
+
+
 def _block(
     response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
@@ -276,85 +321,24 @@ def _block(
     contacts, each drawn alone, only as far as wanted: the others carry no load.
     """
     design = response.design
-    if settings.protocol == INDENT:
-        traction, displacement, redrawn = _indented(response, settings, number, kept)
-    else:
-        traction, displacement, redrawn = _pads_loaded(response, settings, number)
-    length = pillar_lengths(displacement, design.unit)
-    by_unit = length.reshape(BLOCK, design.array.rows, design.array.cols, -1)
-    effective = {}
-    if response.conducted is not None:
-        newtons = traction * design.pad.size_mm**2
-        effective["effective_length_mm"] = conducted_lengths(response.conducted, newtons)
-        by_unit = effective["effective_length_mm"].reshape(by_unit.shape)
-    resistance = settings.apply(_exact_resistances(by_unit, design), _noise_stream(settings.seed, number), readout)
-    block = effective | {
-        "traction_mpa": traction,
-        "force_n": forces(traction, design),
-        "displacement_mm": displacement,
-        "length_mm": length,
-        "resistance_ohm": resistance.reshape(length.shape),
-    }
-    return block, redrawn
+    pressed = indented(design, settings.seed, number, kept)
 
+    def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
+        if settings.protocol == INDENT:
+            traction, displacement = pressed(waiting, attempt)
+        else:
+            protocol, generator = PROTOCOLS[settings.protocol], np.random.default_rng([settings.seed, number, attempt])
+            traction = protocol.draw(generator, len(waiting), design)
+            displacement = displacements(response, traction, protocol.axes)
+        return [traction, displacement], ~(largest_strains(displacement, design.unit) > settings.cap)
 
-def _indented(
-    response: ArrayResponse, settings: DatasetSettings, number: int, kept: int
-) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Tractions, displacements and redraws of a block's contacts; see `_pads_loaded`."""
-    k = response.design.n_units
-    traction, displacement = np.zeros((BLOCK, k, 3)), np.zeros((BLOCK, k, 2, 3))
-    redrawn = np.zeros(BLOCK, dtype=np.int64)
-    found = indented(response.design, settings.seed, number, kept, settings.cap, MAX_ROUNDS)
-    traction[:kept], displacement[:kept], redrawn[:kept] = found
-    if (redrawn == MAX_ROUNDS).any():
-        raise LoadError(_impossible(response.design, settings))
-    return traction, displacement, redrawn
-
-
-def _pads_loaded(
-    response: ArrayResponse, settings: DatasetSettings, number: int
-) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Tractions (BLOCK, n_units, 3), displacements (BLOCK, n_units, 2, 3) and redraws (BLOCK,) of a block."""
-    design, protocol = response.design, PROTOCOLS[settings.protocol]
-    traction = np.empty((BLOCK, design.n_units, 3))
-    displacement = np.empty((BLOCK, design.n_units, 2, 3))
-    length = np.empty((BLOCK, design.n_units, 3))
-    redrawn = np.zeros(BLOCK, dtype=np.int64)
-    waiting: slice | np.ndarray = slice(None)  # all; a slice copies nothing
-    n_waiting = BLOCK
-    for attempt in range(MAX_ROUNDS):
-        generator = np.random.default_rng([settings.seed, number, attempt])
-        traction[waiting] = protocol.draw(generator, n_waiting, design)
-        displacement[waiting] = displacements(response, traction[waiting], protocol.axes)
-        length[waiting] = pillar_lengths(displacement[waiting], design.unit)
-        strain = pillar_strains(displacement[waiting], length[waiting], design.unit).max(axis=(1, 2))
-        over = np.arange(BLOCK)[waiting][strain > settings.cap]
-        redrawn[over] += 1
-        if not len(over):
-            break
-        waiting, n_waiting = over, len(over)
-    else:
-        raise LoadError(_impossible(design, settings))
-    return traction, displacement, redrawn
-
-
-def _impossible(design: SensorDesign, settings: DatasetSettings) -> str:
-    return (
-        f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {MAX_ROUNDS} draws on "
-        f"end: raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
-    )
+    (traction, displacement), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
+    effective = None
+    if design.electrics.is_conduction and response.conducted is not None:
+        effective = conducted_lengths(response.conducted, traction * design.pad.size_mm**2)
+    return labelled(traction, displacement, effective, design, settings, readout, number * BLOCK), redrawn
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:
     """The electronics as a file's attribute."""
     return {} if readout is None else {"readout": json.dumps(asdict(cast("Any", readout)))}
-
-
-def _exact_resistances(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
-    return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-
-
-def _noise_stream(seed: int, block: int) -> np.random.Generator:
-    """Generator of a block's noise; no draw of loads uses this stream."""
-    return np.random.default_rng([seed, block, MAX_ROUNDS])

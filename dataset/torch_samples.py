@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset, IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset, TensorDataset, get_worker_info
 
 from dataset.leaves import LEAF, n_leaves
 from dataset.samples import SampleError, Samples, require_samples
@@ -13,21 +13,11 @@ from dataset.stored import StoredSamples
 from geometry.errors import require_type
 
 
-class TorchSamples(Dataset[tuple[Tensor, ...]]):
-    """Samples for `torch.utils.data.DataLoader`, one tuple of tensors each.
+class TorchSamples(TensorDataset):
+    """Samples for `torch.utils.data.DataLoader`, one tuple of tensors each: resistances, then forces.
 
-    Parameters
-    ----------
-    samples : Samples
-    dtype : torch.dtype
-        torch.float32 or torch.float64.
-    displacement : bool
-        True puts the electrodes' displacements between resistances and forces.
-
-    Raises
-    ------
-    SampleError
-        If the type is another, or displacements are wanted and the samples hold none.
+    `displacement` puts the electrodes' displacements between them. Samples that hold none, or a type that is neither
+    torch.float32 nor torch.float64, are a `SampleError`.
 
     Examples
     --------
@@ -40,13 +30,7 @@ class TorchSamples(Dataset[tuple[Tensor, ...]]):
     def __init__(self, samples: Samples, dtype: torch.dtype = torch.float32, displacement: bool = False) -> None:
         require_samples("samples", samples)
         names = _variables(dtype, displacement, samples.displacement_mm is not None)
-        self.tensors = [torch.from_numpy(np.ascontiguousarray(getattr(samples, name))).to(dtype) for name in names]
-
-    def __len__(self) -> int:
-        return len(self.tensors[0])
-
-    def __getitem__(self, index: int) -> tuple[Tensor, ...]:
-        return tuple(tensor[index] for tensor in self.tensors)
+        super().__init__(*(torch.from_numpy(np.ascontiguousarray(getattr(samples, name))).to(dtype) for name in names))
 
 
 class TorchBatches(IterableDataset[tuple[Tensor, ...]]):
@@ -56,18 +40,8 @@ class TorchBatches(IterableDataset[tuple[Tensor, ...]]):
     the epoch; the samples of a leaf are shuffled and cut into batches, the last of which may be smaller. The batches
     of an epoch are the same for any number of workers.
 
-    Parameters
-    ----------
-    samples : StoredSamples
-    batch_size : int
-    dtype : torch.dtype
-        torch.float32 or torch.float64.
-    displacement : bool
-        True puts the electrodes' displacements between resistances and forces.
-    shuffle : bool
-        False keeps the order of the samples.
-    seed : int
-        Of the order; `set_epoch` gives another order with the same seed.
+    `dtype` and `displacement` are as of `TorchSamples`; without `shuffle` the samples keep their order. `seed` gives
+    the order, and `set_epoch` another with the same seed.
 
     Raises
     ------

@@ -1,41 +1,63 @@
-"""Variables of a dataset file: their dims, units and limits, the same in NetCDF and zarr."""
+"""Variables of a dataset: their dims, units and limits, the same in memory, NetCDF, zarr and tables."""
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from dataset.imperfections import OPEN_OHM
 from geometry.layout import AXES, ELECTRODES, PILLARS
 
-#: every variable of a dataset file: its dims and attributes
-VARIABLES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "traction_mpa": (
-        ("sample", "row", "col", "axis"),
-        {"units": "MPa", "note": "force over the pad's area, as applied: z < 0 pushes down"},
-    ),
-    "force_n": (("sample", "row", "col", "axis"), {"units": "N", "note": "z > 0 is compression"}),
-    "displacement_mm": (
-        ("sample", "row", "col", "electrode", "axis"),
-        {"units": "mm", "note": "upper electrodes"},
-    ),
-    "length_mm": (("sample", "row", "col", "pillar"), {"units": "mm", "note": "between electrode centroids"}),
-    "resistance_ohm": (
-        ("sample", "row", "col", "pillar"),
-        {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
-    ),
-}
-#: variables of conduction alone
-CONDUCTED: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "effective_length_mm": (
-        ("sample", "row", "col", "pillar"),
-        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
-    ),
-}
-ARRAYS = VARIABLES | CONDUCTED
-#: variables (sample,) of samples at finite strain, and their attributes
-SOLVED: dict[str, dict[str, Any]] = {
-    "strain_model": {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
-    "error_estimate": {"units": "1", "note": "of the displacements, relative"},
-    "iterations": {"units": "1", "note": "solves of the sample, one factor for all"},
-}
+COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
 #: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
-COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
+_UNIT = ("sample", "row", "col")
+
+
+class Variable(NamedTuple):
+    """A variable of a dataset."""
+
+    dims: tuple[str, ...]
+    notes: dict[str, Any]  #: its attributes
+    limits: tuple[float, float] | None = (
+        None  #: beyond which no sensor gives a number; None where any finite one will do
+    )
+
+    def shape(self, rows: int, cols: int) -> tuple[int, ...]:
+        """Shape of one sample of an array."""
+        sizes = {"row": rows, "col": cols} | {dim: len(labels) for dim, labels in COORDINATES.items()}
+        return tuple(sizes[dim] for dim in self.dims[1:])
+
+
+VARIABLES = {
+    "traction_mpa": Variable(
+        (*_UNIT, "axis"), {"units": "MPa", "note": "force over the pad's area, as applied: z < 0 pushes down"}
+    ),
+    "force_n": Variable((*_UNIT, "axis"), {"units": "N", "note": "z > 0 is compression"}, (-MAX_N, MAX_N)),
+    "displacement_mm": Variable((*_UNIT, "electrode", "axis"), {"units": "mm", "note": "upper electrodes"}),
+    "length_mm": Variable((*_UNIT, "pillar"), {"units": "mm", "note": "between electrode centroids"}),
+    "resistance_ohm": Variable(
+        (*_UNIT, "pillar"),
+        {"units": "ohm", "note": f"as measured, noise included; {OPEN_OHM:g} where a pillar cannot be read"},
+        (MIN_OHM, MAX_OHM),
+    ),
+    "effective_length_mm": Variable(  # of conduction alone
+        (*_UNIT, "pillar"),
+        {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
+    ),
+    # of samples at finite strain alone
+    "strain_model": Variable(
+        ("sample",),
+        {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
+    ),
+    "error_estimate": Variable(("sample",), {"units": "1", "note": "of the displacements, relative"}),
+    "iterations": Variable(("sample",), {"units": "1", "note": "solves of the sample, one factor for all"}),
+}
+LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
+ARRAYS = tuple(
+    name for name, variable in VARIABLES.items() if "row" in variable.dims
+)  #: those with a place on the array
+
+
+def coordinates(names: Iterable[str]) -> dict[str, list[str]]:
+    """Labels of the dims of some variables."""
+    dims = {dim for name in names for dim in VARIABLES[name].dims}
+    return {dim: labels for dim, labels in COORDINATES.items() if dim in dims}

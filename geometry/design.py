@@ -141,13 +141,14 @@ class Material:
 
 
 MAX_DRIFT = 0.5  #: largest standard deviation of a drift: two of them leave a pillar no resistance
+MAX_DRIFT_OHM = 5e3  #: largest standard deviation of an offset, half a pillar's usual resistance
 MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
 EQUATIONS = ("eq1", "conduction")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drifts:
-    """Relative standard deviations of what readings may have drifted by since the sensor was last tared."""
+    """Standard deviations of drifts since the sensor was last tared, relative where no unit is stated."""
 
     #: lines of comment in design files
     NOTES: ClassVar[tuple[str, ...]] = (
@@ -158,12 +159,16 @@ class Drifts:
     drift: float = quantity(0.0, "deviation of a drift that all resistances share, relative: 0.005 is 0.5 %", True)
     drift_tilt: float = quantity(0.0, "of one linear over the array along x and along y, at its outermost units", True)
     drift_pillar: float = quantity(0.0, "of one that each pillar has on its own", True)
+    drift_offset_ohm: float = quantity(0.0, "of one that adds as many ohms to all resistances [Ω]", True)
 
     def __post_init__(self) -> None:
         require_sound(self)
         for spec in fields(Drifts):
             value = getattr(self, spec.name)
-            if not 0 <= value <= MAX_DRIFT:
+            if spec.name.endswith("_ohm"):
+                if not 0 <= value <= MAX_DRIFT_OHM:
+                    raise DesignError(f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT_OHM:g} Ω.")
+            elif not 0 <= value <= MAX_DRIFT:
                 raise DesignError(
                     f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT:g}: a standard deviation relative to the "
                     "resistance; 0.005 is 0.5 %."

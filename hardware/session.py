@@ -5,6 +5,7 @@
 
 import math
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,6 +28,9 @@ from hardware.recording import PlaybackPort, Recorder, read_recording
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
 
+APPEARS_S = 10.0  #: longest wait for a port that is about to appear
+LOOK_S = 0.05  #: between two looks for it
+RECORDED = (".frames", ".nc", ".mcap", ".csv")  #: endings of recordings, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
 TOLD_S = 1.0  #: between two reports of a recording's progress
 taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
@@ -42,7 +46,7 @@ def connect(
     Parameters
     ----------
     port : str
-        What `open_port` opens, or the path of a recording.
+        What `open_port` opens, or the path of a recording. A device that is not there is waited for up to `APPEARS_S`.
     calibration : Path, optional
         Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
     speed : float
@@ -63,6 +67,7 @@ def connect(
     """
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
+    _await(port)
     if Path(port).is_file():
         recording = read_recording(Path(port))
         source = PlaybackPort(recording, speed=speed)
@@ -75,6 +80,14 @@ def connect(
         known = known or SensorCalibration.as_designed(info.rows, info.cols)
         known.require_for(info, str(calibration or port))
         yield scanner, known
+
+
+def _await(port: str) -> None:
+    """Wait up to `APPEARS_S` for a device, or the link to one, that is about to appear: a board that is plugged in."""
+    is_device = sys.platform != "win32" and "://" not in port and Path(port).suffix not in RECORDED and port
+    end_s = time.monotonic() + APPEARS_S * bool(is_device)
+    while not Path(port).exists() and time.monotonic() < end_s:
+        time.sleep(LOOK_S)
 
 
 @contextmanager
@@ -99,7 +112,7 @@ def live(
     Yields
     ------
     LiveSensor
-        Iterate over it for a `ScanForces` a scan. Its `scanner` has the board's `info`, `stats` and `trouble`.
+        Iterate over it for the `Forces` of each scan. Its `scanner` has the board's `info`, `stats` and `trouble`.
 
     Raises
     ------

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import exact_inverse
-from decoupler.twin.decoder import forward_of
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
-from decoupler.twin.linearised import State
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
 from decoupler.twin.posterior import infer
 from fem.array.response import ArrayResponse
@@ -56,7 +55,7 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     found = infer(expected, readings_of(pairs, [*every], [*every]), draws=2)
     columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
-    missed = (exact_inverse(forward_of(found), columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
+    missed = (exact_inverse(found.sensor, columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))
 
 
@@ -64,7 +63,7 @@ def curves(truth: ArrayResponse, expected: Expectation, design: SensorDesign, pr
     """Mean errors, (counts, 3), after chosen and after random loads."""
     test = measured_on(truth, design, protocol, TESTED, TEST_SEED)
     loads = loads_at_hand(KITCHEN, design)
-    knowledge = Knowledge.before(expected, State.as_expected(expected, 0), SPECIMEN.noise, SPECIMEN.bits)
+    knowledge = Knowledge.before(expected, expected.mean(), ReadingError(noise=SPECIMEN.noise, bits=SPECIMEN.bits))
     usual_n = force_columns(test.force_n, EVERYTHING)
     best, _ = choose(knowledge, [as_columns(load, EVERYTHING) for load in loads], usual_n, max(COUNTS["chosen"]))
     found: dict[str, list[FloatArray]] = {"chosen": [], "random": []}

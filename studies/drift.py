@@ -68,7 +68,7 @@ def told(model: Decoupler, resistance_ohm: FloatArray, force_n: FloatArray) -> s
 
 
 def main() -> None:
-    """Print both tables of docs/decoupler.md, section Drift."""
+    """Print both tables of docs/decoder.md, section Drift."""
     plain = array_response(SensorDesign())[0]
     stated = replace(plain, design=replace(plain.design, electrics=Electrics(**vars(DRIFTS))))
     for protocol in ("three-axis", "contact"):

@@ -4,16 +4,24 @@
 
 takes minutes for an array of 3 × 3 units, hours and 10 GB for one of 6 × 6. Every line is a sample: protocol, number,
 largest pressure [MPa], largest strain, what linear elasticity gets wrong, error and its estimate [%].
+
+    python -m studies.finite_samples --model model.safetensors --data test.nc
+
+prints how a model decodes samples: errors of its network and of its posterior, and how often its half-widths hold.
 """
 
 import argparse
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from dataset import DatasetSettings, pillar_lengths
 from dataset.finite_strain import GROUP, GroupSolver
 from dataset.resistance import pillar_strains
+from dataset.stored import read_samples
+from decoupler.model.model_file import read_model
 from fem.array.solving import array_response
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
 from fem.finite.preloads import PreloadedArray
@@ -32,12 +40,37 @@ def reference(array: PreloadedArray, influence: FloatArray, force_n: FloatArray)
     return (moved + (influence - array.influence) @ (array.forces_of @ moved)).reshape(-1, 2, 3)
 
 
+def decoded(model_file: Path, data_file: Path) -> None:
+    """Print errors fx / fy / fz in % of full scale: rms, median and worst sample; and shares within half-widths."""
+    model, data = read_model(model_file), read_samples(data_file)[:]
+    true = data.force_n
+    full = np.abs(true).max(axis=(0, 1, 2)) / 100
+    columns = model.columns(data.resistance_ohm)
+    begun = time.process_time()
+    found = model.refined(columns)
+    seconds = time.process_time() - begun
+    for name, force_n in (("network", model.first_answers(columns)), ("posterior", found.force_n)):
+        squares = ((force_n.reshape(true.shape) - true) / full) ** 2
+        each = np.sqrt(squares.mean(axis=(1, 2)))
+        values = {"rms": np.sqrt((each**2).mean(axis=0)), "median": np.median(each, axis=0), "worst": each.max(axis=0)}
+        print(name, *(f"{key} " + " / ".join(f"{x:.2f}" for x in value) for key, value in values.items()), sep="  ")
+    off = np.abs(found.force_n.reshape(true.shape) - true)
+    for share, half in zip((68, 95), model.half_widths(data.resistance_ohm), strict=True):
+        print(f"within {share} %: " + " / ".join(f"{100 * x:.1f}" for x in (off < half).mean(axis=(0, 1, 2))))
+    print(f"{1000 * seconds / len(data):.2f} ms a sample")
+
+
 def main() -> None:
     """Print a line a sample, and means by protocol and pressure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=3)
     parser.add_argument("--samples", type=int, default=10, help="of each protocol")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--data", type=Path, help="samples that --model decodes, at finite strain")
     asked = parser.parse_args()
+    if asked.model:
+        decoded(asked.model, asked.data)
+        return
     design = replace(SensorDesign(), array=Array(rows=asked.rows, cols=asked.rows), pad=Pad(kind="stiff"))
     response, _, _ = array_response(design)
     influence = response.influence_mm_per_n.reshape(6 * design.n_units, -1)

@@ -1,4 +1,4 @@
-"""``python -m studies.linear_cost DOCS``: what linear elasticity costs, the table and the pictures of docs/linear.md.
+"""``python -m studies.linear_cost DOCS``: what linear elasticity costs, the table and the pictures of docs/physics.md.
 
 Finite and linear answers are of one grid, so that their difference is strain's alone; forces come from the linear map's
 own inverse, which reads the lengths of the pillars exactly as the linear model gives them.
@@ -106,7 +106,7 @@ def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
 
 
 def as_table(found: list[Cost]) -> str:
-    """The rows of docs/linear.md."""
+    """The rows of docs/physics.md."""
     lines = [
         "| protocol | peak [MPa] | samples | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -136,8 +136,8 @@ def draw(folder: Path) -> None:
 
 
 def main(folder: Path) -> None:
-    """Write the table into linear.md, and its picture beside it."""
-    page = folder / "linear.md"
+    """Write the table into physics.md, and its picture beside it."""
+    page = folder / "physics.md"
     write_text(TABLE.sub(lambda _: as_table(costs()), page.read_text(encoding="utf-8")), page)
     draw(folder)
 

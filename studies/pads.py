@@ -1,4 +1,4 @@
-"""``python -m studies.pads``: soft pads beside stiff ones, the tables of docs/pads.md."""
+"""``python -m studies.pads``: soft pads beside stiff ones, the tables of docs/physics.md."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -45,7 +45,7 @@ LIMIT_SAMPLES = 50  #: whose Cramér-Rao limits are averaged
 
 @dataclass(frozen=True, kw_only=True)
 class MapRow:
-    """The map from forces to readings with pads of one kind and size; metrics as in docs/sweeps.md."""
+    """The map from forces to readings with pads of one kind and size; metrics as in docs/results.md."""
 
     kind: str
     size_mm: float

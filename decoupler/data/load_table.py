@@ -1,7 +1,7 @@
 """Tables of known loads, CSV: a line for each loaded pad, plate or air pressure, what is known of it and how well.
 
 The table of `tripillar identify` and `calibrate`. The readings stand in the same lines, or in a recording, or are
-taken live; docs/measuring.md says how to make each load.
+taken live; docs/decoder.md says how to make each load.
 """
 
 import csv
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
@@ -29,6 +30,7 @@ UNITS_N = {
     "kg": STANDARD_GRAVITY,
 }  #: that a force may be written in
 PLAIN = {"": 1.0}
+SHARE = {"": 1.0, "%": 0.01}  #: units of what is relative
 FORCE = "a number of newtons, or with a unit: N, kN, g, kg"
 DEVIATION = "a number from 0 on, or a percentage such as 2 %"
 KINDS = ("pad", "plate", "air", "nothing")
@@ -181,38 +183,29 @@ def _other_size(header: list[str], rows: int, cols: int) -> str | None:
 def _load(
     path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], rows: int, cols: int, pad_mm2: float
 ) -> KnownLoad:
-    force_n, unknown_n, times, noise = np.zeros((rows, cols, len(AXES))), [], set(), NOISE
-    resistance_ohm = None
-    for number, line in numbered:
-        source = f"{path}, line {number}"
-        part_n, unknown = known_forces(line, rows, cols, pad_mm2, source)
-        force_n = force_n + part_n
-        unknown_n.append(unknown)
-        times.add(tuple(_value(line, column, source) if line.get(column) else None for column in TIMES))
-        texts = [(line.get(column) or "").strip() for column in reading_columns(rows, cols)]
-        if any(texts):
-            if resistance_ohm is not None:
-                raise FileFormatError(f"{source}: load '{name}' has readings in two lines: give them in one.")
-            columns = zip(reading_columns(rows, cols), texts, strict=True)
-            ohms = [_value(line, column, source) if text else math.nan for column, text in columns]
-            resistance_ohm = np.reshape(ohms, force_n.shape)
-        if (line.get("noise") or "").strip():
-            noise = _value(line, "noise", source, {"": 1.0, "%": 0.01}, NOISE, DEVIATION)
-    first, *others = times
-    if others:
+    lines = [_Line(values, f"{path}, line {number}") for number, values in numbered]
+    parts = [known_forces(values, rows, cols, pad_mm2, f"{path}, line {number}") for number, values in numbered]
+    times = {tuple(line.number(column) if line.text(column) else None for column in TIMES) for line in lines}
+    if len(times) > 1:
         raise FileFormatError(f"{path}: load '{name}' has lines with different times: give all of them the same.")
-    from_s, to_s = first
+    ((from_s, to_s),) = times
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and not from_s < to_s):
         raise FileFormatError(f"{path}: load '{name}' acts from {from_s} s to {to_s} s: give both, the later one last.")
+    columns = reading_columns(rows, cols)
+    read = [line for line in lines if any(map(line.text, columns))]
+    if len(read) > 1:
+        raise FileFormatError(f"{read[1].source}: load '{name}' has readings in two lines: give them in one.")
+    ohms = [line.number(column, default=math.nan) for line in read for column in columns]
+    noises = [line.number("noise", SHARE, NOISE, DEVIATION) for line in lines if line.text("noise")]
     return KnownLoad(
         name=name,
-        force_n=force_n,
-        unknown_n=np.concatenate(unknown_n),
+        force_n=np.sum([force_n for force_n, _ in parts], axis=0),
+        unknown_n=np.concatenate([unknown_n for _, unknown_n in parts]),
         from_s=from_s,
         to_s=to_s,
-        resistance_ohm=resistance_ohm,
-        noise=noise,
-        lines=tuple(line for _, line in numbered),
+        resistance_ohm=np.reshape(ohms, (rows, cols, -1)) if ohms else None,
+        noise=noises[-1] if noises else NOISE,
+        lines=tuple(values for _, values in numbered),
     )
 
 
@@ -227,103 +220,95 @@ def known_forces(
     share the sum: shares have an error of `share` of the mean one, sum 0, and so do the shears that hold the rubber as
     it spreads, `RUBBED` of the mean pressing force. Air has an error common to all pads, and of each pad `share`.
     """
-    kind = (line.get("kind") or "").strip() or "pad"
+    given = _Line(line, source)
+    kind = given.text("kind") or "pad"
     if kind not in KINDS:
         raise FileFormatError(f"{source}: kind is {kind!r}, must be one of {', '.join(KINDS)}.")
-    stated = [axis for axis in (*FORCES, "kpa") if (line.get(axis) or "").strip() not in ("", "0")]
     allowed = {"air": ["kpa"], "nothing": []}.get(kind, list(FORCES))
-    if wrong := [name for name in stated if name not in allowed]:
+    if wrong := [name for name in (*FORCES, "kpa") if given.text(name) not in ("", "0") and name not in allowed]:
         raise FileFormatError(
             f"{source}: {wrong[0]} is no part of kind {kind}; it takes {', '.join(allowed) or 'none'}."
         )
-    nothing = np.zeros((rows, cols, 3)), np.zeros((0, rows, cols, 3))
     if kind == "nothing":
-        return nothing
-    share = _value(line, "share", source, {"": 1.0, "%": 0.01}, SHARES.get(kind, 0.0), DEVIATION)
+        return np.zeros((rows, cols, 3)), np.zeros((0, rows, cols, 3))
+    share = given.number("share", SHARE, SHARES.get(kind, 0.0), DEVIATION)
     if share and kind == "pad":
         raise FileFormatError(f"{source}: share is {line['share']!r}, but one pad takes all: leave it out.")
-    pads = _pads(line, rows, cols, kind, source)
+    pads = given.pads(rows, cols, one=kind == "pad")
     n = int(pads.sum())
     if kind == "air":
-        newtons = 1e-3 * _value(line, "kpa", source) * pad_mm2
-        total_n = np.array([0.0, 0.0, newtons])
-        _require_bearable(total_n, pad_mm2, source)
-        units = {"": 1e-3 * pad_mm2, "kpa": 1e-3 * pad_mm2, "%": 0.01 * abs(newtons)}
-        common_n = _value(line, "error", source, units, ERROR * abs(newtons), DEVIATION)
-        own_n = share * abs(newtons) * np.eye(n)
-        directions = np.concatenate([np.full((1, n), common_n), own_n])[:, :, None] * [0.0, 0.0, 1.0]
-        return _placed(total_n * np.ones((1, n, 1)), pads)[0], _placed(directions, pads)
-    total_n = np.array([_value(line, column, source, UNITS_N, 0.0, FORCE) for column in FORCES])
-    _require_bearable(total_n / n, pad_mm2, source)
-    size = np.abs(total_n)
-    across_n = np.sqrt((size**2).sum() - size**2)
-    error_n, tilt_n = (
-        np.array(
-            [_value(line, name, source, UNITS_N | {"%": 0.01 * f}, usual * f, DEVIATION) if f else 0.0 for f in of_n]
-        )
-        for name, usual, of_n in (("error", ERROR, size), ("tilt", TILT, across_n))
-    )
-    axes = np.diag(np.hypot(error_n, tilt_n))
-    sums = np.repeat(axes[axes.any(axis=1)][:, None, :] / n, n, axis=1)
-    shared_n = share * size / n
-    shared_n[:2] = np.hypot(shared_n[:2], RUBBED * size[2] / n)
-    k = np.arange(1, n)[:, None]
-    zero_sum = np.sqrt(2.0 / n) * np.cos(np.pi * k * (np.arange(n) + 0.5) / n)  # orthonormal rows
-    shares = (zero_sum[:, None, :, None] * np.diag(shared_n)[None, :, None, :]).reshape(-1, n, 3)
-    shares = shares[shares.any(axis=(1, 2))]
-    return _placed(total_n / n * np.ones((1, n, 1)), pads)[0], _placed(np.concatenate([sums, shares]), pads)
-
-
-def _placed(values: FloatArray, pads: np.ndarray) -> FloatArray:
-    """Values (k, n, 3) of n pads of the array, (k, rows, cols, 3); 0 elsewhere."""
-    placed = np.zeros((len(values), *pads.shape, 3))
-    placed[:, pads] = values
-    return placed
-
-
-def _pads(line: Mapping[str, str], rows: int, cols: int, kind: str, source: str) -> np.ndarray:
-    """The pads that a line loads, (rows, cols)."""
-    within = []
-    for name, count in (("row", rows), ("col", cols)):
-        text = (line.get(name) or "").strip()
-        first, dash, last = text.partition("-") if text and kind != "pad" else (text, "", "")
-        if not text and kind != "pad":
-            within.append(slice(0, count))
-            continue
-        low, high = _whole(first, name, source), _whole(last if dash else first, name, source)
-        within.append(slice(low, high + 1))
-        if not 0 <= low <= high < count:
-            raise FileFormatError(
-                f"{source}: the array has no unit in {name} {text}; rows are 0 to {rows - 1}, columns 0 to {cols - 1}."
-            )
-    pads = np.zeros((rows, cols), dtype=bool)
-    pads[within[0], within[1]] = True
-    return pads
-
-
-def _require_bearable(force_n: FloatArray, pad_mm2: float, source: str) -> None:
-    if (mpa := float(np.abs(force_n).max()) / pad_mm2) > MAX_MPA:
+        units_n = dict.fromkeys(("", "kpa"), 1e-3 * pad_mm2 * n)
+        mean_n = np.array([0.0, 0.0, 1e-3 * given.number("kpa") * pad_mm2])
+    else:
+        units_n = UNITS_N
+        mean_n = np.array([given.number(column, UNITS_N, 0.0, FORCE) for column in FORCES]) / n
+    if (mpa := float(np.abs(mean_n).max()) / pad_mm2) > MAX_MPA:
         raise FileFormatError(
-            f"{source}: {np.abs(force_n).max():g} N on a pad is {mpa:.3g} MPa, more than {MAX_MPA:g}: forces are in "
+            f"{source}: {np.abs(mean_n).max():g} N on a pad is {mpa:.3g} MPa, more than {MAX_MPA:g}: forces are in "
             "newtons; write grams as '500 g', and pressures in kpa."
         )
+    sum_n, shared_n = n * np.abs(mean_n), share * np.abs(mean_n)
+    if kind == "air":
+        across_n, apart = np.zeros(3), np.eye(n)
+    else:
+        across_n = np.sqrt((sum_n**2).sum() - sum_n**2)
+        shared_n[:2] = np.hypot(shared_n[:2], RUBBED * abs(mean_n[2]))
+        k = np.arange(1, n)[:, None]
+        apart = np.sqrt(2.0 / n) * np.cos(np.pi * k * (np.arange(n) + 0.5) / n)  # orthonormal rows of sum 0
+    error_n, tilt_n = (
+        [given.number(name, units_n | {"%": 0.01 * f}, usual * f, DEVIATION) if f else 0.0 for f in of_n]
+        for name, usual, of_n in (("error", ERROR, sum_n), ("tilt", TILT, across_n))
+    )
+    alike = np.repeat(np.diag(np.hypot(error_n, tilt_n) / n)[:, None], n, axis=1)
+    shares = (apart[:, None, :, None] * np.diag(shared_n)[None, :, None, :]).reshape(-1, n, 3)
+    directions = np.concatenate([alike, shares])
+    directions = directions[directions.any(axis=(1, 2))]
+    placed = np.zeros((1 + len(directions), rows, cols, 3))
+    placed[:, pads] = np.concatenate([np.broadcast_to(mean_n, (1, n, 3)), directions])
+    return placed[0], placed[1:]
 
 
-def _value(
-    line: Mapping[str, str],
-    column: str,
-    source: str,
-    units: Mapping[str, float] = PLAIN,
-    default: float | None = None,
-    must: str = "a number",
-) -> float:
-    """The number of a column, in one of the units; the default where there is none, if there may be none."""
-    text = (line.get(column) or "").strip()
-    if not text and default is not None:
-        return default
-    if (value := quantity_of(text, units)) is None or (must == DEVIATION and value < 0):
-        raise FileFormatError(f"{source}: {column} is {text!r}, must be {must}.")
-    return value
+@dataclass(frozen=True)
+class _Line:
+    """A line of a table: its texts by column, and where it stands, for messages."""
+
+    texts: Mapping[str, str]
+    source: str
+
+    def text(self, column: str) -> str:
+        return (self.texts.get(column) or "").strip()
+
+    def number(
+        self,
+        column: str,
+        units: Mapping[str, float] = PLAIN,
+        default: float | None = None,
+        must: str = "a number",
+    ) -> float:
+        """The number of a column, in one of the units; the default where there is none, if there may be none."""
+        text = self.text(column)
+        if not text and default is not None:
+            return default
+        if (value := quantity_of(text, units)) is None or (must == DEVIATION and value < 0):
+            raise FileFormatError(f"{self.source}: {column} is {text!r}, must be {must}.")
+        return value
+
+    def pads(self, rows: int, cols: int, one: bool) -> NDArray[np.bool_]:
+        """The pads that it loads, (rows, cols): one, or those in ranges of rows and columns, which may be left out."""
+        within = []
+        for name, count in (("row", rows), ("col", cols)):
+            text = self.text(name)
+            found = re.fullmatch(r"(-?\d+)" if one else r"(?:(\d+)(?:\s*-\s*(\d+))?)?", text)
+            if found is None:
+                raise FileFormatError(f"{self.source}: {name} is {text!r}, must be a whole number.")
+            ends = [int(end) for end in found.groups() if end] or [0, count - 1]
+            if not 0 <= ends[0] <= ends[-1] < count:
+                raise FileFormatError(
+                    f"{self.source}: the array has no unit in {name} {text}; rows are 0 to {rows - 1}, columns 0 to "
+                    f"{cols - 1}."
+                )
+            within.append((ends[0] <= np.arange(count)) & (np.arange(count) <= ends[-1]))
+        return np.logical_and.outer(*within)
 
 
 def quantity_of(text: str, units: Mapping[str, float]) -> float | None:
@@ -334,9 +319,3 @@ def quantity_of(text: str, units: Mapping[str, float]) -> float | None:
         if math.isfinite(value := float(parts[1]) * units[parts[2].lower()]):
             return value
     return None
-
-
-def _whole(text: str, column: str, source: str) -> int:
-    with suppress(ValueError):
-        return int(text)
-    raise FileFormatError(f"{source}: {column} is {text!r}, must be a whole number.")

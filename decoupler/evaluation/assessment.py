@@ -6,12 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.measurement import ReadingError
 from dataset.protocols import LIGHT_N
-from decoupler.data.columns import force_columns, readable_columns
+from decoupler.data.columns import Component, force_columns, readable_columns
 from decoupler.data.enough import ENOUGH, AnySamples, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.forward_model import ForwardModel
@@ -19,6 +18,7 @@ from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import AXES, FloatArray
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -57,7 +57,7 @@ class Assessment:
     light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
+@one_blas_thread()  # `forces` has a thread a core of its own
 def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
@@ -79,60 +79,68 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
     data = drawn(data)
     limits = _limits(decoupler, data, response)
-    light = None
+    light: dict[str, LightTouch] = {}
     if response is not None:
         known = decoupler.inverse
         own = ForwardModel.of(response, component) if known is None else known.forward
         light = light_touches(decoupler, own, data.errors)
-    covered = None
-    if decoupler.uncertainty is not None:
-        predicted = decoupler.forces(data.resistance_ohm)
-        missed = np.abs(predicted - force_columns(data.force_n, component).reshape(predicted.shape))
-        covered = [(missed <= width).mean(axis=(0, 1, 2)) for width in decoupler.half_widths(data.resistance_ohm)]
+    force_n = force_columns(data.force_n, component)
+    missed_n = np.abs(decoupler.forces(data.resistance_ohm).reshape(force_n.shape) - force_n)
+    coverage = _coverage(decoupler, decoupler.columns(data.resistance_ohm), missed_n)
     found = {}
-    for axis, name in enumerate(component.forces):
-        limit = limits[axis] if limits is not None else None
+    for name, covered in zip(component.forces, coverage, strict=True):
+        limit = limits.get(name)
         found[name] = Assessment(
             errors=errors[name],
             limits=limit,
             ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
             baselines={label: by_force[name] for label, by_force in compared.items()},
-            coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
-            light=None if light is None else light[name],
+            coverage=covered,
+            light=light.get(name),
         )
     return found
 
 
-def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> list[Limits] | None:
-    """Limits of every axis of the component; None where the response does not say them."""
+def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> dict[str, Limits]:
+    """Limits of every force of the component; none where the response does not say them."""
     component = decoupler.component
     others = [index for index, axis in enumerate(AXES) if axis not in component.axes]
     if response is None or np.any(data.force_n[..., others]):
-        return None
+        return {}
     every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
-    usual_n = force_columns(data.force_n, component)
-    forward = ForwardModel.of(response, component)
-    readable = readable_columns(component, decoupler.dead, forward.n_pillars)
-    own, shared = _drifting(data.errors, data.shape)
-    reading = usual_n[every], own, data.bits, readable
-    bounds = cramer_rao(forward, *reading, shared), bayes(forward, *reading, usual_n, shared)
-    unbiased, biased = (_by_axis(bound, component.axes) for bound in bounds)
-    return [
-        Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
-        for one, other in zip(unbiased, biased, strict=True)
-    ]
+    usual_n, forward = force_columns(data.force_n, component), ForwardModel.of(response, component)
+    reading = _reading(decoupler, data.errors)
+    unbiased = _by_axis(cramer_rao(forward, usual_n[every], **reading), component)
+    biased = _by_axis(bayes(forward, usual_n[every], **reading, usual_n=usual_n), component)
+    return {
+        name: Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
+        for name, one, other in zip(component.forces, unbiased, biased, strict=True)
+    }
 
 
-def _drifting(errors: ReadingError, size: tuple[int, int]) -> tuple[float, Callable[[FloatArray], FloatArray] | None]:
-    """Relative error of each reading alone, and what drifts change in all, as limits take them."""
-    rows, cols = size
-    shared = partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None
-    return errors.own_relative, shared
+def _reading(decoupler: Decoupler, errors: ReadingError) -> dict[str, Any]:
+    """What limits ask of readings: relative error of each alone, converter, pillars that are read, shared drifts."""
+    rows, cols, component = decoupler.rows, decoupler.cols, decoupler.component
+    return {
+        "noise": errors.own_relative,
+        "bits": errors.bits,
+        "readable": readable_columns(component, decoupler.dead, rows * cols * len(component.pillars)),
+        "shared": partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None,
+    }
 
 
-def _by_axis(deviation_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
+def _by_axis(errors_n: FloatArray, component: Component) -> FloatArray:
     """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
-    return np.sqrt((deviation_n**2).reshape(len(deviation_n), -1, len(axes)).mean(axis=(0, 1)))
+    return np.sqrt((errors_n**2).reshape(-1, len(component.axes)).mean(axis=0))
+
+
+def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArray) -> list[tuple[float, float] | None]:
+    """Shares of errors (n, n_forces) [N] within the 68 % and the 95 % half-width by axis; None if none are known."""
+    n_axes = len(decoupler.component.axes)
+    if decoupler.uncertainty is None:
+        return [None] * n_axes
+    within = [(missed_n <= width).reshape(-1, n_axes) for width in decoupler.half_widths_of(columns_ohm)]
+    return [(float(one), float(two)) for one, two in zip(*(w.mean(axis=0) for w in within), strict=True)]
 
 
 def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingError) -> dict[str, LightTouch]:
@@ -140,37 +148,25 @@ def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingEr
 
     `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.
     """
-    generator = np.random.default_rng(0)
-    axes = decoupler.component.axes
+    generator, component = np.random.default_rng(0), decoupler.component
     force_n = np.zeros((2 * TOUCHES, forward.n_forces))
     touched = generator.integers(forward.n_forces, size=TOUCHES)
     force_n[np.arange(TOUCHES, 2 * TOUCHES), touched] = generator.uniform(0.0, LIGHT_N, TOUCHES)
     ohms = forward.resistances(force_n)
     ohms = errors.read(ohms.reshape(len(ohms), decoupler.rows, decoupler.cols, -1), generator).reshape(ohms.shape)
-    missed = _columns_by_axis(np.abs(decoupler.outputs(ohms) - force_n), axes)
-    rest, touch = np.sqrt((missed**2).reshape(2, -1, len(axes)).mean(axis=1))
-    readable = readable_columns(decoupler.component, decoupler.dead, forward.n_pillars)
-    own, shared = _drifting(errors, (decoupler.rows, decoupler.cols))
-    limit_n = _columns_by_axis(cramer_rao(forward, force_n[:1], own, errors.bits, readable, shared), axes)
-    limit_n = np.sqrt((limit_n**2).mean(axis=(0, 1)))
-    covered = None
-    if decoupler.uncertainty is not None:
-        widths = decoupler.half_widths_of(ohms)
-        covered = [(missed <= _columns_by_axis(width, axes)).mean(axis=(0, 1)) for width in widths]
+    missed_n = np.abs(decoupler.outputs(ohms) - force_n)
+    rest, touch = _by_axis(missed_n[:TOUCHES], component), _by_axis(missed_n[TOUCHES:], component)
+    limit_n = _by_axis(cramer_rao(forward, force_n[:1], **_reading(decoupler, errors)), component)
+    coverage = _coverage(decoupler, ohms, missed_n)
     return {
         name: LightTouch(
             at_rest_rmse_n=float(rest[axis]),
             touch_rmse_n=float(touch[axis]),
             touch_limit_n=float(limit_n[axis]) if 0 < limit_n[axis] < np.inf else None,
-            coverage=None if covered is None else (float(covered[0][axis]), float(covered[1][axis])),
+            coverage=coverage[axis],
         )
-        for axis, name in enumerate(decoupler.component.forces)
+        for axis, name in enumerate(component.forces)
     }
-
-
-def _columns_by_axis(columns: FloatArray, axes: tuple[str, ...]) -> FloatArray:
-    """Columns (n, n_forces) by unit and axis, (n, n_units, n_axes)."""
-    return columns.reshape(len(columns), -1, len(axes))
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:

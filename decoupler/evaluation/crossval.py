@@ -1,14 +1,8 @@
 """k-fold cross-validation as in the paper's section 3.3: every sample is tested once, by a net that never saw it."""
 
-import os
-import signal
-import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from multiprocessing import active_children, get_context
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,12 +14,10 @@ from decoupler.data.repeats import distinct, load_numbers
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.suited import suited_training
-from geometry.storage.files import uninterrupted
+from geometry.pool import in_parallel
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
-
-MAX_WORKERS = 61  #: processes that Windows can wait for at once
 
 Job = tuple[Any, ...]  #: a function and its arguments, all of which another process can import or unpickle
 
@@ -104,24 +96,6 @@ def jobs_of(
     return [(fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
 
 
-def in_parallel(jobs: list[Job], progress: Callable[[int], None]) -> list[Any]:
-    """Run jobs (function, arguments ...), as many at once as there are cores, a thread each; their results in order."""
-    workers = min(os.cpu_count() or 1, MAX_WORKERS)
-    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        with uninterrupted(), deaf_to_interrupts():
-            futures = {pool.submit(*job): number for number, job in enumerate(jobs)}
-        try:
-            for future in as_completed(futures):
-                future.result()
-                progress(futures[future])
-        except BaseException:  # Ctrl-C as well: nobody waits for what runs, and what waits must not be begun any more
-            for process in active_children():
-                process.terminate()
-            pool.shutdown(cancel_futures=True)
-            raise
-        return [future.result() for future in futures]
-
-
 def fold(
     data: Samples,
     component: str,
@@ -139,22 +113,6 @@ def fold(
     seconds, outcome = time.perf_counter() - started, model.made_from["outcome"]
     errors = evaluate(model, data[tested_on])
     return Fold(errors=errors, iterations=outcome["iterations"], reason=outcome["reason"], seconds=seconds)
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Tell the processes started meanwhile to use one thread for linear algebra."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def over_folds(tested: list[Fold], statistic: Callable[[list[float]], Any]) -> dict[str, ForceErrors]:
@@ -190,16 +148,3 @@ def summary(tested: list[Fold]) -> dict[str, Any]:
         for kind, value in asdict(by_force[name]).items()
     }
     return {"folds": [row[name] | trained for row, trained in zip(rows, training, strict=True)]} | flat
-
-
-@contextmanager
-def deaf_to_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C, which a terminal sends to all, from the processes started meanwhile: who started them ends them."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -19,17 +19,18 @@ pad makes as well, such as a wrong gain of one pillar.
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
-from geometry.layout import PILLARS, SONG2018, FloatArray
+from geometry.layout import PILLARS, FloatArray
 from geometry.wiring import crossings, pillar_of_crossing
 
 WINDOW = 40  #: scans that are looked at together
@@ -54,10 +55,19 @@ class Fault:
     kind: str  #: open, shorted, stuck, noisy or swapped
     place: str  #: a pillar, a wire or two, in words
     pillars: tuple[tuple[int, int, str], ...]  #: row, col and name of each pillar that reads wrong
-    log_likelihood_ratio: float = field(compare=False)  #: to no fault; infinite if open or shorted
 
     def __str__(self) -> str:
         return f"{self.place} {self.kind}"
+
+
+class _Hypothesis(NamedTuple):
+    """A fault and how much likelier than none it makes the readings."""
+
+    kind: str
+    place: str
+    which: Indices  #: (k,): its pillars among P
+    ratio: float  #: log-likelihood ratio to none, no scan above `ONE_SCAN`
+    order: Indices | None = None  #: (P,): of the pillars that swaps wires back
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,7 +91,8 @@ class FaultTest:
         rest_ohm = decoupler.rest_resistances()
         if rest_ohm is None:
             return None
-        errors = replace(decoupler.uncertainty.errors, drift=0.0, drift_tilt=0.0, drift_pillar=0.0)
+        stated = decoupler.uncertainty.errors
+        errors = ReadingError(noise=stated.noise, bits=stated.bits)
         if errors.is_exact:
             return None
         assert usual.log_ohm_covariance is not None
@@ -119,7 +130,7 @@ class FaultTest:
         test = self._without(np.flatnonzero(broken))
         y = y[:, ~broken]
         while len(y) >= FEWEST and len(found) < MAX_NAMED and (one := test._likeliest(y)) is not None:
-            found.append(test._fault(one.kind, one.place, one.which, one.ratio))
+            found.append(test._fault(one.kind, one.place, one.which))
             if one.order is None:
                 test, y = test._without(one.which), np.delete(y, one.which, axis=1)
             else:
@@ -138,80 +149,62 @@ class FaultTest:
         if not len(gone):
             return self
         kept = np.delete(np.arange(len(self.pillars)), gone)
-        return FaultTest(
-            rows=self.rows,
-            cols=self.cols,
-            pillars=self.pillars[kept],
-            mean=self.mean[kept],
-            covariance=self.covariance[np.ix_(kept, kept)],
-            noise=self.noise[kept],
-        )
+        own = {name: getattr(self, name)[kept] for name in ("pillars", "mean", "noise")}
+        return replace(self, covariance=self.covariance[np.ix_(kept, kept)], **own)
 
     def _broken(self, kind: str, is_so: NDArray[np.bool_]) -> list[Fault]:
         """Faults of pillars that are open or shorted, (P,): wires if all of theirs are, and what is left."""
-        found, left = [], is_so.copy()
-        for place, wire in self.wires:
-            if is_so[wire].all():
-                found.append(self._fault(kind, place, wire, math.inf))
-                left[wire] = False
-        return found + [
-            self._fault(kind, self._name(p), np.array([p]), math.inf) for p in np.flatnonzero(left).tolist()
-        ]
+        wires = [(place, which) for place, which in self.wires if is_so[which].all()]
+        left = np.setdiff1d(np.flatnonzero(is_so), np.concatenate([[], *(which for _, which in wires)]))
+        pillars = [(self._name(p), np.array([p])) for p in left.tolist()]
+        return [self._fault(kind, place, which) for place, which in wires + pillars]
 
-    def _fault(self, kind: str, place: str, which: Indices, ratio: float) -> Fault:
-        units, numbers = np.divmod(self.pillars[which], len(PILLARS))
-        rows, cols = np.divmod(units, self.cols)
-        named = zip(rows.tolist(), cols.tolist(), (PILLARS[number] for number in numbers), strict=True)
-        return Fault(kind, place, tuple(named), ratio)
+    def _fault(self, kind: str, place: str, which: Indices) -> Fault:
+        rows, cols, numbers = np.unravel_index(self.pillars[which], (self.rows, self.cols, len(PILLARS)))
+        names = (PILLARS[number] for number in numbers)
+        return Fault(kind, place, tuple(zip(rows.tolist(), cols.tolist(), names, strict=True)))
 
     def _name(self, pillar: int) -> str:
-        unit, number = divmod(int(self.pillars[pillar]), len(PILLARS))
-        row, col = divmod(unit, self.cols)
-        return f"pillar {PILLARS[number]} of row {row}, col {col}"
+        ((row, col, name),) = self._fault("", "", np.array([pillar])).pillars
+        return f"pillar {name} of row {row}, col {col}"
+
+    @cached_property
+    def _boards(self) -> tuple[tuple[str, int, Indices], ...]:
+        """Of rows and of columns: name, number and the pillars of each wire, (wires, wires across), -1 for none."""
+        at = np.full(self.rows * self.cols * len(PILLARS), -1)
+        at[self.pillars] = np.arange(len(self.pillars))
+        wires = crossings(self.rows, self.cols)
+        board = np.full(wires.max(axis=0) + 1, -1)
+        board[tuple(wires.T)] = at[pillar_of_crossing(self.rows, self.cols)]
+        return ("row", self.rows, board), ("column", self.cols, board.T)
 
     @cached_property
     def wires(self) -> list[tuple[str, Indices]]:
         """Name and pillars, as numbers among P, of each wire that has two pillars at least."""
-        sent = pillar_of_crossing(self.rows, self.cols)
-        wires = crossings(self.rows, self.cols)
-        at = np.full(self.rows * self.cols * len(PILLARS), -1)
-        at[self.pillars] = np.arange(len(self.pillars))
-        found = []
-        for side, name in enumerate(("row", "column")):
-            for wire in range(wires[:, side].max() + 1):
-                own = at[sent[wires[:, side] == wire]]
-                if (own >= 0).sum() > 1:
-                    found.append((f"{name} wire {wire}", own[own >= 0]))
-        return found
+        every = [(f"{name} wire {k}", own[own >= 0]) for name, _, board in self._boards for k, own in enumerate(board)]
+        return [(place, which) for place, which in every if len(which) > 1]
 
     @cached_property
     def swaps(self) -> list[tuple[str, Indices]]:
         """Name of every swap of two wires, or of all wires of two rows or columns, and the order of pillars then."""
-        shape = (self.rows, self.cols, len(PILLARS))
-        at = np.full(shape, -1)
-        at.reshape(-1)[self.pillars] = np.arange(len(self.pillars))
         found = []
-        ends = np.array(SONG2018.pillar_terminals)  # (pillar, side): its electrode
-        for side, (name, n) in enumerate((("row", self.rows), ("column", self.cols))):
-            carried = [np.flatnonzero(ends[:, side] == end) for end in np.unique(ends[:, side])]
+        for name, n, board in self._boards:
+            of_each = np.arange(len(board)).reshape(n, -1)
             for i, j in combinations(range(n), 2):
-                wires = [(len(carried) * i + m, len(carried) * j + m) for m in range(len(carried))]
-                named = [
-                    (f"{name} wires {one} and {other}", own) for (one, other), own in zip(wires, carried, strict=True)
-                ]
-                for said, own in [(f"{name}s {i} and {j}", np.arange(len(PILLARS))), *named]:
-                    turned = at.copy()
-                    by_wire = np.moveaxis(turned, side, 0)
-                    first = by_wire[i][:, own].copy()
-                    by_wire[i][:, own] = by_wire[j][:, own]
-                    by_wire[j][:, own] = first
-                    order = turned.reshape(-1)[self.pillars]
+                pairs = zip(of_each[i], of_each[j], strict=True)
+                single = [(f"{name} wires {a} and {b}", [a], [b]) for a, b in pairs]
+                for place, one, other in [(f"{name}s {i} and {j}", of_each[i], of_each[j]), *single]:
+                    turned = board.copy()
+                    turned[one], turned[other] = board[other], board[one]
+                    order = np.arange(len(self.pillars))
+                    order[board[board >= 0]] = turned[board >= 0]
                     if order.min() >= 0 and (order != np.arange(len(order))).any():
-                        found.append((said, order))
+                        found.append((place, order))
         return found
 
     @cached_property
-    def _precision(self) -> FloatArray:
+    def precision(self) -> FloatArray:
+        """K = S⁻¹, (P, P)."""
         return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @cached_property
@@ -222,72 +215,64 @@ class FaultTest:
         for place, which in (*each, *self.wires):
             if len(which) < len(self.pillars):
                 by_size.setdefault(len(which), []).append((place, which))
-        return [_Groups.of(self, *zip(*groups, strict=True)) for groups in by_size.values()]
+        return [_Groups(self, groups) for groups in by_size.values()]
 
-    def _likeliest(self, y: FloatArray) -> "_Found | None":
+    def _likeliest(self, y: FloatArray) -> _Hypothesis | None:
         """The fault that explains readings (n, P) best, of those that are decidedly likelier than none."""
         y = y - y.mean(axis=0)
-        best: dict[tuple[str, bool], _Found] = {}
-        for one in self._passing(y):
-            kind = one.kind, len(one.which) > 1
-            if kind not in best or one.ratio > best[kind].ratio:
-                best[kind] = one
+        passing = sorted(self._hypotheses(y), key=lambda one: one.ratio)
+        passing = [one for one in passing if one.ratio > -math.log(FALSE_ALARMS)]
+        # of swaps, whose caps leave ties, all are compared
+        best = {(one.kind, len(one.which) > 1 if one.order is None else one.place): one for one in passing}
         return max(best.values(), key=lambda one: self._gain(one, y), default=None)
 
-    def _passing(self, y: FloatArray) -> "Iterator[_Found]":
-        """Faults decidedly likelier than none, readings (n, P) about their means."""
-        enough = -math.log(FALSE_ALARMS)
-        u, u_bent = y @ self._precision, _bent(y) @ self._precision
-        for groups in self._groups:
-            for kind, ratios in (("stuck", groups.stuck(y, u)), ("noisy", groups.noisy(u_bent) / OVERLAP)):
-                for k in np.flatnonzero(ratios > enough):
-                    yield _Found(kind, groups.places[k], groups.which[k], float(ratios[k]))
-        energy, P = (u * y).sum(axis=1), y.shape[1]
-        news = float(_news((y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0), self.noise**-2.0))
-        products = y.T @ y
-        for place, order in self.swaps:
-            turned = products[np.ix_(order, order)]
-            if news * 0.5 * float((self._precision * (products - turned)).sum()) <= enough:
-                continue  # by all scans in full, which is never less
-            other = ((y[:, order] @ self._precision) * y[:, order]).sum(axis=1)
-            ratio = 0.5 * (energy - other)
-            tells = (energy > P) & (other < USUAL * P)
-            capped = news * float(np.minimum(np.where(tells, ratio, np.minimum(ratio, 0.0)), ONE_SCAN).sum())
-            if capped > enough:
-                yield _Found("swapped", place, np.flatnonzero(order != np.arange(P)), capped, order)
-
-    def _gain(self, fault: "_Found", y: FloatArray) -> float:
-        """Log-likelihood ratio, to none, of a fault that passes, by all readings (n, P) about their means."""
+    def _gain(self, fault: _Hypothesis, y: FloatArray) -> float:
+        """Log-likelihood ratio of a fault to none by all readings (n, P) about their means, none of them capped."""
         if fault.order is not None:
             return self._log_density(y[:, fault.order]) - self._log_density(y)
-        which = fault.which
         if fault.kind == "stuck":
-            noise, own = self.noise[which], y[:, which]
-            still = -0.5 * float(((own / noise) ** 2).sum()) - len(y) * float(np.log(noise).sum())
-            others = self._without(which)._log_density(np.delete(y, which, axis=1))
-            return still + others - self._log_density(y)
+            still = self.covariance.copy()
+            still[fault.which] = still[:, fault.which] = 0.0
+            still[fault.which, fault.which] = self.noise[fault.which] ** 2
+            return replace(self, covariance=still)._log_density(y) - self._log_density(y)
         bent, found = _bent(y), []
         for times in NOISES:
             noise = self.noise.copy()
-            noise[which] *= times
+            noise[fault.which] *= times
             louder = replace(self, noise=noise, covariance=self.covariance + np.diag(noise**2 - self.noise**2))
             found.append(louder._log_density(bent))
         return (max(found) - self._log_density(bent)) / OVERLAP
 
     def _log_density(self, y: FloatArray) -> float:
         """Log-density of readings (n, P) but for a constant, each scan by the likeliest size of its loads."""
-        basis, spread = self._independent
-        squares = (y @ basis) ** 2
-        each = [1.0 + size**2 * spread for size in SIZES]
+        spread, U = self._independent
+        squares = (y / self.noise @ U) ** 2
+        each = [1.0 + size**2 * np.maximum(spread, 0.0) for size in SIZES]
         by_size = [-0.5 * (squares @ (1.0 / one) + np.log(one).sum()) for one in each]
         return float(np.max(by_size, axis=0).sum()) - len(y) * float(np.log(self.noise).sum())
 
     @cached_property
     def _independent(self) -> tuple[FloatArray, FloatArray]:
-        """What makes noise independent and of variance 1, and loads independent, (P, P); variances by loads, (P,)."""
-        relative = self.covariance / np.outer(self.noise, self.noise) - np.eye(len(self.noise))
-        spread, U = np.linalg.eigh(relative)
-        return U / self.noise[:, None], np.maximum(spread, 0.0)
+        """Variances (P,) and directions (P, P) of independent loads, over those of noise."""
+        return np.linalg.eigh(self.covariance / np.outer(self.noise, self.noise) - np.eye(len(self.noise)))
+
+    def _hypotheses(self, y: FloatArray) -> Iterator[_Hypothesis]:
+        """All faults, by readings (n, P) about their means."""
+        u = y @ self.precision
+        squares, steps = (y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
+        for groups in self._groups:
+            stuck = groups.stuck(y, u, _news(squares, steps, groups.near[..., 0]))
+            for kind, ratios in (("stuck", stuck), ("noisy", groups.noisy(_bent(u)))):
+                for place, which, ratio in zip(groups.places, groups.which, ratios, strict=True):
+                    yield _Hypothesis(kind, place, which, float(ratio))
+        energy, P = (u * y).sum(axis=1), y.shape[1]
+        news = float(_news(squares, steps, self.noise**-2.0))
+        for place, order in self.swaps:
+            back = y[:, order]
+            other = ((back @ self.precision) * back).sum(axis=1)
+            ratio, tells = 0.5 * (energy - other), (energy > P) & (other < USUAL * P)
+            capped = news * float(_total(_where_told(tells, ratio)[:, None]))
+            yield _Hypothesis("swapped", place, np.flatnonzero(order != np.arange(P)), capped, order)
 
 
 def _bent(y: FloatArray) -> FloatArray:
@@ -304,67 +289,38 @@ def _news(squares: FloatArray, steps: FloatArray, weights: FloatArray) -> FloatA
     return np.minimum(np.divide(weights @ steps, total, out=np.zeros_like(total), where=total > 0), 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A fault that is decidedly likelier than none."""
-
-    kind: str
-    place: str
-    which: Indices  #: (k,): pillars
-    ratio: float  #: log-likelihood ratio to none, no scan above `ONE_SCAN`
-    order: Indices | None = None  #: (P,): of the pillars that swaps wires back
-
-
-@dataclass(frozen=True, eq=False)
 class _Groups:
     """g groups of k pillars that may fail together, and what the others say of them."""
 
-    places: tuple[str, ...]
-    which: Indices  #: (g, k)
-    noise: FloatArray  #: (g, k)
-    solved: FloatArray  #: V = K_gg⁻¹, (g, k, k)
-    variance: FloatArray  #: its diagonal, (g, k)
-    by_noise: FloatArray  #: that of N, (g, k)
-    across: FloatArray  #: K_gq, (g, k, P)
-    scale: FloatArray  #: (g, P): variance of (K y)_q without the group
-    noise_share: FloatArray  #: (g, P): of it, by noise
-    near: FloatArray  #: (g, P, 3): 1 for others of the same units, of those around, for all
-    apart: FloatArray  #: what makes residuals independent, under loads and noise alike, (g, k, k)
-    by_parts: FloatArray  #: variances of these parts by loads, (g, k); those by noise are 1
-    own_parts: FloatArray  #: the same by the group's own noise, (g, k)
-
-    @classmethod
-    def of(cls, test: FaultTest, places: tuple[str, ...], which: tuple[Indices, ...]) -> "_Groups":
-        K, here = test._precision, np.stack(which)
-        V: FloatArray = np.asarray(np.linalg.inv(K[here[:, :, None], here[:, None]]), dtype=np.float64)
+    def __init__(self, test: FaultTest, groups: list[tuple[str, Indices]]) -> None:
+        K = test.precision
+        self.places = [place for place, _ in groups]
+        self.which = here = np.stack([which for _, which in groups])  # (g, k)
+        self.noise = test.noise[here]
+        self.across = K[here]  # K_gq, (g, k, P)
+        self.solved = V = np.asarray(np.linalg.inv(K[here[:, :, None], here[:, None]]))  # K_gg⁻¹, (g, k, k)
         mine = V @ K[here]
+        N = (mine * test.noise**2) @ mine.swapaxes(1, 2)
+        self.by_noise = np.einsum("gkk->gk", N)
+        self.by_loads = np.einsum("gkk->gk", V) - self.by_noise
+        # (K y)_q without the group: its variance, and what part of that is noise, (g, P)
         without = K - K[here].swapaxes(1, 2) @ mine
-        scale = np.maximum(np.einsum("gpp->gp", without), 1e-12 * K.diagonal())
+        self.scale = np.maximum(np.einsum("gpp->gp", without), 1e-12 * K.diagonal())
+        self.noise_share = np.minimum(((without * test.noise) ** 2).sum(axis=2) / self.scale, 0.99)
+        # (g, P, 3): 1 for others of the same units, of those around, for all; the next, where there is none
         rows, cols = np.divmod(test.pillars // len(PILLARS), test.cols)
         far = np.maximum(np.abs(rows - rows[here][..., None]), np.abs(cols - cols[here][..., None])).min(axis=1)
         other = ~(here[..., None] == np.arange(len(K))).any(axis=1)
         near = np.stack([other & (far <= most) for most in (0, 1, len(K))], axis=-1)
         for k in (1, 0):
-            near[..., k] |= near[..., k + 1] & ~near[..., k].any(axis=1, keepdims=True)  # the next, where there is none
-        N = (mine * test.noise**2) @ mine.swapaxes(1, 2)
+            near[..., k] |= near[..., k + 1] & ~near[..., k].any(axis=1, keepdims=True)
+        self.near = near.astype(np.float64)
+        # parts of residuals that are independent under loads and noise alike: 1 of their variance is noise
         L = np.linalg.inv(np.linalg.cholesky(N))
-        by_parts, U = np.linalg.eigh(L @ V @ L.swapaxes(1, 2))
-        apart = L.swapaxes(1, 2) @ U
-        return cls(
-            places=places,
-            which=here,
-            noise=test.noise[here],
-            solved=V,
-            variance=np.einsum("gkk->gk", V),
-            by_noise=np.einsum("gkk->gk", N),
-            across=K[here],
-            scale=scale,
-            noise_share=np.minimum(((without * test.noise) ** 2).sum(axis=2) / scale, 0.99),
-            near=near.astype(np.float64),
-            apart=apart,
-            by_parts=np.maximum(by_parts - 1.0, 0.0),
-            own_parts=((apart * test.noise[here][..., None]) ** 2).sum(axis=1),
-        )
+        variances, U = np.linalg.eigh(L @ V @ L.swapaxes(1, 2))
+        self.apart = L.swapaxes(1, 2) @ U  # (g, k, k)
+        self.parts_by_loads = np.maximum(variances - 1.0, 0.0)  # (g, k)
+        self.parts_by_own = ((self.apart * self.noise[..., None]) ** 2).sum(axis=1)  # by the group's own noise
 
     def _residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """r, (g, n, k), and a², how large loads are over the usual ones by each of `near`, (g, n, 1, 3)."""
@@ -373,26 +329,27 @@ class _Groups:
         free = (1.0 - self.noise_share)[:, None] @ self.near
         return r, np.maximum(squares @ self.near / free, 0.0)[:, :, None]
 
-    def stuck(self, y: FloatArray, u: FloatArray) -> FloatArray:
+    def stuck(self, y: FloatArray, u: FloatArray, news: FloatArray) -> FloatArray:
         """Log-likelihood ratios of readings (n, P) that do not move to such that do as usual, (g,)."""
         r, sizes = self._residuals(u)
         own, by_noise = y[:, self.which].swapaxes(0, 1), self.by_noise[:, None]
-        usual = sizes * (self.variance - self.by_noise)[:, None, :, None] + by_noise[..., None]
+        usual = sizes * self.by_loads[:, None, :, None] + by_noise[..., None]
         ratio = _log_normal(own, self.noise[:, None] ** 2) - _log_normal(r[..., None], usual).max(axis=-1)
         moved = (own - r) ** 2 > CLEAR**2 * by_noise
-        news = _news((y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0), self.near[..., 0])
-        return news * _total(np.where(moved, ratio, np.minimum(ratio, 0.0)))
+        return news * _total(_where_told(moved, ratio))
 
     def noisy(self, u: FloatArray) -> FloatArray:
-        """The largest log-likelihood ratios of `NOISES` to the stated one, of scans with noise of their own, (g,).
+        """The largest log-likelihood ratios of `NOISES` to the stated one, by second differences, (g,).
 
         Residuals of a wire's pillars go together under loads, so their independent parts are looked at.
         """
         r, sizes = self._residuals(u)
-        parts, usual = (r @ self.apart)[..., None], sizes * self.by_parts[:, None, :, None] + 1.0
+        parts, usual = (r @ self.apart)[..., None], sizes * self.parts_by_loads[:, None, :, None] + 1.0
         none = _log_normal(parts, usual).max(axis=-1)
-        more = [(times**2 - 1.0) * self.own_parts[:, None, :, None] for times in NOISES]
-        return np.max([_total(_log_normal(parts, usual + extra).max(axis=-1) - none) for extra in more], axis=0)
+        more = [(times**2 - 1.0) * self.parts_by_own[:, None, :, None] for times in NOISES]
+        return (
+            np.max([_total(_log_normal(parts, usual + extra).max(axis=-1) - none) for extra in more], axis=0) / OVERLAP
+        )
 
 
 def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
@@ -400,7 +357,12 @@ def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
     return -0.5 * (values**2 / variance + np.log(variance))
 
 
+def _where_told(tells: NDArray[np.bool_], ratio: FloatArray) -> FloatArray:
+    """Log-likelihood ratios, of which only those of some scans may speak for a fault; all may speak against it."""
+    return np.where(tells, ratio, np.minimum(ratio, 0.0))
+
+
 def _total(ratio: FloatArray) -> FloatArray:
-    """Log-likelihood ratios by those of pillars or parts, (g, n, k): what half of them say, as if it were one, (g,)."""
-    each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=1), axis=1)
-    return np.asarray(each[:, (each.shape[1] - 1) // 2])
+    """Log-likelihood ratios (..., n, k) of n scans: what half of the k pillars or parts say, as if it were one."""
+    each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=-2), axis=-1)
+    return np.asarray(each[..., (each.shape[-1] - 1) // 2])

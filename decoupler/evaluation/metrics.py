@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError, require_samples
@@ -17,6 +16,7 @@ from decoupler.data.enough import ENOUGH, AnySamples
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray
+from geometry.threads import one_blas_thread
 
 BOUNDED_AWAY = 1e-3  #: eq. 17 is given only if every |F| is above this share of full scale
 
@@ -98,7 +98,7 @@ def errors_over(
     return {name: found.errors() for name, found in sums.items()}
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # `forces` has a thread a core of its own
+@one_blas_thread()  # `forces` has a thread a core of its own
 def evaluate(decoupler: Decoupler, data: AnySamples) -> dict[str, ForceErrors]:
     """Errors of a model on data, of every force it gives; of more than `ENOUGH` samples block by block.
 
@@ -136,25 +136,20 @@ def pca_floor(force_n: FloatArray, component: Component, hidden: int) -> PcaFloo
     """
     columns = force_columns(force_n, component)
     scaled = Scaling.fitted(columns).scale(columns)
-    discarded, total = _discarded_energy(scaled, hidden)
     best = _projection(columns, hidden)
+    discarded = float(((scaled - _projection(scaled, hidden)) ** 2).mean())
+    total = float(((scaled - scaled.mean(axis=0)) ** 2).mean())
     shape = (*force_n.shape[:3], len(component.axes))
     return PcaFloor(
         hidden=hidden,
         scaled_mse=discarded,
         variance_share=discarded / total if total > 0 else 0.0,
-        rmse_n=float(np.sqrt(_discarded_energy(columns, hidden)[0])),
+        rmse_n=float(np.sqrt(((columns - best) ** 2).mean())),
         projection={
             name: force_errors(best.reshape(shape)[..., axis], columns.reshape(shape)[..., axis])
             for axis, name in enumerate(component.forces)
         },
     )
-
-
-def _discarded_energy(columns: FloatArray, kept: int) -> tuple[float, float]:
-    """Mean square per entry beyond the first `kept` principal components, and of all of them."""
-    energy = np.linalg.svd(columns - columns.mean(axis=0), compute_uv=False) ** 2 / columns.size
-    return float(energy[kept:].sum()), float(energy.sum())
 
 
 def _projection(columns: FloatArray, kept: int) -> FloatArray:

@@ -18,7 +18,7 @@ from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Component, force_columns, pillar_columns, readable_columns
 from decoupler.data.repeats import distinct, load_numbers
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.sample_checks import SLOPES
+from decoupler.inverse.sample_checks import residuals
 from geometry.layout import AXES, PILLARS, FloatArray
 
 #: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
@@ -242,10 +242,7 @@ def _motions(
 
 def _left(data: Samples, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
     """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
-    moved, expected = _motions(data, component, forward, mistake)
-    both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
-    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
-    return moved - slope * expected
+    return residuals(*_motions(data, component, forward, mistake))
 
 
 def _energy(residuals: FloatArray) -> float:

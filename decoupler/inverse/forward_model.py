@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
 ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
 ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
-MIN_LENGTH_MM = 1e-6  #: of a pillar, in divisions by it
 MIN_WHOLE_OHM = 1.0  #: least resistance without its offset; a pillar with less is broken
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
@@ -152,7 +151,7 @@ class ForwardModel:
         vectors = self.linear.vectors(state_n)
         signed = vectors if self.sign is None else vectors * self.sign
         squares = (signed * vectors).sum(axis=1)
-        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self._by_component)[:, :, 0]
+        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self.by_component)[:, :, 0]
         force_n, by_force = state_n, np.tile(np.eye(Q), (n, 1, 1))
         if self.maps is not None:
             values, slopes = self.maps.slopes(state_n)
@@ -163,7 +162,7 @@ class ForwardModel:
         return squares, by_state, force_n, by_force
 
     @cached_property
-    def _by_component(self) -> FloatArray:
+    def by_component(self) -> FloatArray:
         """Derivatives of each pillar's vector by the forces, (n_pillars, n_components, n_forces) [mm/N]."""
         B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
         return np.ascontiguousarray(B.transpose(2, 1, 0))
@@ -197,12 +196,6 @@ class ForwardModel:
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
         return self.ohm_per_mm2 * self.lengths(force_n) ** 2 + self.offset_ohm
-
-    def relative_slopes(self, force_n: FloatArray) -> FloatArray:
-        """Relative change of resistances by that of vectors, 2 s v/|v|², (n, n_components, n_pillars) [1/mm]."""
-        vectors = self.vectors(force_n)
-        squares = np.maximum(self._norms(vectors), MIN_LENGTH_MM) ** 2
-        return (2.0 if self.sign is None else 2.0 * self.sign) * vectors / squares[:, None]
 
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""

@@ -1,17 +1,18 @@
 """Forces from resistances by Bayes' rule: the sensor's own model, held to a first answer as far as that is trusted.
 
-A network answers first (`Decoupler`). Its answer, with the covariance of its errors, is the prior; the readings, with
-theirs, are the data; and damped Gauss-Newton steps find the most probable state of the rubber, and with it the forces.
+A network answers first (`Decoupler`). Its answer, with the covariance of its errors, and the usual loads, with theirs,
+are the prior; the readings, with theirs, are the data; and damped Gauss-Newton steps find the most probable state of
+the rubber, and with it the forces.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
@@ -23,6 +24,7 @@ GAINED = 1e-3  #: fall of the cost below which a sample has ended
 FREEDOM = 4.0  #: degrees of freedom of the readings' errors (Student's t): the maps' have wide tails
 INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)  #: of a reading about its mean, over that of a normal one
 CHUNK = 32  #: samples whose derivatives are in memory together
+LEAST = 1e-2  #: variance of loads along any direction, over their mean variance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,20 +43,33 @@ class Posterior:
     to_state: FloatArray  #: (Q + 1, Q): to first order from forces to states, the constant last [N]
     precision: FloatArray  #: (Q, Q): inverse covariance of the first answers' errors [1/N²]
     loads_n: FloatArray  #: (m, Q): some loads that the forward model has seen
-    specimen: Specimen | None = None  #: what is not known of this sensor; None for one as designed
-    misfit: float = 0.0  #: of a reading beyond what is known, over its rest
+    misfit: float = 0.0  #: of a square beyond what is known, over its distance from rest
+
+    def first_states(self, first_n: FloatArray) -> FloatArray:
+        """States to which forces lead to first order, both (n, Q) [N]."""
+        return (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
+
+    @cached_property
+    def _prior(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A (Q, Q), b (Q,) [N] of the prior's mean A F₀ + b at first answers F₀, and its precision (Q, Q) [1/N²]."""
+        loads_n = np.ascontiguousarray(self.loads_n)  # products round by it
+        covariance = np.cov(loads_n.T)
+        covariance += LEAST * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
+        usual = np.linalg.inv(covariance)
+        precision = self.precision + usual
+        to_mean = np.linalg.solve(precision, np.column_stack([self.precision, usual @ loads_n.mean(axis=0)]))
+        return np.ascontiguousarray(to_mean[:, :-1].T), to_mean[:, -1], np.ascontiguousarray(precision)
 
     def squares_variance(self, state_n: FloatArray) -> FloatArray:
-        """Variance of the squares of lengths by what maps and specimen miss, (n, Q) [N] -> (n, P) [mm⁴]."""
+        """Variance of the squares of lengths by what the model misses, (n, Q) [N] -> (n, P) [mm⁴]."""
         maps = self.forward.maps
         assert maps is not None
-        rest = self.forward.linear.lengths(np.zeros((1, self.forward.n_forces))) ** 2
-        return maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1) + (self.misfit * rest) ** 2
-
-    def squares_factors(self, state_n: FloatArray) -> FloatArray:
-        """U of the covariance U Uᵀ of the squares by what is not known of a specimen, (n, P, ·) [mm²]."""
-        assert self.specimen is not None
-        return self.specimen.derivatives(self.forward, state_n) @ self.specimen.factor
+        variance = maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1)
+        if self.misfit:
+            y = self.forward.linear.lengths(state_n) ** 2 + maps.values(state_n)[..., N_AXES:].reshape(variance.shape)
+            rest = self.forward.linear.lengths(np.zeros((1, self.forward.n_forces))) ** 2
+            variance += (self.misfit * (y - rest)) ** 2
+        return variance
 
     def found(
         self,
@@ -73,16 +88,18 @@ class Posterior:
         first_n : array, shape (n, Q)
             First answers.
         deviation_ohm, shared_ohm : arrays, shapes (n, P) and (n, P, m)
-            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω].
+            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω]; these may come
+            of a sensor that is not quite known.
         read : array, shape (P,)
             Pillars that are read.
 
         Notes
         -----
         Over states G, with y(G) and F(G) as `ForwardModel.at_states` has them, it minimises
-        Σ (ν + 1) ln(1 + r²/ν) + (F₀ − F(G))ᵀ P (F₀ − F(G)) by Levenberg's steps, each with the weights that the last
-        one left, where r are the residuals y − y(G) made independent and of variance 1 by the covariance of readings,
-        maps and specimen together. A sample gives the same bits alone and in any batch.
+        Σ (ν + 1) ln(1 + r²/ν) + (m − F(G))ᵀ P (m − F(G)) by Levenberg's steps, each with the weights that the last
+        one left, where m and P are the prior's mean and precision, and r the residuals y − y(G) made independent and
+        of variance 1 by the covariance of readings, maps and specimen together. A sample gives the same bits alone and
+        in any batch.
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(first_n), CHUNK)]
         given = resistance_ohm, first_n, deviation_ohm, shared_ohm
@@ -101,24 +118,23 @@ class Posterior:
         n, Q = first_n.shape
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
-        state = (first_n[:, None] @ self.to_state[:-1])[:, 0] + self.to_state[-1]
+        to_mean, shift, precision = self._prior
+        mean_n = (first_n[:, None] @ to_mean)[:, 0] + shift
+        state = self.first_states(mean_n)
         variance = (deviation_ohm / c) ** 2 + self.squares_variance(state)
         variance = np.where(read, variance, UNREAD * variance)
         factors = shared_ohm / c[:, None]
-        if self.specimen is not None:
-            factors = np.concatenate([factors, self.squares_factors(state)], axis=2)
         if not factors.shape[2]:
             whiten = np.eye(len(read)) / np.sqrt(variance)[:, None]
         else:
             covariance = factors @ factors.swapaxes(1, 2) + variance[:, None] * np.eye(len(read))
             whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        given = _Given(
-            y=(resistance_ohm - self.forward.offset_ohm) / c, whiten=whiten, first_n=first_n, precision=self.precision
-        )
+        y = (resistance_ohm - self.forward.offset_ohm) / c
+        given = _Given(y=y, whiten=whiten, mean_n=mean_n, precision=precision)
         here = _Point.of(self.forward, state, given)
         damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
         for _ in range(MAX_STEPS):
-            H, down = here.part(on).normal(self.precision)
+            H, down = here.part(on).normal(precision)
             H += (damping[on, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(Q)
             trial = here.state[on] + np.linalg.solve(H, down[..., None])[..., 0]
             there = _Point.of(self.forward, trial, given.part(on))
@@ -129,7 +145,7 @@ class Posterior:
             on = on[~((better & (gain < GAINED)) | (damping[on] > LAST_DAMPING))]
             if not len(on):
                 break
-        H, _ = replace(here, weight=np.full_like(here.weight, INFORMATION)).normal(self.precision)
+        H, _ = replace(here, weight=np.full_like(here.weight, INFORMATION)).normal(precision)
         covariance = here.by_force @ np.linalg.solve(H, here.by_force.swapaxes(1, 2))
         covariance[:, np.arange(Q), np.arange(Q)] += maps.misfit_variance(here.state)[..., :N_AXES].reshape(n, Q)
         return Found(force_n=here.force_n, covariance_n2=covariance)
@@ -141,12 +157,12 @@ class _Given:
 
     y: FloatArray  #: measured squares of lengths, (n, P) [mm²]
     whiten: FloatArray  #: what makes their errors independent and of variance 1, (n, P, P) [1/mm²]
-    first_n: FloatArray  #: (n, Q)
+    mean_n: FloatArray  #: the prior's, (n, Q)
     precision: FloatArray  #: (Q, Q), of all samples
 
     def part(self, which: NDArray[np.int64]) -> Self:
         """Some of the samples."""
-        return replace(self, y=self.y[which], whiten=self.whiten[which], first_n=self.first_n[which])
+        return replace(self, y=self.y[which], whiten=self.whiten[which], mean_n=self.mean_n[which])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,14 +174,14 @@ class _Point:
     missing: FloatArray  #: y − y(G), whitened, (n, P)
     weight: FloatArray  #: of its squares, (n, P)
     by_state: FloatArray  #: whitened, (n, P, Q)
-    off_n: FloatArray  #: F₀ − F(G), (n, Q)
+    off_n: FloatArray  #: m − F(G), (n, Q)
     by_force: FloatArray  #: ∂F/∂G, (n, Q, Q)
     force_n: FloatArray  #: (n, Q)
 
     @classmethod
     def of(cls, forward: ForwardModel, state: FloatArray, given: _Given) -> Self:
         y, by_state, force_n, by_force = forward.at_states(state)
-        missing, off_n = (given.whiten @ (given.y - y)[..., None])[..., 0], given.first_n - force_n
+        missing, off_n = (given.whiten @ (given.y - y)[..., None])[..., 0], given.mean_n - force_n
         squares = missing**2
         held = ((off_n[:, None] @ given.precision)[:, 0] * off_n).sum(axis=1)
         return cls(

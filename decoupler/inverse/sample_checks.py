@@ -66,10 +66,15 @@ def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
     """
     lengths = lengths * (modelled.mean(axis=0) / lengths.mean(axis=0))
     lengths, modelled = lengths - lengths.mean(axis=0), modelled - modelled.mean(axis=0)
-    both, own = (lengths * modelled).sum(axis=0), (modelled**2).sum(axis=0)
-    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
     total = (lengths**2).sum()
-    return float(1.0 - ((lengths - slope * modelled) ** 2).sum() / total) if total > 0 else 1.0
+    return float(1.0 - (residuals(lengths, modelled) ** 2).sum() / total) if total > 0 else 1.0
+
+
+def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:
+    """Residuals of measured motions beside expected ones, both (n, n_columns) [mm] or relative, slopes in `SLOPES`."""
+    both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
+    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
+    return moved - slope * expected
 
 
 def without_stuck(data: Samples, component: Component, forward: ForwardModel | None) -> Samples:

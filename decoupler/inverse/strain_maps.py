@@ -36,7 +36,10 @@ _WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + N_PAIRS, 8 * OWN, 8 * N_PAIRS
 _ENDS = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE])
 N_CURVED = int(_ENDS[-1])  #: features of the second and third order
 N_FEATURES = N_CURVED + 1 + 9 * OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
-
+#: prior sizes of the features' shares in χ and ρ, by orders and neighbours (maximum likelihood, in the mean of both)
+SCALES = np.ones(N_CURVED)
+SCALES[: _ENDS[0]] = np.tile(np.repeat([4.5, 0.65, 1.3], [OWN, 8 * OWN, N_PAIRS]), OWN)
+SCALES[_ENDS[0] : _ENDS[1]], SCALES[_ENDS[1] : N_CURVED] = 0.4, 0.7
 
 #: products of three, each once: numbers of the first and of the pair of the others
 _TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T

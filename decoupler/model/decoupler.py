@@ -248,17 +248,9 @@ class Decoupler:
                 shared = slopes @ errors.shared(columns, self.rows, self.cols)
                 common.append(shared if drift_factor is None else shared @ drift_factor)
             if self.ensemble is not None:
-                differences = self._ensemble_differences(columns)
-                common.append(slopes @ differences.swapaxes(1, 2) / np.sqrt(len(self.ensemble)))
+                assert self.inverse is not None
+                common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.forces(columns)))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
-
-    def _ensemble_differences(self, columns_ohm: FloatArray) -> FloatArray:
-        """Difference of each sensor's resistances from the model's under the forces of readings, (n, m, n_in) [Ω]."""
-        assert self.ensemble is not None
-        assert self.inverse is not None
-        force_n = self.inverse.forces(columns_ohm)
-        forward = self.inverse.forward
-        return self.ensemble.differences(force_n, forward.relative_slopes(force_n), columns_ohm - forward.offset_ohm)
 
     @property
     def is_identified(self) -> bool:
@@ -353,9 +345,11 @@ class Decoupler:
         assert self.uncertainty is not None
         readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
-        errors = self.uncertainty.errors
+        first_n, errors = self.first_answers(columns_ohm), self.uncertainty.errors
         shared_ohm = errors.shared(settled, self.rows, self.cols)
-        first_n = self.first_answers(columns_ohm)
+        if self.ensemble is not None:
+            unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
+            shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
         return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, readable)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:

@@ -1,10 +1,14 @@
 """Draws from the posterior of one sensor: how far its resistances may be from those of its model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
+from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
+
+CHUNK = 64  #: states whose derivatives are in memory together
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -14,36 +18,59 @@ class Ensemble:
     resistance: FloatArray  #: (m, P): of a pillar's resistance at a given length, relative
     offset_ohm: FloatArray  #: (m, P): of its offset [Ω]
     rest_mm: FloatArray  #: (m, P, 3): of its vector's first three components at rest [mm]
-    influence: FloatArray  #: (m, P, 3, Q): of these by each force [mm/N]; of single precision
+    influence: FloatArray  #: (m, P, 3, Q): of these by each force, or state [mm/N]; of single precision
+    parameters: FloatArray | None = None  #: (m, k): of the design's, which change the maps of finite strain
+    by_weights: FloatArray | None = None  #: (N_FEATURES, k, values): of the maps' weights by these
 
     def __len__(self) -> int:
         return len(self.resistance)
 
-    def differences(self, force_n: FloatArray, slopes: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        """Difference of each sensor's resistances from the model's, (n, m, P) [Ω].
+    def differences(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+        """Difference of each sensor's resistances from the model's under the same forces, (n, m, P) [Ω].
 
         Parameters
         ----------
-        force_n : array, shape (n, Q)
-        slopes : array, shape (n, n_components, P)
-            `ForwardModel.relative_slopes` under these forces.
-        resistance_ohm : array, shape (n, P)
-            The model's, without offsets.
+        forward : ForwardModel
+            The model.
+        state_n : array, shape (n, Q)
+            States; without maps of finite strain the forces [N].
         """
         m, P, components, Q = self.influence.shape
-        moved = (force_n.astype(self.influence.dtype) @ self.influence.reshape(-1, Q).T).reshape(-1, m, P, components)
-        by_vector = slopes[:, :components].swapaxes(1, 2)
-        relative = self.resistance + np.einsum("nmpi,npi->nmp", moved + self.rest_mm, by_vector)
-        return relative * resistance_ohm[:, None] + self.offset_ohm
+        vectors = forward.linear.vectors(state_n)
+        signed = vectors if forward.sign is None else forward.sign * vectors
+        y = np.einsum("ncp,ncp->np", signed, vectors)
+        moved = (state_n.astype(self.influence.dtype) @ self.influence.reshape(-1, Q).T).reshape(-1, m, P, components)
+        squares = 2.0 * np.einsum("nmpi,nip->nmp", moved + self.rest_mm, signed[:, :components])
+        if forward.maps is not None and self.parameters is not None:
+            y += forward.maps.values(state_n)[..., N_AXES:].reshape(y.shape)
+            parts = [state_n[start : start + CHUNK] for start in range(0, len(state_n), CHUNK)]
+            by_parameters = np.concatenate([self._by_parameters(forward, part) for part in parts])
+            squares += (by_parameters @ self.parameters.T).swapaxes(1, 2)
+        return np.asarray(forward.ohm_per_mm2 * (squares + self.resistance * y[:, None]) + self.offset_ohm)
 
-    def drawn(self, force_n: FloatArray, slopes: FloatArray, resistance_ohm: FloatArray, first: int = 0) -> FloatArray:
-        """Differences (n, P) [Ω] of the sensors in turn, one a sample, the sample of number `first` first.
+    def _by_parameters(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+        """Change of the squares of lengths under the same forces by parameters' change of the maps, (n, P, k) [mm²]."""
+        assert forward.maps is not None
+        assert self.by_weights is not None
+        (n, Q), k = state_n.shape, self.by_weights.shape[1]
+        _, by_state, _, by_force = forward.at_states(state_n)
+        changed = replace(forward.maps, weights=self.by_weights.reshape(len(self.by_weights), -1))
+        values = changed.values(state_n).reshape(n, Q // N_AXES, k, -1).transpose(0, 1, 3, 2)
+        forces = values[:, :, :N_AXES].reshape(n, Q, k)
+        return np.asarray(values[:, :, N_AXES:].reshape(n, -1, k) - by_state @ np.linalg.solve(by_force, forces))
 
-        Other arguments as of `differences`.
+    def factors(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+        """U of the covariance U Uᵀ of the sensors' resistances, (n, P, m) [Ω]; arguments as of `differences`."""
+        return self.differences(forward, state_n).swapaxes(1, 2) / np.sqrt(len(self))
+
+    def readings(self, forward: ForwardModel, force_n: FloatArray, first: int = 0) -> FloatArray:
+        """Resistances (n, P) [Ω] of the sensors in turn, one for each load (n, Q) [N], from load number `first` on.
+
+        The model is linear.
         """
-        found = np.empty_like(resistance_ohm)
+        found = forward.resistances(force_n)
         for sensor in range(len(self)):
             mine = slice((sensor - first) % len(self), None, len(self))
-            one = Ensemble(**{name: values[sensor : sensor + 1] for name, values in vars(self).items()})
-            found[mine] = one.differences(force_n[mine], slopes[mine], resistance_ohm[mine])[:, 0]
-        return found
+            drawn = {name: values[sensor : sensor + 1] for name, values in vars(self).items() if values is not None}
+            found[mine] += Ensemble(**drawn).differences(forward, force_n[mine])[:, 0]
+        return np.maximum(found, MIN_WHOLE_OHM)

@@ -1,31 +1,26 @@
 """A trained network as one safetensors file whose header explains it: configuration, design, data hash."""
 
 import json
-from dataclasses import asdict, fields
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Resting, Scaling, component_named
+from decoupler.data.columns import component_named
 from decoupler.data.enough import AnySamples
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
-from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.specimen import Specimen
-from decoupler.inverse.strain_maps import FEW, N_AXES, N_FEATURES, OWN, StrainMaps
-from decoupler.model.baseline import LeastSquares
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.strain_maps import N_AXES, N_FEATURES, OWN
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.model.uncertainty import WITHIN, Uncertainty
-from decoupler.model.usual import UsualLoads
 from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.layout import PILLAR_TOP, PILLARS
 from geometry.storage.files import digest, stated, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
@@ -36,68 +31,58 @@ if TYPE_CHECKING:
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
 METHOD = 8  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
-#: place of each array of a file in a model, and its shape by the names of `_sizes`
-_ARRAYS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "hidden_weights": ("hidden_weights", ("hidden", "seen + 1")),
-    "output_weights": ("output_weights", ("out", "features")),
-    "input_centre": ("input_scaling.centre", ("seen",)),
-    "input_half_range": ("input_scaling.half_range", ("seen",)),
-    "output_centre": ("output_scaling.centre", ("out",)),
-    "output_half_range": ("output_scaling.half_range", ("out",)),
-    **{
-        f"{prefix}{name}": (f"{owner}.forward.{name}", shape)
-        for prefix, owner in (("", "inverse"), ("finite_", "posterior"))
-        for name, shape in (
-            ("influence", ("out", "components electrodes")),
-            ("top", ("in",)),
-            ("rest_mm", ("components", "in")),
-            ("sign", ("components", "in")),
-            ("ohm_per_mm2", ("in",)),
-            ("offset_ohm", ("in",)),
-        )
-    },
-    "maps_influence": ("posterior.forward.maps.influence", ("out", "electrodes along 3")),
-    "maps_near": ("posterior.forward.maps.near", ("units", "neighbours")),
-    "maps_sizes": ("posterior.forward.maps.sizes", ("own",)),
-    "maps_weights": ("posterior.forward.maps.weights", ("finite features", "forces and pillars")),
-    "maps_misfit": ("posterior.forward.maps.misfit", ("forces and pillars",)),
-    "maps_growth": ("posterior.forward.maps.growth", ("2",)),
-    "to_state": ("posterior.to_state", ("out + 1", "out")),
-    "precision": ("posterior.precision", ("out", "out")),
-    "loads_n": ("posterior.loads_n", ("loads", "out")),
-    "specimen_changes": ("posterior.specimen.changes", ("parameters", "few", "forces and pillars")),
-    "specimen_shift": ("posterior.specimen.shift", ("few", "forces and pillars")),
-    "specimen_unknowns": ("posterior.specimen.unknowns", ("unknowns",)),
-    "specimen_factor": ("posterior.specimen.factor", ("unknowns", "unknowns")),
-    "centre_n": ("inverse.centre_n", ("out",)),
-    "centre_mm": ("inverse.centre_mm", ("in",)),
-    "correctors": ("inverse.correctors", ("steps", "in", "out")),
-    "rest_ohm": ("resting.rest_ohm", ("in",)),
-    "full_counts": ("resting.full_counts", ("1",)),
-    "inverse_matrix": ("uncertainty.inverse_matrix", ("features", "features")),
-    "misfit_n2": ("uncertainty.misfit_n2", ("out",)),
-    "unexplained_n2": ("uncertainty.unexplained_n2", ("out",)),
-    "widths": ("uncertainty.widths", ("shares", "axes")),
-    "misfit_at_rest_n2": ("uncertainty.misfit_at_rest_n2", ("out",)),
-    "widths_at_rest": ("uncertainty.widths_at_rest", ("shares", "axes")),
-    "light_n2": ("uncertainty.light_n2", ("1",)),
-    "drift_factor": ("uncertainty.drift_factor", ("drifts", "drifts")),
-    "usual_low_n": ("usual.low_n", ("axes",)),
-    "usual_high_n": ("usual.high_n", ("axes",)),
-    "friction": ("usual.friction", ("1",)),
-    "usual_log_ohm": ("usual.log_ohm", ("in",)),
-    "usual_log_ohm_covariance": ("usual.log_ohm_covariance", ("in", "in")),
-    "drawn_resistance": ("ensemble.resistance", ("draws", "in")),
-    "drawn_offset_ohm": ("ensemble.offset_ohm", ("draws", "in")),
-    "drawn_rest_mm": ("ensemble.rest_mm", ("draws", "in", "3")),
-    "drawn_influence": ("ensemble.influence", ("draws", "in", "3", "out")),
-    "least_squares": ("least_squares.coefficients", ("in + 1", "out")),
-    "dead": ("dead", ("rows", "cols", "3")),
+#: dimensions of each array by its path in a model, `*` being any part that holds a forward model; `_SIZES` are fixed
+_SHAPES = {
+    "hidden_weights": "hidden seen+1",
+    "output_weights": "out features",
+    "input_scaling.centre": "seen",
+    "input_scaling.half_range": "seen",
+    "output_scaling.centre": "out",
+    "output_scaling.half_range": "out",
+    "*.forward.influence": "out components·electrodes",
+    "*.forward.top": "in",
+    "*.forward.rest_mm": "components in",
+    "*.forward.sign": "components in",
+    "*.forward.ohm_per_mm2": "in",
+    "*.forward.offset_ohm": "in",
+    "*.forward.maps.influence": "out units·6",
+    "*.forward.maps.near": "units 8",
+    "*.forward.maps.sizes": "own",
+    "*.forward.maps.weights": "map_features values",
+    "*.forward.maps.misfit": "values",
+    "*.forward.maps.growth": "2",
+    "posterior.to_state": "out+1 out",
+    "posterior.precision": "out out",
+    "posterior.loads_n": "loads out",
+    "inverse.centre_n": "out",
+    "inverse.centre_mm": "in",
+    "inverse.correctors": "steps in out",
+    "resting.rest_ohm": "in",
+    "resting.full_counts": "1",
+    "uncertainty.inverse_matrix": "features features",
+    "uncertainty.misfit_n2": "out",
+    "uncertainty.unexplained_n2": "out",
+    "uncertainty.widths": "2 axes",
+    "uncertainty.misfit_at_rest_n2": "out",
+    "uncertainty.widths_at_rest": "2 axes",
+    "uncertainty.light_n2": "1",
+    "uncertainty.drift_factor": "drifts drifts",
+    "usual.low_n": "axes",
+    "usual.high_n": "axes",
+    "usual.friction": "1",
+    "usual.log_ohm": "in",
+    "usual.log_ohm_covariance": "in in",
+    "ensemble.resistance": "draws in",
+    "ensemble.offset_ohm": "draws in",
+    "ensemble.rest_mm": "draws in 3",
+    "ensemble.influence": "draws in 3 out",
+    "ensemble.parameters": "draws parameters",
+    "ensemble.by_weights": "map_features parameters values",
+    "least_squares.coefficients": "in+1 out",
+    "dead": "rows cols 3",
 }
-_NOT_BELOW_0 = {name for name in _ARRAYS if name.endswith(("_half_range", "_n2")) or name.startswith("widths")} | {
-    "ohm_per_mm2",
-    "friction",
-}
+_SIZES = {"1": 1, "2": 2, "3": 3, "8": 8, "own": OWN, "map_features": N_FEATURES}
+_NOT_BELOW_0 = ("half_range", "_n2", "widths", "widths_at_rest", "ohm_per_mm2", "friction")  #: ends of names
 _MEND = "give a file made by 'tripillar train'"
 
 
@@ -133,7 +118,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
         header |= stated(decoupler.uncertainty.errors)
-    arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler).items()}
+    arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler)}
     content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
     write_bytes(path, *sealed(content))
 
@@ -164,17 +149,19 @@ def read_model(path: Path) -> Decoupler:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     sizes = _sizes(decoupler)
-    for name, array in _arrays(decoupler).items():
-        shape = tuple(sizes[size] for size in _ARRAYS[name][1])
-        kind = "i" if name.endswith(("top", "_near")) else "b" if name == "dead" else "f"
-        if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
+    for name, array in _arrays(decoupler):
+        dimensions = _SHAPES[re.sub(r"^\w+(?=\.forward)", "*", name)].split()
+        fits = len(dimensions) == array.ndim
+        # a size that the header does not say is that of the first array that has it
+        shape = tuple(sizes.setdefault(name, size) for name, size in zip(dimensions, array.shape, strict=fits))
+        kind = "i" if name.endswith((".top", ".near")) else "b" if name == "dead" else "f"
+        if not fits or array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
             raise FileFormatError(
                 f"{path}: {name} is {array.dtype} of shape {array.shape} or not finite, expected "
                 f"finite numbers of shape {shape}: {_MEND}."
             )
-    for name in arrays.keys() & _NOT_BELOW_0:
-        if arrays[name].min(initial=0.0) < 0:
-            raise FileFormatError(f"{path}: {name} holds {arrays[name].min():g}, must not be below 0: {_MEND}.")
+        if name.endswith(_NOT_BELOW_0) and array.min(initial=0.0) < 0:
+            raise FileFormatError(f"{path}: {name} holds {array.min():g}, must not be below 0: {_MEND}.")
     if not all(_holds_pillars(part.forward) for part in (decoupler.inverse, decoupler.posterior) if part is not None):
         raise FileFormatError(f"{path}: its pillars stand on electrodes that it does not hold: {_MEND}.")
     return decoupler
@@ -196,8 +183,7 @@ def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dat
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_specimen = decoupler.posterior is not None and decoupler.posterior.specimen is not None
-        of_twin = of_specimen or decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
@@ -229,72 +215,46 @@ def _flat(table: dict[str, Any], group: str = "") -> dict[str, float | str]:
     return flat
 
 
-def _arrays(decoupler: Decoupler) -> dict[str, np.ndarray]:
-    """The arrays that a model has, by their names in a file."""
-    found: dict[str, np.ndarray] = {}
-    for name, (place, _) in _ARRAYS.items():
-        value: Any = decoupler
-        for part in place.split("."):
-            value = None if value is None else getattr(value, part)
-        if value is not None:
-            found[name] = value
-    return found
+def _arrays(part: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """The arrays of a model, or of a part, with their paths; the dead pillars once, as the model's own."""
+    for spec in fields(part):
+        value, name = getattr(part, spec.name), f"{path}{spec.name}"
+        if isinstance(value, np.ndarray) and name != "least_squares.dead":
+            yield name, value
+        elif is_dataclass(value) and not isinstance(value, SensorDesign | type):
+            yield from _arrays(value, f"{name}.")
 
 
 def _sizes(decoupler: Decoupler) -> dict[str, int]:
-    """Lengths of the arrays' dimensions, by the header and by the parts that there are."""
+    """Lengths of dimensions that the header and the parts that there are say."""
     component, rows, cols, hidden = decoupler.component, decoupler.rows, decoupler.cols, decoupler.network.hidden
     n_in, n_out = rows * cols * len(component.pillars), rows * cols * len(component.axes)
     seen = n_out if decoupler.inverse is not None else n_in
-    model = decoupler.inverse or decoupler.posterior
-    specimen = None if decoupler.posterior is None else decoupler.posterior.specimen
-    forward = None if model is None else model.forward
-    electrodes = rows * cols * len({PILLAR_TOP[PILLARS.index(pillar)] for pillar in component.pillars})
-    if decoupler.ensemble is not None:
-        electrodes = n_in  # an identified sensor has an influence for each pillar
-    return {
-        "1": 1,
-        "3": len(PILLARS),
+    errors = None if decoupler.uncertainty is None else decoupler.uncertainty.errors
+    return _SIZES | {
         "rows": rows,
         "cols": cols,
+        "units": rows * cols,
+        "units·6": 6 * rows * cols,
         "axes": len(component.axes),
-        "shares": len(WITHIN),
+        "values": N_AXES + len(component.pillars),
         "in": n_in,
-        "in + 1": n_in + 1,
+        "in+1": n_in + 1,
         "out": n_out,
-        "out + 1": n_out + 1,
-        "2": 2,
-        "few": len(FEW),
-        "loads": 0 if decoupler.posterior is None else len(decoupler.posterior.loads_n),
-        "parameters": 0 if specimen is None else len(specimen.changes),
-        "unknowns": 0 if specimen is None else specimen.n_unknowns(n_in),
-        "forces and pillars": N_AXES + len(component.pillars),
+        "out+1": n_out + 1,
         "hidden": hidden,
         "seen": seen,
-        "seen + 1": seen + 1,
+        "seen+1": seen + 1,
         "features": hidden + (seen + 1 if decoupler.network.net == "skip" else 1),
-        "components": 3 if forward is None else len(forward.rest_mm),
-        "electrodes along 3": 6 * rows * cols,
-        "units": rows * cols,
-        "neighbours": 8,
-        "own": OWN,
-        "finite features": N_FEATURES,
-        "components electrodes": 3 * electrodes if forward is None or forward.sign is None else forward.rest_mm.size,
-        "draws": 0 if decoupler.ensemble is None else len(decoupler.ensemble),
-        "drifts": 0 if decoupler.uncertainty is None else _n_drifts(decoupler.uncertainty.errors, rows, cols),
-        "steps": 0 if decoupler.inverse is None else len(decoupler.inverse.correctors),
+        "drifts": 0 if errors is None else errors.shared(np.ones((1, rows * cols)), rows, cols).shape[2],
     }
 
 
-def _n_drifts(errors: ReadingError, rows: int, cols: int) -> int:
-    return errors.shared(np.ones((1, rows * cols)), rows, cols).shape[2]
-
-
 def _holds_pillars(forward: ForwardModel) -> bool:
-    n_electrodes = forward.influence.shape[1] // len(forward.rest_mm)
+    n_electrodes, left = divmod(forward.influence.shape[1], len(forward.rest_mm))
     near = np.zeros(1) if forward.maps is None else forward.maps.near
     stands = (forward.top >= 0) & (forward.top < n_electrodes)
-    return bool(stands.all() and near.min() >= 0 and near.max() <= len(near))
+    return bool(not left and stands.all() and near.min() >= 0 and near.max() <= len(near))
 
 
 def _errors(header: dict[str, Any]) -> ReadingError:
@@ -315,43 +275,30 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
     network = NetworkConfig(**header["network"])
 
-    def held(part: str) -> dict[str, Any]:
-        """Fields of a part of the model, from the file's arrays."""
-        places = {name: place.rpartition(".") for name, (place, _) in _ARRAYS.items()}
-        mine = {field: name for name, (owner, _, field) in places.items() if owner == part}
-        optional = ("sign", "drift_factor", "log_ohm", "log_ohm_covariance")
-        return {field: arrays[name] for field, name in mine.items() if name in arrays or field not in optional}
-
-    inverse = posterior = uncertainty = least_squares = None
-    if network.feature == "inverse":
-        inverse = ModelInverse(forward=ForwardModel(**held("inverse.forward")), **held("inverse"))
-    if "maps_weights" in arrays:
-        maps = StrainMaps(**held("posterior.forward.maps"))
-        specimen = Specimen(**held("posterior.specimen")) if "specimen_factor" in arrays else None
-        forward = ForwardModel(**held("posterior.forward"), maps=maps)
-        posterior = Posterior(forward=forward, specimen=specimen, misfit=float(header["misfit"]), **held("posterior"))
-    if "inverse_matrix" in arrays:
-        uncertainty = Uncertainty(**held("uncertainty"), errors=_errors(header))
     component, dead = component_named(header["component"]), arrays.get("dead")
-    if "least_squares" in arrays:
-        least_squares = LeastSquares(component=component, **held("least_squares"), dead=dead)
-    return Decoupler(
-        component=component,
-        rows=header["rows"],
-        cols=header["cols"],
-        network=network,
-        input_scaling=Scaling(**held("input_scaling")),
-        output_scaling=Scaling(**held("output_scaling")),
-        hidden_weights=arrays["hidden_weights"],
-        output_weights=arrays["output_weights"],
-        design=None if header["design"] is None else design_from_toml(header["design"]),
-        inverse=inverse,
-        posterior=posterior,
-        resting=Resting(**held("resting")) if "rest_ohm" in arrays else None,
-        dead=dead,
-        uncertainty=uncertainty,
-        usual=UsualLoads(**held("usual")) if "friction" in arrays else None,
-        ensemble=Ensemble(**held("ensemble")) if "drawn_resistance" in arrays else None,
-        least_squares=least_squares,
-        made_from=dict(header["made_from"]),
-    )
+    said = {
+        "component": component,
+        "rows": header["rows"],
+        "cols": header["cols"],
+        "network": network,
+        "design": None if header["design"] is None else design_from_toml(header["design"]),
+        "made_from": dict(header["made_from"]),
+        "posterior.misfit": header.get("misfit", 0.0),
+        "uncertainty.errors": _errors(header),
+        "least_squares.component": component,
+        "least_squares.dead": dead,
+    }
+    found: Decoupler = _built(Decoupler, arrays, said)
+    return found
+
+
+def _built(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], path: str = "") -> Any:
+    """A part of a model from the arrays below its path and what the header says; parts without arrays are left out."""
+    values = {}
+    for name, hint in get_type_hints(kind).items():
+        whole, (inner, *_) = f"{path}{name}", get_args(hint) or (hint,)
+        if whole in arrays or whole in said:
+            values[name] = arrays.get(whole, said.get(whole))
+        elif is_dataclass(inner) and any(one.startswith(f"{whole}.") for one in arrays):
+            values[name] = _built(inner, arrays, said, f"{whole}.")
+    return kind(**values)

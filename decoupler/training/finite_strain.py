@@ -10,13 +10,16 @@ from scipy.optimize import nnls
 
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
+from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
+from decoupler.data.enough import ENOUGH
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, OWN, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -24,14 +27,16 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features of root mean square 1
+RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features whose root mean squares are their `SCALES`
+TINY = 1e-100  #: instead of 0, the size of features of neighbours that no pad has
+FLIPPED = np.array([1.0, -1.0, 1.0])  #: sign of x, y and z in a mirror at y = 0
+ALIKE = 1e-9  #: largest difference of a mirrored influence, relative
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
 LOADS = 600  #: most loads of samples that a posterior keeps
-DRAWS = 20_000  #: samples that are drawn from the maps to train the network that starts
+DRAWS = 27_000  #: loads that are drawn to train the network that starts; some strain the array too much
 HIDDEN = 60  #: hidden nodes of that network
 STATE_RIDGE = 1e-3  #: of the linear way from forces to states, over the number of samples
 LIGHTER = 10  #: one of so many draws is lighter
-BEYOND = 1.07  #: of the samples' range of states, that draws may reach
 JUDGED = 4000  #: draws that say how the network errs
 TRUST = 3.0  #: factor of the network's errors as a prior: it has seen the same readings
 CHUNK = 256  #: states worked on together
@@ -66,7 +71,9 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     Notes
     -----
     Every unit of every sample is one equation for each of its forces and pillars, by ridge regression, each feature
-    scaled to its root mean square; the ridge is the one with the least errors had each equation been left out.
+    scaled to `SCALES`; the ridge is the one with the least errors had each equation been left out. Where the array is
+    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it: each sample counts
+    twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
     if data.displacement_mm is None:
         raise SampleError(
@@ -76,15 +83,15 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     forward = ForwardModel.of(response, component)
     electrodes = ForwardModel.of(replace(response, conducted=None), component).influence
     rows, cols = data.shape
-    state_n = states_of(data.displacement_mm, electrodes)
-    k = rows * cols
-    moved = (state_n @ electrodes).reshape(-1, 3, k, 2).transpose(0, 2, 3, 1).reshape(-1, 6)
+    state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, component)
+    n_values = N_AXES + forward.n_pillars // (rows * cols)
+    moved = _moved(state_n, electrodes, rows, cols)
     empty = StrainMaps(
         influence=electrodes,
         near=neighbours(rows, cols),
-        sizes=np.concatenate([state_n.reshape(-1, 3).std(axis=0), moved.std(axis=0)]),
-        weights=np.zeros((N_FEATURES, 3 + forward.n_pillars // k)),
-        misfit=np.zeros(3 + forward.n_pillars // k),
+        sizes=np.concatenate([state_n.reshape(-1, 3).std(axis=0), moved.reshape(-1, 6).std(axis=0)]),
+        weights=np.zeros((N_FEATURES, n_values)),
+        misfit=np.zeros(n_values),
         growth=np.array([1.0, 0.0]),
     )
     lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
@@ -92,19 +99,46 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
         squares = pillar_columns(data.resistance_ohm, component) / forward.ohm_per_mm2
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
-    force_n = force_columns(data.force_n, component)
-    missed = [force_n - state_n, squares - forward.linear.at_states(state_n)[0]]
-    targets = np.concatenate([part.reshape(len(data), k, -1) for part in missed], axis=2).reshape(len(data) * k, -1)
-    A = empty.features(state_n).reshape(-1, N_FEATURES)
-    size = np.sqrt((A**2).mean(axis=0))
-    there = (size > 0) & (np.arange(N_FEATURES) < N_CURVED)  # not neighbours that no pad has
-    weights, left_out = _ridge(A[:, there] / size[there], targets)
+    states, forces, lengths2 = [state_n], [force_n], [squares]
+    unit = np.eye(len(electrodes))
+    seen = _moved(_image(unit, rows, cols), electrodes, rows, cols)
+    if np.allclose(seen, _moved_image(_moved(unit, electrodes, rows, cols)), atol=ALIKE * np.abs(seen).max()):
+        states.append(_image(state_n, rows, cols))
+        forces.append(_image(force_n, rows, cols))
+        if response.conducted is None and data.length_mm is not None:
+            seen_mm = pillar_lengths(_moved_image(data.displacement_mm), response.design.unit)
+            lengths2.append(seen_mm.reshape(len(data), -1) ** 2)
+    A = np.concatenate([empty.features(part).reshape(-1, N_FEATURES)[:, :N_CURVED] for part in states])
+    scale = SCALES / np.maximum(np.sqrt((A**2).mean(axis=0)), TINY)
+    A *= scale
+    off_n = np.concatenate(forces) - np.concatenate(states)
+    off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2, strict=False)]
+    found = [
+        _ridge(A[: part.size // width], part.reshape(-1, width))
+        for part, width in ((off_n, N_AXES), (np.concatenate(off_mm2), n_values - N_AXES))
+    ]
+    weights = np.zeros_like(empty.weights)
+    weights[:N_CURVED] = scale[:, None] * np.concatenate([own for own, _ in found], axis=1)
+    left_out = np.concatenate([left[: state_n.size // N_AXES] for _, left in found], axis=1)
     misfit = np.sqrt((left_out**2).mean(axis=0))
-    scaled = np.zeros_like(empty.weights)
-    scaled[there] = weights / size[there, None]
     s = (empty.own(state_n) ** 2).mean(axis=2).ravel()
     growth = _growth(s**2, ((left_out / misfit) ** 2).mean(axis=1))
-    return replace(forward, maps=replace(empty, weights=scaled, misfit=misfit, growth=growth))
+    return replace(forward, maps=replace(empty, weights=weights, misfit=misfit, growth=growth))
+
+
+def _moved(force_n: FloatArray, electrodes_mm_per_n: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Displacements (n, rows, cols, 2, 3) [mm] of the linear array's electrodes under forces (n, 3 k) [N]."""
+    return (force_n @ electrodes_mm_per_n).reshape(-1, 3, rows, cols, 2).transpose(0, 2, 3, 4, 1)
+
+
+def _image(force_n: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Forces or states (n, 3 k) [N] as a mirror at y = 0 shows them."""
+    return (force_n.reshape(-1, rows, cols, N_AXES)[:, ::-1] * FLIPPED).reshape(force_n.shape)
+
+
+def _moved_image(displacement_mm: FloatArray) -> FloatArray:
+    """Displacements (n, rows, cols, 2, 3) [mm] as a mirror at y = 0 shows them, where U1 is U2."""
+    return displacement_mm[:, ::-1, :, ::-1] * FLIPPED
 
 
 def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
@@ -152,7 +186,12 @@ def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
 
 
 def drawn_samples(
-    posterior: Posterior, loads_n: FloatArray, design: SensorDesign, errors: ReadingError, seed: int = 0
+    posterior: Posterior,
+    loads_n: FloatArray,
+    design: SensorDesign,
+    errors: ReadingError,
+    seed: int = 0,
+    ensemble: Ensemble | None = None,
 ) -> Samples:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
 
@@ -161,11 +200,13 @@ def drawn_samples(
     posterior : Posterior
     loads_n : array, shape (n, 3 k)
         Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
-        left out, and a tenth is made lighter.
+        left out, `ENOUGH` at most are kept, and a tenth is made lighter.
     design : SensorDesign
     errors : ReadingError
         Of the readings.
     seed : int
+    ensemble : Ensemble, optional
+        Draws of a sensor that is not quite known.
 
     Notes
     -----
@@ -180,18 +221,17 @@ def drawn_samples(
     states = (
         np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
     )
-    own, known = maps.own(states), np.append(maps.own(known_n), np.zeros((1, len(maps.near), OWN)), axis=0)
-    low, high = BEYOND * known.min(axis=(0, 1)), BEYOND * known.max(axis=(0, 1))
-    states = states[((own >= low) & (own <= high)).all(axis=(1, 2))]
+    states = states[_strains(maps, states, design).max(axis=1) <= _strains(maps, known_n, design).max()][:ENOUGH]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
     squares, force_n = [], []
     for part in np.array_split(states, max(1, len(states) // CHUNK)):
         values = maps.values(part)
         y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
         y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)
-        if posterior.specimen is not None:
-            factors = posterior.squares_factors(part)
-            y += (factors @ generator.standard_normal((len(part), factors.shape[2], 1)))[..., 0]
+        if ensemble is not None:
+            factors = ensemble.factors(forward, part)
+            unsure_ohm = factors @ generator.standard_normal((len(part), factors.shape[2], 1))
+            y += unsure_ohm[..., 0] / forward.ohm_per_mm2
         squares.append(y)
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
     y, forces = np.concatenate(squares), np.concatenate(force_n)
@@ -205,6 +245,12 @@ def drawn_samples(
         bits=errors.bits,
         made_from={name: value for name, value in vars(errors).items() if name.startswith("drift")},
     )
+
+
+def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> FloatArray:
+    """Strains of all pillars in states, (n, 3 k) [N] -> (n, 3 k)."""
+    moved = _moved(state_n, maps.influence, design.array.rows, design.array.cols)
+    return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
 
 
 def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from dataset import Samples
 from dataset.samples import SampleError
@@ -48,6 +47,7 @@ from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import suited_training
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.layout import FloatArray
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -60,7 +60,7 @@ def _silent(iteration: int, mse: float) -> None:
     """The progress callback of whoever does not want one."""
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small two threads are slower
+@one_blas_thread()  # on matrices this small two are slower
 def train(
     data: AnySamples,
     component: str | None = None,

@@ -1,4 +1,4 @@
-"""From the posterior of a sensor to the decoder of its forces."""
+"""From the posterior of a sensor to the decoder of its forces, made for readings drawn from that posterior."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,29 +7,17 @@ import numpy as np
 
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Component, Resting, Scaling, readable_columns
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
+from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
 from decoupler.training.error_bars import best_ridge, fitted_uncertainty
+from decoupler.training.finite_strain import drawn_samples, refined, trained_on
 from decoupler.training.light import light_loads
 from decoupler.twin.posterior import Posterior
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-
-
-def forward_of(found: Posterior) -> ForwardModel:
-    """The most probable sensor, each pillar with an influence of its own."""
-    expected, state = found.expected, found.state
-    P, _, Q = expected.influence.shape
-    return ForwardModel(
-        influence=np.ascontiguousarray(state.influence(expected).transpose(2, 1, 0).reshape(Q, -1)),
-        top=np.arange(P),
-        rest_mm=np.ascontiguousarray(state.rest_mm(expected).T),
-        ohm_per_mm2=state.gain * state.ohm_per_mm2(expected),
-        offset_ohm=state.offset_ohm,
-        sign=None if (expected.sign == 1.0).all() else np.ascontiguousarray(expected.sign.T),
-    )
 
 
 def decoder_of(
@@ -37,13 +25,12 @@ def decoder_of(
     component: Component,
     size: tuple[int, int],
     loads_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
     design: SensorDesign | None = None,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
 ) -> Decoupler:
-    """The decoder that errs least, in the mean square, on sensors of the posterior under usual loads.
+    """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
     Parameters
     ----------
@@ -53,8 +40,8 @@ def decoder_of(
         Rows and columns of the array.
     loads_n : array, shape (n, Q)
         Usual loads [N]; rest and light touches are added.
-    noise, bits
-        Of the readings that it will take; drifts are the design's.
+    errors : ReadingError
+        Of the readings that it will take.
     design : SensorDesign, optional
         The design that was meant.
     dead : array, shape (rows, cols, 3), optional
@@ -65,14 +52,11 @@ def decoder_of(
     The inverse of the most probable response, then a linear map of its forces by ridge regression, fitted to readings
     of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
     """
-    errors = ReadingError(noise=noise, bits=bits).with_drifts_of(None if design is None else design.electrics)
     generator = np.random.default_rng(0)
-    forward = forward_of(found)
+    forward = found.sensor
 
     def read(force_n: FloatArray) -> FloatArray:
-        drawn = forward.resistances(force_n)
-        of_gain = drawn - forward.offset_ohm
-        drawn += found.ensemble.drawn(force_n, forward.relative_slopes(force_n), of_gain)
+        drawn = found.ensemble.readings(forward, force_n)
         own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
         drawn += own * generator.standard_normal(drawn.shape)
         drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
@@ -98,7 +82,7 @@ def decoder_of(
         output_weights=np.eye(n_forces, n_forces + 1),
         design=design,
         inverse=inverse,
-        resting=Resting.read_with(forward.at_rest_ohm(), bits),
+        resting=Resting.read_with(forward.at_rest_ohm(), errors.bits),
         dead=dead,
         usual=UsualLoads.of(loads_n, component, columns[: len(loads_n)]),
         ensemble=found.ensemble,
@@ -114,3 +98,23 @@ def decoder_of(
     load = np.arange(len(columns))
     uncertainty = fitted_uncertainty(trained, columns, force_n, errors, ridge, load, len(light_n))
     return replace(trained, uncertainty=uncertainty)
+
+
+def decoder_at_strain(
+    found: Posterior,
+    designed: ForcePosterior,
+    loads_n: FloatArray,
+    errors: ReadingError,
+    design: SensorDesign,
+    dead: np.ndarray | None = None,
+    made_from: dict[str, Any] | None = None,
+    seed: int = 0,
+) -> Decoupler:
+    """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
+
+    `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
+    """
+    own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
+    drawn = drawn_samples(own, loads_n, design, errors, seed, found.ensemble)
+    decoder = refined(trained_on(drawn), own, drawn)
+    return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

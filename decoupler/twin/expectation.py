@@ -1,7 +1,8 @@
 """The prior of a sensor, before anything is measured on it: its design's response, and how far it may be off.
 
 Shapes: k uncertain parameters, P pillars, Q forces, as columns of a component; C components of a pillar's vector, 3 by
-eq. 1 and more by conduction. The first three are corrected.
+eq. 1 and more by conduction. The first three are corrected. All are functions of a state G; without finite strain that
+is the forces.
 """
 
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,26 @@ class Widths:
 FLAT = Widths(resistivity=0.0, gain=1.0, offset=0.05, shared=0.0, own=1.0, misfit=1e-4)
 #: a sensor that is as designed but for the gains and offsets of its pillars; the width of corrections is negligible
 HELD = Widths(shared=0.0, own=1e-9)
+#: a sensor at finite strain: changes of the maps by parameters hold what derivatives of a linear response lack
+AT_STRAIN = Widths(shared=0.003, own=0.003, misfit=0.003)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """One sensor that an `Expectation` holds possible, all in standard deviations of the prior."""
+
+    shared: FloatArray  #: (g,): parameters, log resistivity, corrections that all units share, unknown parts of forces
+    own: FloatArray  #: (P, 2 + 3 Q): gain, offset and correction of the influence of each pillar
+
+    def rescaled(self, expected: "Expectation", old: Widths) -> Self:
+        """The same sensor, where the widths were `old` and now are those expected."""
+        own, shared, new = self.own.copy(), self.shared.copy(), expected.widths
+        own[:, 0] *= old.gain / new.gain
+        own[:, 1] *= old.offset / new.offset
+        own[:, 2:] *= old.own / new.own
+        if expected.n_corrections:
+            expected.parts(shared)[2][:] *= old.shared / new.shared
+        return replace(self, shared=shared, own=own)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,18 +74,16 @@ class Expectation:
     """The mean of the prior and its derivatives, each by one standard deviation of a parameter."""
 
     component: Component
+    forward: ForwardModel  #: the mean, R = c (Σ s (d + B G)² + ρ(G)) with a B of its own for each pillar
     names: tuple[str, ...]  #: of the k parameters, such as unit.height_mm
     values: FloatArray  #: (k,): of the design
     deviations: FloatArray  #: (k,): standard deviations of the parameters
-    influence: FloatArray  #: B, (P, C, Q) [mm/N]
-    rest_mm: FloatArray  #: d, (P, C)
-    sign: FloatArray  #: s, (P, C): R = c Σ s (d + B F)²
-    ohm_per_mm2: FloatArray  #: c, (P,): ρ/V of eq. 1
-    by_influence: FloatArray  #: (k, P, C, Q) [mm/N]
-    by_rest_mm: FloatArray  #: (k, P, C)
+    by_influence: FloatArray  #: of B, (k, P, C, Q) [mm/N]
+    by_rest_mm: FloatArray  #: of d, (k, P, C)
     by_log_c: FloatArray  #: (k, P)
     near: NDArray[np.int64]  #: (n_units, n_neighbours): unit at each distance, −1 beyond the rim
     near_mm_per_n: FloatArray  #: (n_neighbours,): usual size of the influence at that distance
+    by_weights: FloatArray | None = None  #: of the maps of finite strain, (N_FEATURES, k, m); None: linear
     widths: Widths = field(default_factory=Widths)
 
     @classmethod
@@ -73,29 +92,27 @@ class Expectation:
         design, names = response.design, () if sensitivities is None else tuple(sensitivities.parameters)
         deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
+        forward = _own_electrodes(ForwardModel.of(by_eq1, component))
         rest, c = _at_rest(design, component)
-        influence = by_pillar(by_eq1, component)
         by_rest, by_log_c, by_influence = [], [], []
         matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
         for name, deviation, matrix in zip(names, deviations, matrices, strict=True):
             moved, other_c = _at_rest(changed(design, name, STEP * deviation), component)
             by_rest.append((moved - rest) / STEP)
             by_log_c.append(np.log(other_c / c) / STEP)
-            by_influence.append(by_pillar(replace(by_eq1, influence_mm_per_n=deviation * matrix), component))
-        own = _block_sizes(influence, design.n_units)
+            other = ForwardModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
+            by_influence.append(_own_electrodes(other).by_component)
+        own = _block_sizes(forward.by_component, design.n_units)
         near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
         there = near >= 0
         beside = np.where(there, own[np.arange(design.n_units)[:, None], near], 0.0)
         expected = cls(
             component=component,
+            forward=forward,
             names=names,
             values=np.array([value_of(design, name) for name in names]),
             deviations=deviations,
-            influence=influence,
-            rest_mm=rest,
-            sign=np.ones_like(rest),
-            ohm_per_mm2=c,
-            by_influence=np.array(by_influence).reshape(-1, *influence.shape),
+            by_influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
             by_rest_mm=np.array(by_rest).reshape(-1, *rest.shape),
             by_log_c=np.array(by_log_c).reshape(-1, len(c)),
             near=near,
@@ -110,22 +127,26 @@ class Expectation:
         Parameters are taken to change a resistance and its slopes by as much as they change those of eq. 1. The first
         component holds both.
         """
-        rest, sign = forward.rest_mm.T, np.ones(forward.rest_mm.T.shape) if forward.sign is None else forward.sign.T
-        influence = forward.influence.reshape(forward.n_forces, rest.shape[1], -1).transpose(2, 1, 0)
-        by_rest = np.zeros((len(self.names), *rest.shape))
-        by_influence = np.zeros((len(self.names), *influence.shape))
-        first = rest[:, 0]
-        by_rest[..., 0] = np.einsum("pi,kpi->kp", self.rest_mm, self.by_rest_mm) / first
-        slopes = np.einsum("pi,kpiq->kpq", self.rest_mm, self.by_influence)
-        slopes += np.einsum("kpi,piq->kpq", self.by_rest_mm, self.influence)
-        by_influence[:, :, 0] = (slopes - by_rest[:, :, :1] * influence[:, 0]) / first[:, None]
+        B, old_B, old_rest = forward.by_component, self.influence, self.forward.rest_mm.T
+        by_rest = np.zeros((len(self.names), *forward.rest_mm.T.shape))
+        by_influence = np.zeros((len(self.names), *B.shape))
+        first = forward.rest_mm[0]
+        by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by_rest_mm) / first
+        slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by_influence)
+        slopes += np.einsum("kpi,piq->kpq", self.by_rest_mm, old_B)
+        by_influence[:, :, 0] = (slopes - by_rest[:, :, :1] * B[:, 0]) / first[:, None]
+        return replace(self, forward=forward, by_rest_mm=by_rest, by_influence=by_influence)
+
+    def at_strain(self, designed: ForwardModel, by_weights: FloatArray) -> Self:
+        """The same at finite strain: all that parameters change are the weights of the design's maps."""
         return replace(
             self,
-            influence=np.ascontiguousarray(influence),
-            rest_mm=rest,
-            sign=sign,
-            by_rest_mm=by_rest,
-            by_influence=by_influence,
+            forward=_own_electrodes(designed),
+            by_weights=by_weights,
+            by_influence=np.zeros_like(self.by_influence),
+            by_rest_mm=np.zeros_like(self.by_rest_mm),
+            by_log_c=np.zeros_like(self.by_log_c),
+            widths=AT_STRAIN,
         )
 
     @classmethod
@@ -135,20 +156,22 @@ class Expectation:
         Lengths are in √Ω: R = g |d + B F|² + o with d along the first axis. The prior about it is as good as flat.
         """
         rest, influence = started(readings_ohm, force_n, n_units)
-        P, _, Q = influence.shape
-        nothing = np.zeros((0, P, 3))
+        P, C, Q = influence.shape
         return cls(
             component=component,
+            forward=ForwardModel(
+                influence=np.ascontiguousarray(influence.transpose(2, 1, 0).reshape(Q, -1)),
+                top=np.arange(P),
+                rest_mm=np.ascontiguousarray(rest.T),
+                ohm_per_mm2=np.ones(P),
+                offset_ohm=np.zeros(P),
+            ),
             names=(),
             values=np.zeros(0),
             deviations=np.zeros(0),
-            influence=influence,
-            rest_mm=rest,
-            sign=np.ones_like(rest),
-            ohm_per_mm2=np.ones(P),
-            by_influence=np.zeros((0, P, 3, Q)),
-            by_rest_mm=nothing,
-            by_log_c=nothing[..., 0],
+            by_influence=np.zeros((0, P, C, Q)),
+            by_rest_mm=np.zeros((0, P, C)),
+            by_log_c=np.zeros((0, P)),
             near=np.zeros((n_units, 0), dtype=np.int64),
             near_mm_per_n=np.zeros(0),
             widths=FLAT,
@@ -160,45 +183,92 @@ class Expectation:
 
     @property
     def n_pillars(self) -> int:
-        return len(self.influence)
+        return self.forward.n_pillars
 
     @property
+    def n_forces(self) -> int:
+        return self.forward.n_forces
+
+    @property
+    def influence(self) -> FloatArray:
+        """B of the mean, (P, C, Q) [mm/N]."""
+        return self.forward.by_component
+
+    @cached_property
     def rest_ohm(self) -> FloatArray:
         """Resistance of each pillar at rest, (P,) [Ω]."""
-        return self.ohm_per_mm2 * (self.sign * self.rest_mm**2).sum(axis=1)
+        return self.forward.linear.at_rest_ohm()
+
+    @property
+    def n_corrections(self) -> int:
+        """Number of unknowns of the correction that all units share, for each pillar of a unit 3 × n_shared."""
+        return 3 * self.near.shape[1] * self.n_forces // self.n_units * (self.n_pillars // self.n_units)
 
     @cached_property
     def sizes(self) -> FloatArray:
         """Usual size of each pillar's influence under each force, (P, Q) [mm/N]: that of their units' block."""
         blocks = _block_sizes(self.influence, self.n_units)
         blocks = np.maximum(blocks, FAR * blocks.diagonal().mean())
-        per_pillar, per_force = self.n_pillars // self.n_units, self.influence.shape[2] // self.n_units
+        per_pillar, per_force = self.n_pillars // self.n_units, self.n_forces // self.n_units
         return blocks.repeat(per_pillar, axis=0).repeat(per_force, axis=1)
 
-    def near_forces(self, force_n: FloatArray) -> FloatArray:
-        """Forces on each unit's neighbours times the usual influence there, (n, Q) -> (n, n_units, n_shared) [mm]."""
-        by_unit = force_n.reshape(len(force_n), self.n_units, -1)
-        beside = np.where((self.near >= 0)[..., None], by_unit[:, self.near], 0.0)
-        return (beside * self.near_mm_per_n[:, None]).reshape(len(force_n), self.n_units, -1)
+    def mean(self, n_unknown: int = 0) -> State:
+        """The prior's mean, with so many unknown parts of forces."""
+        P, Q = self.n_pillars, self.n_forces
+        n_shared = len(self.names) + 1 + self.n_corrections + n_unknown
+        return State(shared=np.zeros(n_shared), own=np.zeros((P, 2 + 3 * Q)))
+
+    def parts(self, shared: FloatArray) -> list[FloatArray]:
+        """Views of what pillars share, (g, ...): parameters, resistivity, corrections, unknown parts of forces."""
+        k = len(self.names)
+        return np.split(shared, [k, k + 1, k + 1 + self.n_corrections])
+
+    def gain(self, state: State) -> FloatArray:
+        """Gain of each pillar, (P,)."""
+        return 1.0 + self.widths.gain * state.own[:, 0]
+
+    def offset_ohm(self, state: State) -> FloatArray:
+        """Offset of each pillar, (P,) [Ω]."""
+        return self.widths.offset * self.rest_ohm * state.own[:, 1]
+
+    def sensor(self, state: State) -> ForwardModel:
+        """A sensor, each pillar with an influence of its own."""
+        parameters, resistivity, shared, _ = self.parts(state.shared)
+        B = self.influence + np.tensordot(parameters, self.by_influence, axes=1)
+        B[:, :3] += self.own_influence(state.own[:, 2:]) + self.shared_influence(shared)
+        mean, maps = self.forward, self.forward.maps
+        if maps is not None and self.by_weights is not None:
+            moved = np.tensordot(self.by_weights, parameters, axes=(1, 0))
+            maps = replace(maps, weights=maps.weights + moved)
+        log_c = self.widths.resistivity * resistivity[0] + parameters @ self.by_log_c
+        return replace(
+            mean,
+            influence=np.ascontiguousarray(B.transpose(2, 1, 0).reshape(self.n_forces, -1)),
+            rest_mm=mean.rest_mm + np.tensordot(parameters, self.by_rest_mm, axes=1).T,
+            ohm_per_mm2=self.gain(state) * mean.ohm_per_mm2 * np.exp(log_c),
+            offset_ohm=self.offset_ohm(state),
+            maps=maps,
+        )
+
+    def own_influence(self, own: FloatArray) -> FloatArray:
+        """Influence (P, 3, Q) [mm/N] of corrections that pillars have alone, (P, 3 Q)."""
+        return self.widths.own * own.reshape(self.n_pillars, 3, -1) * self.sizes[:, None]
 
     def shared_influence(self, shared: FloatArray) -> FloatArray:
-        """Influence (P, 3, Q) [mm/N] of a correction that all units share, (kinds, 3, n_shared)."""
-        kinds = len(shared)
-        n_axes = self.influence.shape[2] // self.n_units
+        """Influence (P, 3, Q) [mm/N] of a correction that all units share, (n_corrections,)."""
+        n_axes, kinds = self.n_forces // self.n_units, self.n_pillars // self.n_units
         found = np.zeros((self.n_units, kinds, 3, self.n_units, n_axes))
-        by_place = shared.reshape(kinds, 3, -1, n_axes) * self.near_mm_per_n[:, None]
+        by_place = shared.reshape(kinds, 3, -1, n_axes) * (self.widths.shared * self.near_mm_per_n[:, None])
         for place in range(self.near.shape[1]):
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
-        return found.reshape(len(self.influence), 3, -1)
+        return found.reshape(self.n_pillars, 3, -1)
 
 
-def by_pillar(response: "ArrayResponse", component: Component) -> FloatArray:
-    """Influence of each force on the upper end of each pillar, (P, 3, Q) [mm/N]."""
-    forward = ForwardModel.of(response, component)
-    return np.ascontiguousarray(
-        forward.influence.reshape(forward.n_forces, 3, -1)[:, :, forward.top].transpose(2, 1, 0)
-    )
+def _own_electrodes(forward: ForwardModel) -> ForwardModel:
+    """The same, each pillar with an influence of its own."""
+    influence = forward.by_component.transpose(2, 1, 0).reshape(forward.n_forces, -1)
+    return replace(forward, influence=np.ascontiguousarray(influence), top=np.arange(forward.n_pillars))
 
 
 def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:

@@ -6,19 +6,23 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from dataset.samples import SampleError
-from decoupler.data.columns import component_named, force_columns
+from decoupler.data.columns import component_named
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.forward_model import MIN_WHOLE_OHM
+from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
-from decoupler.twin.decoder import decoder_of
+from decoupler.training.finite_strain import DRAWS
+from decoupler.twin.decoder import decoder_at_strain, decoder_of
 from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
+from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Posterior, infer, predicted, without_each
 from geometry.design import SensorDesign
@@ -31,7 +35,8 @@ if TYPE_CHECKING:
 CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 MAX_TESTED = 200  #: pairs that are then left out in turn, spread over all
-LOADS = 3000  #: usual loads that a decoder is fitted to
+LOADS = 3000  #: usual loads that a decoder of linear rubber is fitted to
+DRAWN = 32, 128  #: sensors that are drawn from a posterior, of linear rubber and at finite strain
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
 
@@ -50,14 +55,15 @@ class Twin:
     offset_ohm: FloatArray  #: (P,)
     offset_deviation_ohm: FloatArray  #: (P,)
     excess: float  #: χ² of the readings over their number: 1 if all is as modelled
-    posterior: Posterior | None = None  #: of linear rubber; None at finite strain
+    posterior: Posterior
     next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
     @classmethod
     def of(cls, found: Posterior, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
-        """The twin of linear rubber."""
+        """The twin of a posterior."""
         expected, state = found.expected, found.state
-        values = expected.values + expected.deviations * state.parameters
+        of_parameters, resistivity, _, _ = expected.parts(state.shared)
+        values = expected.values + expected.deviations * of_parameters
         deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
         rows = zip(expected.names, values, deviations, strict=True)
         return cls(
@@ -66,10 +72,10 @@ class Twin:
             n_pairs=n_pairs,
             parameters={name: (float(value), float(deviation)) for name, value, deviation in rows},
             covariance=found.covariance,
-            resistivity=math.exp(expected.widths.resistivity * state.resistivity),
-            gain=state.gain,
+            resistivity=math.exp(expected.widths.resistivity * resistivity[0]),
+            gain=expected.gain(state),
             gain_deviation=found.gain_deviation,
-            offset_ohm=state.offset_ohm,
+            offset_ohm=expected.offset_ohm(state),
             offset_deviation_ohm=found.offset_deviation_ohm,
             excess=found.excess,
             posterior=found,
@@ -82,7 +88,8 @@ def identify(
     sensitivities: "ResponseSensitivities | None" = None,
     component: str | None = None,
     loads_n: FloatArray | None = None,
-    draws: int = 32,
+    at_strain: ForcePosterior | None = None,
+    draws: int | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Twin:
@@ -101,9 +108,11 @@ def identify(
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
-        pairs'. Images of them fill the array.
-    draws : int
-        Sensors that are drawn from the posterior, for deviations.
+        pairs', or at finite strain those that the design has seen. Images of them fill the array.
+    at_strain : Posterior, optional
+        Of the design at finite strain: that of a decoder which was trained on its samples. Needs the derivatives.
+    draws : int, optional
+        Sensors that are drawn from the posterior, for deviations; default: `DRAWN`.
     seed : int
         Of these draws.
     progress : callable
@@ -112,47 +121,61 @@ def identify(
     Raises
     ------
     SampleError
-        If the pairs are of another array, or none presses the sensor.
+        If the pairs are of another array, none presses the sensor, or no pair has forces that finite strain knows.
     """
-    parts = component_named(component or acting(pairs, None if response is None else loads_n))
+    known_n = None if response is None else loads_n
+    parts = component_named("all" if at_strain is not None else component or acting(pairs, known_n))
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
-    readings = readings_of(pairs, axes, pillars)
-    if loads_n is None and response is not None:
-        loads_n = loads_like(pairs.force_n, axes, response.design, LOADS)
-    usual_n = force_columns(pairs.force_n if loads_n is None else loads_n, parts)
-    usual_n = images_of(usual_n.reshape(-1, rows, cols, len(axes)), axes, LOADS).reshape(-1, usual_n.shape[1])
-    if not usual_n.any():
-        raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    if response is None:
+    design = None if response is None else response.design
+    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(
+        None if design is None else design.electrics
+    )
+    readings = readings_of(pairs, axes, pillars, errors)
+    if response is None or design is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
         expected = Expectation.of(response, sensitivities, parts)
-        if expected.influence.shape[::2] != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
+        if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
+        if loads_n is None:
+            loads_n = loads_like(pairs.force_n, axes, design, LOADS if at_strain is None else DRAWS)
+    if loads_n is None:
+        loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
+    usual_n = loads_n[..., axes]
+    if not usual_n.any():
+        raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
+    usual_n = images_of(usual_n, axes, LOADS if at_strain is None else DRAWS)
+    usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
+    missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
+    share = 1.0
+    if at_strain is not None and response is not None and sensitivities is not None:
+        share = 0.3
+        near = NearDesigns(at_strain, response, sensitivities)
+        expected = expected.at_strain(at_strain.forward, near.by_parameters(lambda part: progress(0.5 * part)))
     with threadpool_limits(1, "blas"):  # products are too small for two threads to share
-        found = infer(expected, readings, draws, seed, progress)
-        decoder = decoder_of(
-            found,
-            parts,
-            (rows, cols),
-            usual_n,
-            pairs.noise,
-            pairs.bits,
-            None if response is None else response.design,
-            dead if dead.any() else None,
-            {"identified_on": pairs.content_hash, "pairs": n},
+        found = infer(
+            expected,
+            readings,
+            draws or DRAWN[at_strain is not None],
+            seed,
+            lambda part: progress(share * part),
         )
-        if n > 1 and response is not None and _contradicted(found, expected.widths):
-            decoder = _widened(decoder, found, readings)
+        if at_strain is not None and design is not None:
+            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from, seed)
+            progress(0.2)
+        else:
+            decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)
+            if n > 1 and response is not None and _contradicted(found, expected.widths):
+                decoder = _widened(decoder, found, readings)
     return Twin.of(found, decoder.design, decoder, n)
 
 
 def _contradicted(found: Posterior, stated: Widths) -> bool:
     """Say whether pairs contradict what was stated: by parameters or corrections far off, or loads that do not fit."""
-    if np.abs(found.state.parameters).max(initial=0.0) > CONTRADICTED:
+    if np.abs(found.expected.parts(found.state.shared)[0]).max(initial=0.0) > CONTRADICTED:
         return True
     led_to = found.expected.widths
     too_large = max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0
@@ -162,7 +185,8 @@ def _contradicted(found: Posterior, stated: Widths) -> bool:
 def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoupler:
     """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
 
-    It is given readings of the most probable sensor that err as each pair would have, had it been left out.
+    It is given readings of the most probable sensor that err as each pair would have, had it been left out. Few pairs
+    do not tell well how far the errors of others reach: by Student's t of as many degrees of freedom.
     """
     whole = np.flatnonzero((readings.read | ~readings.read.any(axis=0)).all(axis=1))
     tested = whole[np.linspace(0, len(whole) - 1, min(MAX_TESTED, len(whole))).astype(int)]
@@ -176,13 +200,13 @@ def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoup
     force_n = decoder.outputs(as_left_out)
     variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
     variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
-    noise = reading_deviation(as_left_out, readings.noise, readings.bits)
+    noise = uncertainty.errors.deviation(as_left_out)
     variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)
     ratio = np.abs(force_n - readings.force_n[tested]) / np.sqrt(variance)
     n_axes = uncertainty.widths.shape[1]
     scale = [
-        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0)
-        for share, width in zip(WITHIN, within, strict=True)
+        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0) * stdtrit(len(tested), 0.5 + share / 2) / k
+        for k, share, width in zip((1, 2), WITHIN, within, strict=True)
     ]
     widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
@@ -195,11 +219,12 @@ def acting(pairs: Pairs, loads_n: FloatArray | None = None) -> str:
     return f"f{acting[0]}" if len(acting) == 1 else "all"
 
 
-def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
-    """Pairs as columns."""
-    n = len(pairs)
+def readings_of(pairs: Pairs, axes: list[int], pillars: list[int], errors: ReadingError | None = None) -> Readings:
+    """Pairs as columns; what pillars share of the readings' errors is taken for what they have of their own."""
+    n, rows, cols, _ = pairs.force_n.shape
     ohms = pairs.resistance_ohm[..., pillars].reshape(n, -1)
     read = np.isfinite(ohms)
+    ohms = np.where(read, ohms, 1e4)
     pair = np.repeat(np.arange(n), [len(part) for part in pairs.unknown_n])
     if len(pair) > MAX_UNKNOWN:
         raise SampleError(
@@ -208,12 +233,11 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int]) -> Readings:
         )
     unknown = np.concatenate(pairs.unknown_n)[..., axes]
     return Readings(
-        resistance_ohm=np.where(read, ohms, 1e4),
+        resistance_ohm=ohms,
         read=read,
         force_n=pairs.force_n[..., axes].reshape(n, -1),
         unknown_n=unknown.reshape(len(pair), -1) if len(pair) else np.zeros((0, math.prod(unknown.shape[1:]))),
         pair=pair,
-        noise=pairs.noise,
-        bits=pairs.bits,
+        deviation_ohm=(errors or ReadingError(noise=pairs.noise, bits=pairs.bits)).total(ohms, rows, cols),
         scale=np.ones(n),
     )

@@ -1,22 +1,25 @@
 """Readings of a sensor about a state of it that may be: linearised, whitened, each pillar's own unknowns marginalised.
 
-A pillar reads R = g c Σ s (d + B F)² + o. What all pillars share (parameters of the design, resistivity, the correction
-that all units share, forces that are not quite known) is one vector; what is a pillar's own is its gain, its offset and
-the correction of its influence.
+A pillar reads R = c (Σ s (d + B G)² + ρ(G)) + o under forces F = G + χ(G). What all pillars share (parameters of the
+design, resistivity, the correction that all units share, forces that are not quite known) is one vector; what is a
+pillar's own is its gain, its offset and the correction of its influence.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import reading_deviation
-from decoupler.twin.expectation import Expectation
+from decoupler.inverse.strain_maps import N_AXES, N_FEATURES
+from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.marginal import Marginal
 from geometry.layout import FloatArray
 
 MIN_NOISE = 1e-6  #: relative error that readings have at least
+FOLDED = 3.0  #: change of a reading over its rest by one deviation of a parameter, beyond which a state is near a fold
+CHUNK = 64  #: states whose derivatives are in memory together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,120 +31,90 @@ class Readings:
     force_n: FloatArray  #: (n, Q): expected
     unknown_n: FloatArray  #: (n_unknown, Q): directions in which forces may differ, a standard deviation each
     pair: NDArray[np.int64]  #: (n_unknown,): of which pair
-    noise: float
-    bits: int | None
+    deviation_ohm: FloatArray  #: (n, P): of the readings' own errors
     scale: FloatArray  #: (n,): of all deviations of a pair; above 1 if its load or its reading was not as stated
 
-    def variance_ohm2(self) -> FloatArray:
-        """Variance of the readings about their resistances, (n, P) [Ω²]."""
-        deviation = reading_deviation(self.resistance_ohm, self.noise, self.bits)
-        return deviation**2 + (MIN_NOISE * self.resistance_ohm) ** 2
+    def forces(self, unknown: FloatArray) -> FloatArray:
+        """Forces on the pads (n, Q) [N] for ξ (n_unknown,)."""
+        force_n = self.force_n.copy()
+        np.add.at(force_n, self.pair, unknown[:, None] * self.unknown_n)
+        return force_n
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class State:
-    """One sensor that may be; unknowns are in standard deviations of their priors if no unit is stated."""
+class Shown:
+    """Squares of lengths of a sensor under forces (n, Q) [N], or in states that are known, and their derivatives.
 
-    parameters: FloatArray  #: (k,)
-    resistivity: float  #: logarithm of its ratio to the design's, in standard deviations
-    shared: FloatArray  #: (kinds, 3, n_shared)
-    unknown: FloatArray  #: (n_unknown,): ξ of the forces
-    gain: FloatArray  #: g, (P,)
-    offset_ohm: FloatArray  #: o, (P,)
-    own: FloatArray  #: (P, 3, Q) [mm/N]
-
-    @classmethod
-    def as_expected(cls, expected: Expectation, n_unknown: int) -> "State":
-        """The prior's mean."""
-        P, _, Q = expected.influence.shape
-        kinds = P // expected.n_units
-        n_shared = expected.near.shape[1] * (Q // expected.n_units)
-        return cls(
-            parameters=np.zeros(len(expected.names)),
-            resistivity=0.0,
-            shared=np.zeros((kinds, 3, n_shared)),
-            unknown=np.zeros(n_unknown),
-            gain=np.ones(P),
-            offset_ohm=np.zeros(P),
-            own=np.zeros((P, 3, Q)),
-        )
-
-    def influence(self, expected: Expectation) -> FloatArray:
-        """B, (P, C, Q) [mm/N]."""
-        B = expected.influence + np.tensordot(self.parameters, expected.by_influence, axes=1)
-        B[:, :3] += self.own + expected.shared_influence(self.shared * expected.widths.shared)
-        return B
-
-    def rest_mm(self, expected: Expectation) -> FloatArray:
-        """d, (P, C)."""
-        return expected.rest_mm + np.tensordot(self.parameters, expected.by_rest_mm, axes=1)
-
-    def ohm_per_mm2(self, expected: Expectation) -> FloatArray:
-        """c, (P,), of the sensor's own size and resistivity."""
-        logarithm = self.parameters @ expected.by_log_c + expected.widths.resistivity * self.resistivity
-        return expected.ohm_per_mm2 * np.exp(logarithm)
-
-
-def forces_under(readings: Readings, unknown: FloatArray) -> FloatArray:
-    """Forces on the pads (n, Q) [N] for ξ (n_unknown,)."""
-    force_n = readings.force_n.copy()
-    np.add.at(force_n, readings.pair, unknown[:, None] * readings.unknown_n)
-    return force_n
-
-
-def own_unknowns(expected: Expectation, state: State) -> FloatArray:
-    """Gain, offset and correction of each pillar, (P, 2 + 3Q), in standard deviations."""
-    widths = expected.widths
-    parts = [
-        (state.gain[:, None] - 1.0) / widths.gain,
-        (state.offset_ohm / (widths.offset * expected.rest_ohm))[:, None],
-        (state.own / (widths.own * expected.sizes[:, None])).reshape(len(state.gain), -1),
-    ]
-    return np.concatenate(parts, axis=1)
-
-
-def with_own(expected: Expectation, state: State, own: FloatArray) -> State:
-    """The state with these unknowns of the pillars, as `own_unknowns` has them."""
-    widths = expected.widths
-    return replace(
-        state,
-        gain=1.0 + widths.gain * own[:, 0],
-        offset_ohm=widths.offset * expected.rest_ohm * own[:, 1],
-        own=own[:, 2:].reshape(state.own.shape) * (widths.own * expected.sizes[:, None]),
-    )
-
-
-def shown(expected: Expectation, state: State, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Vectors v = d + B F (n, P, C) [mm], and resistances without gain and offset, c Σ s v², (n, P) [Ω]."""
-    P, C, Q = expected.influence.shape
-    v = (force_n @ state.influence(expected).reshape(-1, Q).T).reshape(-1, P, C) + state.rest_mm(expected)
-    return v, state.ohm_per_mm2(expected) * np.einsum("pi,npi,npi->np", expected.sign, v, v)
-
-
-def _weights(expected: Expectation, readings: Readings, state: State) -> tuple[FloatArray, FloatArray]:
-    """One over the deviation of each reading, (n, P) [1/Ω], 0 where not read; fraction of the variance that is misfit.
-
-    A misfit is relative to the distance from the sensor's own rest.
+    Squares y are resistances without offset over c [mm²]. ``there`` (n,) says which forces have a state.
     """
-    rest_ohm = state.ohm_per_mm2(expected) * (expected.sign * state.rest_mm(expected) ** 2).sum(axis=1)
-    distance = readings.resistance_ohm - state.gain * rest_ohm - state.offset_ohm
-    misfit_ohm2 = (expected.widths.misfit * distance) ** 2
-    variance = (readings.variance_ohm2() + misfit_ohm2) * readings.scale[:, None] ** 2
-    misfit_ohm2 *= readings.scale[:, None] ** 2
-    return readings.read / np.sqrt(variance), readings.read * misfit_ohm2 / variance
 
+    def __init__(
+        self, expected: Expectation, state: State, force_n: FloatArray, state_n: FloatArray | None = None
+    ) -> None:
+        self.expected, self.sensor = expected, expected.sensor(state)
+        maps, self.force_n, self.there = self.sensor.maps, force_n, np.ones(len(force_n), dtype=bool)
+        if state_n is None and maps is not None:
+            state_n, self.there = maps.nearest_states(force_n)
+            state_n[~self.there] = 0.0
+        self.state_n = force_n if state_n is None else state_n
+        vectors = self.sensor.linear.vectors(self.state_n)
+        signed = vectors if self.sensor.sign is None else vectors * self.sensor.sign
+        self.squares = np.einsum("ncp,ncp->np", signed, vectors)
+        if maps is not None:
+            self.squares += maps.values(self.state_n)[..., N_AXES:].reshape(self.squares.shape)
+        self.by_vector = 2.0 * signed.transpose(0, 2, 1)  #: (n, P, C) [mm]
 
-def flat(state: State) -> FloatArray:
-    """All that pillars share, as one vector."""
-    return np.concatenate([state.parameters, [state.resistivity], state.shared.ravel(), state.unknown])
+    @property
+    def resistance_ohm(self) -> FloatArray:
+        """Resistances, (n, P) [Ω]."""
+        return self.sensor.ohm_per_mm2 * self.squares + self.sensor.offset_ohm
+
+    @cached_property
+    def _by_force(self) -> FloatArray:
+        """Derivatives of the squares by forces at finite strain, (n, P, Q) [mm²/N]."""
+        parts = []
+        for start in range(0, len(self.state_n), CHUNK):
+            _, by_state, _, by_force = self.sensor.at_states(self.state_n[start : start + CHUNK])
+            parts.append(np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2))
+        return np.concatenate(parts)
+
+    def along(self, direction_n: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
+        """Change of the squares by r directions of the forces for some of the n, (·, r, Q) [N] -> (·, P, r) [mm²]."""
+        if self.sensor.maps is not None:
+            return self._by_force[rows] @ direction_n.swapaxes(1, 2)
+        moved = (direction_n @ self.sensor.influence).reshape(*direction_n.shape[:2], *self.sensor.rest_mm.shape)
+        return np.einsum("npc,nrcp->npr", self.by_vector[rows], moved)
+
+    @cached_property
+    def by_parameters(self) -> FloatArray:
+        """Change of the squares by the parameters, then by the resistivity, (n, P, k + 1) [mm²]."""
+        expected, (n, P, C) = self.expected, self.by_vector.shape
+        k = len(expected.names)
+        moved = (self.state_n @ expected.by_influence.reshape(-1, expected.n_forces).T).reshape(n, k, P, C)
+        by = np.einsum("npc,nkpc->npk", self.by_vector, moved + expected.by_rest_mm)
+        by += self.squares[..., None] * expected.by_log_c.T
+        if expected.by_weights is not None:
+            maps = self.sensor.maps
+            assert maps is not None
+            changed = replace(maps, weights=expected.by_weights.reshape(N_FEATURES, -1))
+            values = changed.values(self.state_n).reshape(n, expected.n_units, k, -1).swapaxes(1, 2)
+            by += values[..., N_AXES:].reshape(n, k, P).swapaxes(1, 2)
+            by -= self.along(values[..., :N_AXES].reshape(n, k, -1))
+        return np.concatenate([by, expected.widths.resistivity * self.squares[..., None]], axis=2)
+
+    def far_from_folds(self) -> NDArray[np.bool_]:
+        """Where a state is known that a deviation of a parameter moves little, (n,)."""
+        if self.sensor.maps is None:
+            return self.there
+        by_rest = np.abs(self.by_parameters).max(axis=2) / self.expected.rest_ohm * self.expected.forward.ohm_per_mm2
+        return self.there & (by_rest.max(axis=1) < FOLDED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pillar:
     """Readings of one pillar, linearised about a state and whitened: misfit ≈ D x + J (z + T y).
 
-    x are parameters, resistivity and unknown parts of forces, z the pillar's own unknowns as `own_unknowns` has them. A
-    shared correction y moves a pillar as one of its own would: T has one entry a column.
+    x are parameters, resistivity and unknown parts of forces, z the pillar's own unknowns as `State` has them. A shared
+    correction y moves a pillar as one of its own would: T has one entry a column.
     """
 
     D: FloatArray  #: (n, k + 1 + n_unknown)
@@ -167,24 +140,32 @@ class Linear:
 
     def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
         self.expected, self.readings, self.state = expected, readings, state
-        self.weight, self.unsure = _weights(expected, readings, state)
-        self.own = own_unknowns(expected, state)
-        self._force_n = forces_under(readings, state.unknown)
-        v, modelled = shown(expected, state, self._force_n)
-        self._misfit = self.weight * (readings.resistance_ohm - state.gain * modelled - state.offset_ohm)
-        self._gain = self.weight * modelled
-        self._slope = (2.0 * state.gain * state.ohm_per_mm2(expected) * self.weight)[..., None] * expected.sign * v
-        self._B = state.influence(expected)
-        x, P = flat(state), expected.n_pillars
-        self.N, self.rhs = np.eye(len(x)), -x
-        self.known, self.left = np.empty((P, 3)), np.empty(self.weight.shape)
+        self.shown = shown = Shown(expected, state, readings.forces(expected.parts(state.shared)[3]))
+        c, ohms = shown.sensor.ohm_per_mm2, readings.resistance_ohm
+        self.read = readings.read & shown.far_from_folds()[:, None]
+        misfit_ohm2 = (expected.widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
+        variance = readings.deviation_ohm**2 + (MIN_NOISE * ohms) ** 2 + misfit_ohm2
+        if shown.sensor.maps is not None:
+            missed = shown.sensor.maps.misfit_variance(shown.state_n)[..., N_AXES:].reshape(variance.shape)
+            variance += c**2 * missed
+        #: one over the deviation of each reading, (n, P) [1/Ω], 0 where not read; misfit's fraction of the variance
+        self.weight = self.read / (np.sqrt(variance) * readings.scale[:, None])
+        self.unsure = self.read * misfit_ohm2 / variance
+        self._misfit = self.weight * (ohms - shown.resistance_ohm)
+        self._by_squares = c * self.weight
+        self._by_gain = expected.widths.gain * self._by_squares * shown.squares / expected.gain(state)
+        self._by_parameters = self._by_squares[..., None] * shown.by_parameters
+        along = shown.along(readings.unknown_n[:, None], readings.pair)[..., 0]
+        self._by_unknown = self._by_squares[readings.pair] * along  # (n_unknown, P)
+        self.N, self.rhs = np.eye(len(state.shared)), -state.shared
+        self.known, self.left = np.empty((expected.n_pillars, 3)), np.empty(self.weight.shape)
         self._half = []
-        for p in range(P):
+        for p in range(expected.n_pillars):
             pillar = self.pillar(p)
             marginal = Marginal(pillar.J)
             self._half.append(marginal.half)
             self.known[p], self.left[:, p] = marginal.known(2), marginal.left()
-            y = pillar.misfit + pillar.J @ self.own[p]
+            y = pillar.misfit + pillar.J @ state.own[p]
             X, Z = marginal.solved(np.column_stack([pillar.D, y]))
             by_y = Z[pillar.rows] * pillar.factors[:, None]
             among_y = marginal.between(pillar.rows) * np.outer(pillar.factors, pillar.factors)
@@ -196,35 +177,32 @@ class Linear:
 
     def pillar(self, p: int) -> Pillar:
         """Pillar number p."""
-        expected, state, pair = self.expected, self.state, self.readings.pair
-        k, Q, (kinds, _, n_shared) = len(expected.names), expected.influence.shape[2], state.shared.shape
-        n, n_axes = len(self.weight), Q // expected.n_units
+        expected, shown, widths = self.expected, self.shown, self.expected.widths
+        n, Q, k, pair = len(self.weight), expected.n_forces, len(expected.names), self.readings.pair
+        n_axes, kinds, n_near = Q // expected.n_units, expected.n_pillars // expected.n_units, expected.near.shape[1]
         unit, kind = divmod(p, kinds)
-        s, scaled, widths = self._slope[:, p], state.gain[p] * self._gain[:, p], expected.widths
-        moved = (self._force_n @ expected.by_influence[:, p].reshape(-1, Q).T).reshape(n, k, s.shape[1])
         D = np.zeros((n, k + 1 + len(pair)))
-        D[:, :k] = np.einsum("nc,nkc->nk", s, moved + expected.by_rest_mm[:, p])
-        D[:, :k] += scaled[:, None] * expected.by_log_c[:, p]
-        D[:, k] = widths.resistivity * scaled
-        D[pair, k + 1 + np.arange(len(pair))] = (s[pair] * (self.readings.unknown_n @ self._B[p].T)).sum(axis=1)
-        sizes_n = self._force_n * (expected.sizes[p] * widths.own)
+        D[:, : k + 1] = self._by_parameters[:, p]
+        D[pair, k + 1 + np.arange(len(pair))] = self._by_unknown[:, p]
         J = np.empty((n, 2 + 3 * Q))
-        J[:, 0] = widths.gain * self._gain[:, p]
+        J[:, 0] = self._by_gain[:, p]
         J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
-        np.multiply(s[:, :3, None], sizes_n[:, None], out=J[:, 2:].reshape(n, 3, Q))
+        slope = self._by_squares[:, p, None] * shown.by_vector[:, p, :3]
+        moved = shown.state_n * (expected.sizes[p] * widths.own)
+        np.multiply(slope[..., None], moved[:, None], out=J[:, 2:].reshape(n, 3, Q))
         near = np.flatnonzero(expected.near[unit] >= 0)
         forces = (expected.near[unit, near, None] * n_axes + np.arange(n_axes)).ravel()
         columns = (near[:, None] * n_axes + np.arange(n_axes)).ravel()
         of_axis = np.arange(3)[:, None]
         ratio = np.repeat(expected.near_mm_per_n[near] * widths.shared, n_axes)
         ratio = ratio / (expected.sizes[p, forces] * widths.own)
-        first = k + 1 + 3 * n_shared * kind
-        places = [np.arange(k + 1), k + 1 + state.shared.size + np.arange(len(pair))]
+        first = k + 1 + 3 * n_near * n_axes * kind
+        unknown = k + 1 + expected.n_corrections + np.arange(len(pair))
         return Pillar(
             D=D,
             J=J,
             misfit=self._misfit[:, p],
-            places=np.concatenate([*places, (first + of_axis * n_shared + columns).ravel()]),
+            places=np.concatenate([np.arange(k + 1), unknown, (first + of_axis * n_near * n_axes + columns).ravel()]),
             rows=(2 + of_axis * Q + forces).ravel(),
             factors=np.tile(ratio, 3),
         )

@@ -12,20 +12,20 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from threadpoolctl import threadpool_limits
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from decoupler.data.columns import Component, force_columns
 from decoupler.data.load_table import NOISE as READ_NOISE
 from decoupler.data.load_table import UNITS_N, KnownLoad, known_forces, quantity_of
 from decoupler.data.pairs import Pairs
-from decoupler.twin.expectation import Expectation
-from decoupler.twin.linearised import State
+from decoupler.twin.expectation import Expectation, State
+from decoupler.twin.linearised import Shown
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
 
 MIN_NOISE = 1e-5  #: of readings to come, relative
 USUAL = 24  #: usual loads over which the expected error is taken
-#: what a kitchen has, see docs/measuring.md: buckets of water, one who stands on a lever, a pulley, a vacuum bag
+#: what a kitchen has, see docs/decoder.md: buckets of water, one who stands on a lever, a pulley, a vacuum bag
 KITCHEN = "pad:5kg,pad:15kg,pad:60kg,plate:20kg,plate:60kg,plate:120kg,string:3kg,string:12kg,air:30kPa,air:80kPa"
 MEANS = {"pad": UNITS_N, "plate": UNITS_N, "string": UNITS_N | {"%": 0.01}, "air": {"kpa": 1.0}}
 HAVE = "write kind:size such as pad:15kg, plate:20kg, string:3kg or string:20% and air:30kPa, separated by commas"
@@ -38,14 +38,13 @@ class Knowledge:
     expected: Expectation
     state: State
     covariance: FloatArray  #: (u, u)
-    noise: float  #: of the readings to come, relative
-    bits: int | None
+    errors: ReadingError  #: of the readings to come
 
     @classmethod
-    def before(cls, expected: Expectation, state: State, noise: float, bits: int | None) -> Self:
+    def before(cls, expected: Expectation, state: State, errors: ReadingError) -> Self:
         """Before any pair; linear about a state, the most probable one by all that is known."""
         covariance = np.eye(len(expected.names) + 1 + 2 * expected.n_pillars)
-        return cls(expected=expected, state=state, covariance=covariance, noise=noise, bits=bits)
+        return cls(expected=expected, state=state, covariance=covariance, errors=errors)
 
     def derivatives(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Derivatives of the readings under a load (Q,) [N], and their own deviations.
@@ -59,31 +58,18 @@ class Knowledge:
         array, shape (P,)
             Standard deviations of noise, converter's steps and what the unknowns do not explain [Ω].
         """
-        expected, state = self.expected, self.state
-        B, d, c, widths = (
-            state.influence(expected),
-            state.rest_mm(expected),
-            state.ohm_per_mm2(expected),
-            expected.widths,
-        )
-        v = d + B @ force_n
-        modelled, rest_ohm = c * (v**2).sum(axis=1), c * (d**2).sum(axis=1)
-        by_vector = (2.0 * state.gain * c)[:, None] * v  # (P, 3)
-        moved = expected.by_rest_mm + expected.by_influence @ force_n  # (k, P, 3)
-        shared = (moved * by_vector).sum(axis=2) + state.gain * modelled * expected.by_log_c
-        by_unknown = np.column_stack(
-            [
-                shared.T,
-                widths.resistivity * state.gain * modelled,
-                np.diag(widths.gain * modelled),
-                np.diag(widths.offset * expected.rest_ohm),
-            ]
-        )
-        reading = reading_deviation(state.gain * modelled + state.offset_ohm, self.noise, self.bits)
-        corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * force_n, axis=1)
-        variance = reading**2 + (np.linalg.norm(by_vector, axis=1) * corrected_mm) ** 2
-        variance += (widths.misfit * (modelled - rest_ohm)) ** 2
-        return by_unknown, np.einsum("pi,piq->pq", by_vector, B), np.sqrt(variance)
+        expected, widths, gain = self.expected, self.expected.widths, self.expected.gain(self.state)
+        shown = Shown(expected, self.state, force_n[None])
+        c, ohms = shown.sensor.ohm_per_mm2, shown.resistance_ohm[0]
+        shared = c[:, None] * shown.by_parameters[0]
+        own = np.diag(widths.gain * c * shown.squares[0] / gain), np.diag(widths.offset * expected.rest_ohm)
+        by_force = c[:, None] * shown.along(np.eye(len(force_n))[None])[0]
+        reading = self.errors.deviation(ohms)
+        corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * shown.state_n, axis=1)
+        by_vector = c * np.linalg.norm(shown.by_vector[0], axis=1)
+        variance = reading**2 + (by_vector * corrected_mm) ** 2
+        variance += (widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
+        return np.column_stack([shared, *own]), by_force, np.sqrt(variance)
 
     def fall(self, force_n: FloatArray, unknown_n: FloatArray) -> FloatArray:
         """K, (u, P): a pair of a load (Q,), known but for directions (k, Q) [N], takes K Kᵀ off the covariance."""
@@ -224,7 +210,8 @@ def next_loads(
     count : int
     """
     noise, bits = (READ_NOISE, None) if measured is None else (max(measured.noise, MIN_NOISE), measured.bits)
-    known, everything = Knowledge.before(expected, state, noise, bits), expected.component
+    known = Knowledge.before(expected, state, ReadingError(noise=noise, bits=bits))
+    everything = expected.component
     if measured is not None:
         for force_n, unknown_n in zip(force_columns(measured.force_n, everything), measured.unknown_n, strict=True):
             known = known.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))

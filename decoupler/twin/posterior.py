@@ -6,14 +6,17 @@ Widths that nobody states follow from the pairs, too.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from dataset.samples import SampleError
+from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.ensemble import Ensemble
-from decoupler.twin.expectation import Expectation, Widths
-from decoupler.twin.linearised import Linear, Readings, State, flat, forces_under, own_unknowns, shown, with_own
+from decoupler.twin.expectation import Expectation, State, Widths
+from decoupler.twin.linearised import Linear, Readings, Shown
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -21,7 +24,7 @@ CONVERGED = 0.03  #: standard deviations that an unknown still moves, and relati
 FARTHEST = 2.0  #: standard deviations that a shared unknown moves in a step
 HALVINGS = 10  #: of a pillar's own step until its misfit falls
 #: number of unknowns that a stated width counts as, beside those that the pairs determine
-BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 20.0, "own": 20.0, "misfit": 1.0}
+BELIEF = {"gain": 20.0, "offset": 20.0, "shared": 5.0, "own": 5.0, "misfit": 1.0}
 BELIEF_IN_PAIRS = 20.0  #: number of readings that count as being as expected, beside those of a pair
 #: largest width that pairs may lead to, unless a larger one is stated
 WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
@@ -39,6 +42,11 @@ class Posterior:
     ensemble: Ensemble
     scale: FloatArray  #: (n,): of all deviations of each pair, above 1 if it was not as stated or as modelled
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
+
+    @cached_property
+    def sensor(self) -> ForwardModel:
+        """The most probable sensor."""
+        return self.expected.sensor(self.state)
 
 
 def infer(
@@ -68,15 +76,15 @@ def infer(
     unknowns over the number of those that the pairs determine, with the stated width as `BELIEF` more of them. Draws
     are exact for the linearised model (Matheron's rule).
     """
-    stated, state = expected.widths, State.as_expected(expected, len(readings.unknown_n))
+    stated, state = expected.widths, expected.mean(len(readings.pair))
     for _ in range(MAX_STEPS):
         progress(1.0 / (MAX_STEPS + 1))
         state, evidence = _improved(expected, readings, state)
-        widths = evidence.widths(stated, expected.widths)
+        old, widths = expected.widths, evidence.widths(stated, expected.widths)
         readings = replace(readings, scale=np.maximum(readings.scale * evidence.scale, 1.0))
-        change = max(abs(getattr(widths, name) / getattr(expected.widths, name) - 1.0) for name in evidence.known)
-        state = _in_other_widths(state, expected.widths, widths)
+        change = max(abs(getattr(widths, name) / getattr(old, name) - 1.0) for name in evidence.known)
         expected = replace(expected, widths=widths)
+        state = state.rescaled(expected, old)
         if max(change, evidence.moved) < CONVERGED:
             break
     return _drawn(expected, readings, state, draws, seed)
@@ -84,7 +92,7 @@ def infer(
 
 def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
     """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
-    return found.state.gain * shown(found.expected, found.state, force_n)[1] + found.state.offset_ohm
+    return Shown(found.expected, found.state, force_n).resistance_ohm
 
 
 @dataclass(kw_only=True)
@@ -110,10 +118,12 @@ class _Evidence:
 def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[State, _Evidence]:
     """The state after a Gauss-Newton step, and what the step says of the widths."""
     linear = Linear(expected, readings, state)
-    own, n_first = linear.own, len(state.parameters) + 1
+    if not linear.read.any():
+        raise SampleError("no pair has forces that this design bears at finite strain: are they in newtons?")
+    own, n_first = state.own, len(expected.names) + 1
     known = dict(zip(("gain", "offset", "own"), linear.known.sum(axis=0).tolist(), strict=True))
     known["misfit"] = float((linear.unsure * linear.left).sum())
-    expected_errors = BELIEF_IN_PAIRS + (readings.read * linear.left).sum(axis=1)
+    expected_errors = BELIEF_IN_PAIRS + (linear.read * linear.left).sum(axis=1)
     factor = cho_factor(linear.N, lower=True)
     step = cho_solve(factor, linear.rhs)
     step *= min(1.0, FARTHEST / max(np.abs(step[:n_first]).max(), 1e-12))
@@ -123,55 +133,42 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
     squares = {"misfit": float((linear.unsure * noise**2).sum()), "own": float((found[:, 2:] ** 2).sum())}
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
     errors = BELIEF_IN_PAIRS + (noise**2).sum(axis=1)
-    moved = _unflat(state, flat(state) + step)
-    if state.shared.size:
+    moved = replace(state, shared=state.shared + step)
+    if expected.n_corrections:
         half = solve_triangular(factor[0], np.eye(len(linear.N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
-        of_shared = slice(n_first, n_first + state.shared.size)
-        known["shared"] = float(state.shared.size - (half[:, of_shared] ** 2).sum())
-        squares["shared"] = float((moved.shared**2).sum())
-    improved = _descended(expected, readings, moved, own, found, linear.weight)
-    farthest = max(float(np.abs(step).max()), float(np.abs(own_unknowns(expected, improved) - own).max()))
+        of_shared = slice(n_first, n_first + expected.n_corrections)
+        known["shared"] = float(expected.n_corrections - (half[:, of_shared] ** 2).sum())
+        squares["shared"] = float((moved.shared[of_shared] ** 2).sum())
+    improved = _descended(linear, moved, found)
+    farthest = max(float(np.abs(step).max()), float(np.abs(improved.own - own).max()))
     return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
 
 
-def _descended(
-    expected: Expectation, readings: Readings, state: State, own: FloatArray, found: FloatArray, weight: FloatArray
-) -> State:
-    """The state with each pillar's own unknowns on the way from `own` to `found`, as far as its misfit falls."""
+def _descended(linear: Linear, state: State, found: FloatArray) -> State:
+    """The state with each pillar's own unknowns on the way to those `found`, as far as its misfit falls."""
+    expected, readings, own = linear.expected, linear.readings, state.own
+    force_n = readings.forces(expected.parts(state.shared)[3])
+    state_n = Shown(expected, state, force_n).state_n  # the same for all unknowns of a pillar's own
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        tried = with_own(expected, state, unknowns)
-        _, modelled = shown(expected, tried, force_n)
-        misfit = weight * (readings.resistance_ohm - tried.gain * modelled - tried.offset_ohm)
-        return (misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1)
+        shown = Shown(expected, replace(state, own=unknowns), force_n, state_n)
+        misfit = linear.weight * (readings.resistance_ohm - shown.resistance_ohm)
+        return np.asarray((misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1))
 
-    force_n = forces_under(readings, state.unknown)
     size, before = np.ones((len(own), 1)), cost(own)
     for _ in range(HALVINGS):
         worse = cost(own + size * (found - own)) > before
         if not worse.any():
             break
         size[worse] *= 0.5
-    return with_own(expected, state, own + size * (found - own))
-
-
-def _unflat(state: State, x: FloatArray) -> State:
-    """The state with all that pillars share from a vector."""
-    k, size = len(state.parameters), state.shared.size
-    shared = x[k + 1 : k + 1 + size].reshape(state.shared.shape)
-    return replace(state, parameters=x[:k], resistivity=float(x[k]), shared=shared, unknown=x[k + 1 + size :])
-
-
-def _in_other_widths(state: State, old: Widths, new: Widths) -> State:
-    """The same sensor, its shared correction in standard deviations of another width."""
-    return replace(state, shared=state.shared * (old.shared / new.shared) if state.shared.size else state.shared)
+    return replace(state, own=own + size * (found - own))
 
 
 def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Posterior:
     """The posterior about the most probable state, with draws from it."""
     generator = np.random.default_rng(seed)
     linear = Linear(expected, readings, state)
-    n, own = len(linear.weight), linear.own
+    n, own = len(linear.weight), state.own
     factor = np.linalg.cholesky(linear.N)
     shared_draws = solve_triangular(factor, generator.standard_normal((len(factor), draws)), lower=True, trans="T")
     own_draws, noise = np.empty((*own.shape, draws)), np.empty_like(linear.weight)
@@ -180,7 +177,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
         own_draws[p] = marginal.drawn(prior, generator.standard_normal((n, draws)))
         own_draws[p] -= marginal.solved(pillar.by_shared(shared_draws))[1]
         noise[:, p] = marginal.solved(pillar.misfit + pillar.J @ own[p])[0]
-    k = len(state.parameters)
+    k = len(expected.names)
     widths, deviations = expected.widths, np.sqrt(1.0 - linear.known[:, :2])
     return Posterior(
         expected=expected,
@@ -190,7 +187,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
         offset_deviation_ohm=widths.offset * expected.rest_ohm * deviations[:, 1],
         ensemble=_ensemble(expected, state, own_draws, shared_draws),
         scale=readings.scale,
-        excess=float((noise**2 / linear.left)[readings.read].mean()),
+        excess=float((noise**2 / linear.left)[linear.read].mean()),
     )
 
 
@@ -216,7 +213,7 @@ def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64])
     noise, left, by_shared = np.empty(shape), np.empty(shape), np.empty((*shape, len(half)))
     for p, pillar, marginal in linear.pillars():
         A = np.concatenate([pillar.D, pillar.J[:, pillar.rows] * pillar.factors], axis=1)
-        r = pillar.misfit + pillar.J @ linear.own[p] - A @ step[pillar.places]
+        r = pillar.misfit + pillar.J @ found.state.own[p] - A @ step[pillar.places]
         X = marginal.solved(np.column_stack([A, r]))[0][which]
         by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
         left[:, p] = marginal.left_of(which)
@@ -233,16 +230,17 @@ def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64])
 
 def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: FloatArray) -> Ensemble:
     """Draws (P, m, draws) and (g, draws) of what pillars have alone and together, as changes of their resistances."""
-    k, size, widths = len(state.parameters), state.shared.size, expected.widths
-    parameters, resistivity = shared[:k].T, shared[k]
-    influence = own[:, 2:].reshape(*state.own.shape, -1) * (widths.own * expected.sizes[:, None, :, None])
-    influence = np.moveaxis(influence, -1, 0) + np.tensordot(parameters, expected.by_influence[:, :, :3], axes=1)
-    for draw, values in enumerate(shared[k + 1 : k + 1 + size].T if size else ()):
-        influence[draw] += expected.shared_influence(values.reshape(state.shared.shape) * widths.shared)
-    resistance = widths.gain * own[:, 0].T / state.gain + parameters @ expected.by_log_c
+    widths = expected.widths
+    parameters, resistivity, corrections, _ = expected.parts(shared)
+    influence = np.tensordot(parameters.T, expected.by_influence[:, :, :3], axes=1)
+    for draw, (alone, together) in enumerate(zip(np.moveaxis(own, 2, 0), corrections.T, strict=True)):
+        influence[draw] += expected.own_influence(alone[:, 2:]) + expected.shared_influence(together)
+    resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by_log_c).T
     return Ensemble(
-        resistance=resistance + widths.resistivity * resistivity[:, None],
+        resistance=(resistance + widths.resistivity * resistivity).T,
         offset_ohm=widths.offset * expected.rest_ohm * own[:, 1].T,
-        rest_mm=np.tensordot(parameters, expected.by_rest_mm[..., :3], axes=1),
+        rest_mm=np.tensordot(parameters.T, expected.by_rest_mm[..., :3], axes=1),
         influence=influence.astype(np.float32),
+        parameters=None if expected.by_weights is None else parameters.T,
+        by_weights=expected.by_weights,
     )

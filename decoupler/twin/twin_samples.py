@@ -5,15 +5,12 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError
@@ -70,11 +67,10 @@ def simulate_twin(
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     force_n = force_columns(samples.force_n, decoder.component)
     forward = decoder.inverse.forward
-    shown, slopes = forward.resistances(force_n), forward.relative_slopes(force_n)
-    drawn = shown + decoder.ensemble.drawn(force_n, slopes, shown - forward.offset_ohm, numbers.start)
+    drawn = decoder.ensemble.readings(forward, force_n, numbers.start)
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
-    exact_ohm[..., pillars] = np.maximum(drawn, MIN_WHOLE_OHM).reshape(*exact_ohm.shape[:3], -1)
+    exact_ohm[..., pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
     design = twin.design
     return replace(
         samples,

@@ -7,12 +7,12 @@ simulator`` builds. Whatever talks to a board talks to its `port`.
 import json
 import os
 import shutil
-import signal
 import stat
 import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -106,12 +106,10 @@ class SimavrBoard:
         A link to the port, for whoever needs a name that stays.
     fast : bool
         As fast as possible, rather than in real time. The board then waits for its reader, so nothing is lost.
-    seconds : float, optional
-        Stop after so much of the board's time [s].
-    damage : int, optional
-        One in so many bytes to the board arrives with a wrong stop bit.
     program : Path
         What ``make -C hardware/firmware simulator`` built.
+    options : sequence of str
+        More of the program's options, as it lists them with ``--help``.
 
     Examples
     --------
@@ -131,16 +129,13 @@ class SimavrBoard:
         *,
         link: Path | None = None,
         fast: bool = False,
-        seconds: float | None = None,
-        damage: int | None = None,
         program: Path = PROGRAM,
+        options: Sequence[str] = (),
     ) -> None:
         self._program = program
         self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
         self._command += ["--link", str(link)] if link else []
-        self._command += ["--seconds", str(seconds)] if seconds else []
-        self._command += ["--fast"] if fast else []
-        self._command += ["--damage", str(damage)] if damage else []
+        self._command += [*(["--fast"] if fast else []), *options]
         self._process: subprocess.Popen[str] | None = None
         self._statistics: dict[str, Any] | None = None
         self.port = ""  #: the serial port's path, once started
@@ -171,18 +166,8 @@ class SimavrBoard:
     def __exit__(self, *exception: object) -> None:
         self._close()
 
-    def press_reset(self) -> None:
-        """Press the board's reset button: the sequence and its clock start again."""
-        if sys.platform != "win32":
-            self._running().send_signal(signal.SIGUSR1)
-
-    def hang(self) -> None:
-        """Take the interrupt away that starts scans, as a disturbed register would: nothing is sent any more."""
-        if sys.platform != "win32":
-            self._running().send_signal(signal.SIGUSR2)
-
-    def stop(self) -> dict[str, Any]:
-        """Stop the board, if it did not stop by itself, and give its statistics.
+    def stop(self, at_once: bool = True) -> dict[str, Any]:
+        """Stop the board, or wait until it has by its option ``--seconds``, and give its statistics.
 
         ``seconds`` and ``cycles`` of the board's time, ``bytes_sent`` and ``bytes_dropped`` for want of a reader,
         ``bytes_received``, ``bytes_overrun`` of these that it lost, ``conversions``, ``bad_addresses`` (conversions of
@@ -191,14 +176,9 @@ class SimavrBoard:
         """
         if self._statistics is None:
             process = self._running()
-            process.terminate()
+            if at_once:
+                process.terminate()
             self._statistics = self._answer(process.communicate()[0])
-        return self._statistics
-
-    def wait(self) -> dict[str, Any]:
-        """Wait until the board's `seconds` are over, and give its statistics."""
-        if self._statistics is None:
-            self._statistics = self._answer(self._running().communicate()[0])
         return self._statistics
 
     def _running(self) -> "subprocess.Popen[str]":

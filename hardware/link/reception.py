@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware.link.frames import MAX_DRIFT, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
+from hardware.link.frames import MAX_DRIFT, MAX_OVERRUNS, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
 
+WAIT_NS = 1000  #: least time between two stamps; seconds since 1970 as floating-point numbers tell 240 ns
+MAX_HELD_NS = 1_000_000_000  #: step back of the clock that stamps wait for; after a longer one they follow it
 _TURN_US = 2**32  # the board's clock starts again from 0
 _BUCKET_S = 1.0  # the quickest frame of each second is kept
 _MAX_POINTS = 20  # so many seconds back frames count
@@ -18,15 +20,20 @@ _MIN_POINTS = 4  # for a drift: with fewer, one second without a quick frame wou
 class Scan:
     """A frame and its times.
 
-    `time_s` follows the fitted clock of the board. It may step back when the fit improves, and after a restart. For the
-    time between two scans take the difference of their ``frame.device_us``, modulo 2³².
+    Its stamp follows the fitted clock of the board, and waits where that steps back (`Stamps`). For the time between
+    two scans take the difference of their ``frame.device_us``, modulo 2³².
     """
 
     frame: Frame
     received_s: float  #: time.perf_counter() when its last byte was read [s]
     restarts: int  #: of the board, before it
     run: int  #: counts up where the board restarted or was connected again; nothing counts as lost in between
-    time_s: float  #: start of the scan on the host's Unix clock [s], late by the link's least delay
+    stamp_ns: int  #: start of the scan on the host's Unix clock [ns], late by the link's least delay
+
+    @property
+    def time_s(self) -> float:
+        """The stamp [s]."""
+        return self.stamp_ns * 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +44,20 @@ class LinkStatistics(Statistics):
     INFO frames of another device, which are not delivered.
     """
 
-    overruns: int = 0  #: scans that the board skipped
+    overruns: int = 0  #: scans that the board skipped, as far as it counted
+    uncounted: bool = False  #: its counter was at its end, which stands for more: it may have skipped more
     dropped: int = 0  #: scans that fell out of the scanner's queue, because nobody took them in time
     stalls: int = 0  #: silences longer than the timeout
     reconnects: int = 0  #: the port was lost and found again
+
+    @property
+    def overruns_said(self) -> str:
+        """The overruns in words.
+
+        >>> LinkStatistics(overruns=3).overruns_said, LinkStatistics(overruns=243, uncounted=True).overruns_said
+        ('3 overruns', 'at least 243 overruns')
+        """
+        return f"{'at least ' * self.uncounted}{self.overruns} overruns"
 
 
 _IDENTITY = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
@@ -66,12 +83,13 @@ class Reception:
         self.n_frames = 0  #: valid data frames received, delivered or not
         self.asks = True  #: the board is to be asked for INFO
         self._decoder = FrameDecoder()
-        self._clock = DeviceClock()
+        self._clock, self._stamps = DeviceClock(), Stamps()
         self._unix_s = 0.0  # to be added to time.perf_counter()
         self._counted: Counter[str] = Counter()
         self._previous: Frame | None = None
         self._scanned_s = 0.0  # when it was scanned, by the host's clock, at the latest
         self._run = 0
+        self._uncounted = False
         self._foreign: str | None = None  # why nothing is delivered
         self.connected()
 
@@ -84,7 +102,7 @@ class Reception:
 
     @property
     def statistics(self) -> LinkStatistics:
-        return LinkStatistics(info=self.n_infos, **(self._counted + self._decoded()))
+        return LinkStatistics(info=self.n_infos, uncounted=self._uncounted, **(self._counted + self._decoded()))
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
@@ -102,7 +120,8 @@ class Reception:
     def take(self, data: bytes, received_s: float) -> list[Scan]:
         """The scans that `data` completes, received at `received_s` by time.perf_counter()."""
         self.n_bytes += len(data)
-        scans = []
+        scans: list[Scan] = []
+        waiting: list[Frame] = []  # of one run: the one that was quickest to come sets the times of all
         for received in self._decoder.feed(data):
             if isinstance(received, Info):
                 self._identify(received)
@@ -113,12 +132,23 @@ class Reception:
             self.n_frames += 1
             if self._is_foreign(received):
                 continue
-            self._follow(received, received_s)
+            missing = self._missing_before(received, received_s)
+            if missing is None:
+                scans += self._timed(waiting, received_s)
+                waiting = []
+            self._follow(received, received_s, missing)
             if self._is_trusted:
-                time_s = self._unix_s + self._clock.host_time(received.device_us)
-                restarts, run = self._counted["restarts"], self._run
-                scans.append(Scan(frame=received, received_s=received_s, restarts=restarts, run=run, time_s=time_s))
-        return scans
+                waiting.append(received)
+        return scans + self._timed(waiting, received_s)
+
+    def _timed(self, frames: list[Frame], received_s: float) -> list[Scan]:
+        """Scans of frames of the newest run."""
+        restarts, run = self._counted["restarts"], self._run
+        times_s = (self._unix_s + self._clock.host_time(frame.device_us) for frame in frames)
+        return [
+            Scan(frame=frame, received_s=received_s, restarts=restarts, run=run, stamp_ns=self._stamps.after(time_s))
+            for frame, time_s in zip(frames, times_s, strict=True)
+        ]
 
     def _decoded(self) -> Counter[str]:
         """Counts of this connection's decoder that need no clock and no other connection."""
@@ -136,11 +166,15 @@ class Reception:
         self._is_trusted = True
         self.asks = False
 
-    def _follow(self, frame: Frame, received_s: float) -> None:
+    def _missing_before(self, frame: Frame, received_s: float) -> int | None:
+        """Frames missing since the previous one; None after a restart."""
+        return missing_between(self._previous, frame, received_s - self._scanned_s) if self._previous else 0
+
+    def _follow(self, frame: Frame, received_s: float, missing: int | None) -> None:
         """Keep the clock, and count what is missing between the previous frame and this one."""
         scanned_s = received_s
+        self._uncounted |= frame.overruns == MAX_OVERRUNS
         if self._previous:
-            missing = missing_between(self._previous, frame, received_s - self._scanned_s)
             if missing is None:
                 self._counted["restarts"] += 1
                 self._counted["overruns"] += frame.overruns
@@ -177,6 +211,30 @@ def _difference(info: Info, expected: Info) -> str:
     """The first of two devices, where it differs from the second; empty if they are the same."""
     pairs = [(name, getattr(info, name), getattr(expected, name)) for name in _IDENTITY]
     return ", ".join(f"{name} {value} instead of {wanted}" for name, value, wanted in pairs if value != wanted)
+
+
+class Stamps:
+    """Times of scans [s] as nanoseconds that only grow.
+
+    The board's clock on the host's time may step back by the link's delays, when its fit improves or the board has
+    restarted. A stamp then waits `WAIT_NS` behind the one before, until the clock has caught up. A step back of more
+    than `MAX_HELD_NS` is one of the host's own clock, and is followed.
+
+    >>> stamps = Stamps()
+    >>> [stamps.after(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
+    [5000000000, 5000001000, 5250000000, 1000000000]
+    """
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def after(self, time_s: float) -> int:
+        """The stamp of the next scan."""
+        stamp_ns = round(time_s * 1e9)
+        if self._last_ns is not None and -WAIT_NS < self._last_ns - stamp_ns <= MAX_HELD_NS:
+            stamp_ns = self._last_ns + WAIT_NS
+        self._last_ns = stamp_ns
+        return stamp_ns
 
 
 class DeviceClock:

@@ -1,11 +1,12 @@
 """The crossbar and its crosstalk: unselected wires form sneak paths around the pillar that is read.
 
 `Crossbar.readings` is the nodal analysis of the wired array, all crossings from one factorisation; `Corrector` inverts
-it. Wires and the order of crossings are those of
-`geometry.wiring`.
+it. Wires and the order of crossings are those of `geometry.wiring`. Both take NumPy arrays, or torch tensors with their
+derivatives: one interface, `Array`, and neither loads torch.
 """
 
 import math
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,17 +17,18 @@ from numpy.typing import NDArray
 from geometry.design import quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.wiring import crossing_of_pillar, crossings, crossings_from_pillars
+from geometry.wiring import crossing_of_pillar, crossings
 from hardware.link.frames import ScanMode
 
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
 STEP_SHARE = 0.01  #: tolerance of apparent conductances, as a fraction of the converter's step
 EXACT = 1e-9  #: their relative tolerance where there is no converter
-CHORD_STEPS = 3  #: steps with a kept Jacobian, then as many with a new one, before each scan gets its own
+MAX_CHORD_STEPS = 12  #: with the tangent of equal pillars; scans that these do not settle get Jacobians of their own
 MAX_NEWTON_STEPS = 15  #: readings that no array gives, such as those of a loose wire, end here
 MAX_STEP = 2.0  #: in the logarithm of a conductance
 MIN_SIEMENS, MAX_SIEMENS = 1e-9, 1e3  #: conductances are kept within these
-JACOBIAN_CHUNK = 32  #: scans that share a Jacobian
+MAX_NUMBERS = 2**23  #: of the Jacobians that are worked on together
+EQUAL_SIEMENS = 1e-4  #: of each pillar, where the tangent is taken: 10 kΩ
 MAX_LOST = 0.999  #: largest fraction of a wire's voltage that a first guess takes as lost
 NEUMANN = 4.0  #: bound of the first guess's error over ε_row ε_column; errors are 0.8 to 2.4 times that product
 SUITED_SENSE_OHM = {
@@ -34,6 +36,22 @@ SUITED_SENSE_OHM = {
     ScanMode.GROUNDED: 1_000.0,
     ScanMode.ZERO_POTENTIAL: 4_700.0,
 }  #: best for 10 kΩ
+
+
+Array = Any  #: a NumPy array of float64, or a torch tensor of floats
+
+
+def namespace(values: Array) -> Any:
+    """The module whose functions take these values: numpy or torch."""
+    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
+
+
+def _like(constant: NDArray[Any], values: Array) -> Array:
+    """A constant as an array of the kind, device and, unless it holds whole numbers, precision of `values`."""
+    if isinstance(values, np.ndarray):
+        return constant
+    dtype = values.dtype if constant.dtype.kind == "f" else None
+    return namespace(values).as_tensor(constant, dtype=dtype, device=values.device)
 
 
 def scan_mode_named(name: str) -> ScanMode:
@@ -110,6 +128,19 @@ class Crossbar:
         return crossing_of_pillar(self.rows, self.cols)
 
     @cached_property
+    def _pillar(self) -> NDArray[np.intp]:
+        """The pillar at each crossing."""
+        return np.argsort(self._crossing.reshape(-1))
+
+    @cached_property
+    def _between(self) -> NDArray[np.intp]:
+        """The crossing between each two wires, (n_wires²,); where there is none, the one behind the last."""
+        row, column = self.ends
+        found = np.full((2 * (self.rows + self.cols),) * 2, len(row))
+        found[row, column] = found[column, row] = np.arange(len(row))
+        return found.reshape(-1)
+
+    @cached_property
     def series_ohm(self) -> FloatArray:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
@@ -129,7 +160,7 @@ class Crossbar:
         lossy_ohm = self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols])
         return np.asarray(((row[:, None] == wires) | (column[:, None] == wires)) * lossy_ohm)
 
-    def readings(self, resistance_ohm: FloatArray) -> FloatArray:
+    def readings(self, resistance_ohm: Array) -> Array:
         """Share of full scale at every crossing, without noise or converter.
 
         Parameters
@@ -148,12 +179,20 @@ class Crossbar:
         >>> ideal.readings(np.full((1, 1, 1, 3), 10e3)).round(6).tolist()
         [[0.5, 0.5, 0.5]]
         """
-        self._require_shape(resistance_ohm)
-        conductance = 1.0 / np.clip(crossings_from_pillars(resistance_ohm), MIN_OHM, MAX_OHM)
-        y = self.apparent_of(conductance)
+        y = self.apparent_of(self.conductances(resistance_ohm))
         if self.scan_mode == ScanMode.DIVIDER:
             return self.sense_ohm / (self.sense_ohm + 2.0 * (self.switch_ohm + self.line_ohm) + 1.0 / y)
         return self.gain_ohm * y
+
+    def conductances(self, resistance_ohm: Array) -> Array:
+        """Conductance of the pillar at every crossing, (n, rows·cols·3) [S], of resistances (n, rows, cols, 3) [Ω]."""
+        if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):
+            raise DesignError(
+                f"resistances of shape {resistance_ohm.shape}, expected (n, {self.rows}, {self.cols}, 3): "
+                "give the crossbar the array's rows and cols."
+            )
+        ohms = resistance_ohm.reshape(len(resistance_ohm), -1)[:, _like(self._pillar, resistance_ohm)]
+        return 1.0 / ohms.clip(MIN_OHM, MAX_OHM)
 
     def counts(self, resistance_ohm: FloatArray, generator: np.random.Generator | None = None) -> NDArray[np.int64]:
         """Counts of the converter for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
@@ -177,11 +216,11 @@ class Crossbar:
         inside = np.minimum(np.maximum(counts, 1), self.full_scale - 1)
         return inside / self.full_scale, inside != counts
 
-    def uncorrected(self, readings: FloatArray) -> FloatArray:
+    def uncorrected(self, readings: Array) -> Array:
         """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
         if self.scan_mode == ScanMode.ZERO_POTENTIAL:
             return self.as_pillars(self.sense_ohm / readings)
-        return self.as_pillars(np.maximum(self.sense_ohm / readings - self.sense_ohm, MIN_OHM))
+        return self.as_pillars((self.sense_ohm / readings - self.sense_ohm).clip(MIN_OHM, None))
 
     def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
         """Relative standard deviation of corrected resistances by the converter's steps, (rows, cols, 3).
@@ -195,38 +234,30 @@ class Crossbar:
         by_reading = 1.0 / x  # d log y / dx
         if self.scan_mode == ScanMode.DIVIDER:
             by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
-        g = 1.0 / np.clip(crossings_from_pillars(resistance_ohm), MIN_OHM, MAX_OHM)
+        g = self.conductances(resistance_ohm)
         y, derivatives = self.apparent_and_derivatives(g)
         inverse = np.linalg.inv(derivatives[0] * g / y[0][:, None])
         return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
 
-    def as_pillars(self, values: NDArray[Any]) -> NDArray[Any]:
+    def as_pillars(self, values: Array) -> Array:
         """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
-        return values.take(self._crossing, axis=-1)
+        return values[..., _like(self._crossing, values)]
 
     # y [S] is the apparent conductance of a crossing, g [S] that of its pillar, each of shape (n, n_crossings). Where
     # nothing but the pillar itself conducts, y = g.
 
-    def apparent_conductances(self, readings: FloatArray) -> FloatArray:
+    def apparent_conductances(self, readings: Array) -> Array:
         """y from readings."""
         if self.scan_mode == ScanMode.DIVIDER:
             around_ohm = self.sense_ohm / readings - self.sense_ohm - 2.0 * (self.switch_ohm + self.line_ohm)
-            return 1.0 / np.clip(around_ohm, MIN_OHM, MAX_OHM)
-        return np.maximum(readings / self.gain_ohm, 1.0 / MAX_OHM)
+            return 1.0 / around_ohm.clip(MIN_OHM, MAX_OHM)
+        return (readings / self.gain_ohm).clip(1.0 / MAX_OHM, None)
 
-    def apparent_of(self, conductance: FloatArray) -> FloatArray:
+    def apparent_of(self, conductance: Array) -> Array:
         """y of pillars' conductances: the nodal analysis."""
-        row, column = self.ends
-        L = self._laplacian(conductance)
-        if self.scan_mode == ScanMode.DIVIDER:
-            P = self._floating(L)
-            return 1.0 / (P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column])
-        N = L @ self._damping(L)
-        if self.scan_mode == ScanMode.GROUNDED:
-            return -N[:, column, row] / (1.0 + self.sense_ohm * N[:, column, column])
-        return -N[:, column, row]
+        return self._shown(*self._solved(self._laplacian(conductance)))
 
-    def apparent_and_derivatives(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def apparent_and_derivatives(self, conductance: Array) -> tuple[Array, Array]:
         """y and dy/dg, (n, n_crossings, n_crossings), of pillars' conductances.
 
         Notes
@@ -234,19 +265,16 @@ class Crossbar:
         A pillar changes L by d dᵀ dg, d = +1 at its row, −1 at its column. So dN = Kᵀ d dᵀ K dg with K = (1 + R L)⁻¹,
         and dP = −P d dᵀ P dg.
         """
-        row, column = self.ends
-        L = self._laplacian(conductance)
-        if self.scan_mode == ScanMode.DIVIDER:
-            P = self._floating(L)
-            effective = P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column]
-            U = P[:, :, row] - P[:, :, column]  # P d of every pillar, (n, n_wires, n_crossings)
-            return 1.0 / effective, (U[:, row] - U[:, column]) ** 2 / effective[:, :, None] ** 2
-        K = self._damping(L)
-        N, U = L @ K, K[:, row].swapaxes(1, 2) - K[:, column].swapaxes(1, 2)  # U = Kᵀ d of every pillar
-        y, derivatives = -N[:, column, row], -U[:, column] * U[:, row]
+        row, column = (_like(end, conductance) for end in self.ends)
+        inverse, N = self._solved(self._laplacian(conductance))
+        y = self._shown(inverse, N)
+        if N is None:
+            U = inverse[:, :, row] - inverse[:, :, column]  # P d of every pillar, (n, n_wires, n_crossings)
+            return y, ((U[:, row] - U[:, column]) * y[:, :, None]) ** 2
+        U = inverse[:, row].swapaxes(1, 2) - inverse[:, column].swapaxes(1, 2)  # Kᵀ d of every pillar
+        derivatives = -U[:, column] * U[:, row]
         if self.scan_mode == ScanMode.GROUNDED:
             loaded = 1.0 + self.sense_ohm * N[:, column, column]
-            y = y / loaded
             derivatives = (derivatives - self.sense_ohm * y[:, :, None] * U[:, column] ** 2) / loaded[:, :, None]
         return y, derivatives
 
@@ -257,17 +285,34 @@ class Crossbar:
             return self.sense_ohm * self.amplifier_gain / (1.0 + self.amplifier_gain)
         return self.sense_ohm
 
-    def _laplacian(self, conductance: FloatArray) -> FloatArray:
+    def _laplacian(self, conductance: Array) -> Array:
         """L of pillars' conductances, (n, n_wires, n_wires)."""
-        row, column = self.ends
-        n_wires = 2 * (self.rows + self.cols)
-        L = np.zeros((len(conductance), n_wires, n_wires))
-        L[:, row, column] = L[:, column, row] = -conductance
+        xp, n_wires = namespace(conductance), 2 * (self.rows + self.cols)
+        with_none = xp.concatenate([conductance, 0.0 * conductance[:, :1]], axis=1)
+        G = with_none[:, _like(self._between, conductance)].reshape(-1, n_wires, n_wires)
         if self.has_shunts:
-            L -= self.shunt_matrix
-        wires = np.arange(n_wires)
-        L[:, wires, wires] = -L.sum(axis=2)
-        return L
+            G = G + _like(self.shunt_matrix, conductance)
+        return G.sum(axis=2)[:, :, None] * _like(np.eye(n_wires), conductance) - G
+
+    def _solved(self, L: Array) -> tuple[Array, Array | None]:
+        """K = (1 + R L)⁻¹ and N = L K; where idle wires float P, and no N.
+
+        P is L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows.
+        """
+        xp, one = namespace(L), _like(np.eye(L.shape[1]), L)
+        if self.scan_mode == ScanMode.DIVIDER:
+            return xp.linalg.inv(L + (xp.einsum("nii->n", L) / L.shape[1] ** 2)[:, None, None]), None
+        K = xp.linalg.inv(one + _like(self.series_ohm[:, None], L) * L)
+        return K, L @ K
+
+    def _shown(self, inverse: Array, N: Array | None) -> Array:
+        """y of what `_solved` gives."""
+        row, column = (_like(end, inverse) for end in self.ends)
+        if N is None:
+            P = inverse
+            return 1.0 / (P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column])
+        y = -N[:, column, row]
+        return y / (1.0 + self.sense_ohm * N[:, column, column]) if self.scan_mode == ScanMode.GROUNDED else y
 
     @property
     def has_shunts(self) -> bool:
@@ -284,51 +329,24 @@ class Crossbar:
         G[np.ix_(row + 1, column + 1)] = across
         return G + G.T
 
-    def _damping(self, L: FloatArray) -> FloatArray:
-        """K = (1 + R L)⁻¹."""
-        return np.asarray(np.linalg.inv(np.eye(L.shape[1]) + self.series_ohm[:, None] * L), dtype=np.float64)
-
-    def _floating(self, L: FloatArray) -> FloatArray:
-        """L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows."""
-        tie: FloatArray = np.einsum("nii->n", L) / L.shape[1] ** 2
-        return np.asarray(np.linalg.inv(L + tie[:, None, None]), dtype=np.float64)
-
-    def _require_shape(self, resistance_ohm: FloatArray) -> None:
-        if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):
-            raise DesignError(
-                f"resistances of shape {resistance_ohm.shape}, expected (n, {self.rows}, {self.cols}, 3): "
-                "give the crossbar the array's rows and cols."
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class _Tangent:
-    """Apparent conductances as linear functions of the conductances about one state, all in logarithms."""
-
-    u: FloatArray  #: (n_crossings,): conductances
-    apparent: FloatArray  #: (n_crossings,)
-    inverse: FloatArray  #: of the Jacobian, (n_crossings, n_crossings)
-
 
 class Corrector:
-    """Inverts `Crossbar.readings`; what it keeps of one scan makes the next quicker, not different.
+    """Inverts `Crossbar.readings`, each scan by itself.
 
     Newton's method in logarithms keeps every conductance above 0 and does not care for units. A scan starts from the
-    closed form where that is nearly exact, else from the tangent at an earlier scan, since a sensor moves little
-    between two. One Jacobian serves as long as it settles the scans; then a new one is made from one of them; scans
-    that this does not settle get one each.
-
-    One corrector for scans that come one after another agrees with a new one to a few hundredths of the converter's
-    step. Not for several threads at once.
+    closed form where that is nearly exact; the others take steps with the tangent of equal pillars, and those that
+    these do not settle with a Jacobian each.
     """
 
     def __init__(self, crossbar: Crossbar) -> None:
         self.crossbar = crossbar
         self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
-        self._tangent: _Tangent | None = None
-        self._loss_by_wire = crossbar.loss_by_wire
+        equal = np.full((1, len(crossbar.ends[0])), EQUAL_SIEMENS)
+        apparent, jacobian = self._jacobian(np.log(equal))
+        self._over_apparent = equal / np.exp(apparent)
+        self._tangent = np.linalg.inv(jacobian[0]).T
 
-    def correct(self, readings: FloatArray) -> FloatArray:
+    def correct(self, readings: Array) -> Array:
         """Resistances that would give these readings.
 
         Parameters
@@ -341,17 +359,24 @@ class Corrector:
         array, shape (n, rows, cols, 3)
             Pillars z, x, y [Ω], finite and above 0 whatever the readings.
         """
-        apparent = self.crossbar.apparent_conductances(readings)
+        xp, apparent = namespace(readings), self.crossbar.apparent_conductances(readings)
         if not len(apparent):
             return self.crossbar.as_pillars(apparent)
-        g, error = self._first_guess(apparent)
-        rest = np.flatnonzero(error > self.tolerance)
-        for start in range(0, len(rest), JACOBIAN_CHUNK):
-            some = rest[start : start + JACOBIAN_CHUNK]
-            g[some] = np.exp(self._solved(np.log(apparent[some]), np.log(g[some])))
-        return self.crossbar.as_pillars(1.0 / g)
+        has_derivatives = getattr(apparent, "requires_grad", False)
+        known = apparent.detach() if has_derivatives else apparent
+        g, error = self._first_guess(known)
+        u, wanted = xp.log(g), xp.log(known)
+        tolerance = max(self.tolerance, 10.0 * float(xp.finfo(u.dtype).eps))
+        chunk = max(1, MAX_NUMBERS // u.shape[1] ** 2)
+        rest = xp.where(error > tolerance)[0]
+        for start in range(0, len(rest), chunk):
+            some = rest[start : start + chunk]
+            u[some] = self._settled(u[some], wanted[some], tolerance)
+        if has_derivatives:  # du = J⁻¹ d log y, of value 0
+            u = u + xp.linalg.solve(self._jacobian(u)[1], (xp.log(apparent) - wanted)[..., None])[..., 0]
+        return self.crossbar.as_pillars(xp.exp(-u))
 
-    def _first_guess(self, apparent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _first_guess(self, apparent: Array) -> tuple[Array, Array]:
         """g from y in closed form, and a bound of its error as a share of each scan's largest g; infinite if unknown.
 
         Notes
@@ -361,67 +386,48 @@ class Corrector:
         of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
         is that of equal pillars.
         """
-        crossbar, unknown = self.crossbar, np.full(len(apparent), math.inf)
+        crossbar, xp = self.crossbar, namespace(apparent)
+        unknown = xp.full_like(apparent[:, 0], math.inf)
         if crossbar.scan_mode == ScanMode.DIVIDER:
-            alike = np.full((1, apparent.shape[1]), 1e-4)
-            return apparent * (alike / crossbar.apparent_of(alike)), unknown
-        row, column = crossbar.ends
-        lost = apparent @ self._loss_by_wire  # share of each wire's voltage across its resistance
-        np.minimum(lost, MAX_LOST, out=lost)
+            return apparent * _like(self._over_apparent, apparent), unknown
+        row, column = (_like(end, apparent) for end in crossbar.ends)
+        # share of each wire's voltage across its resistance
+        lost = (apparent @ _like(crossbar.loss_by_wire, apparent)).clip(None, MAX_LOST)
         left = 1.0 - lost  # a, of every wire
-        guess = apparent / (left.take(row, axis=1) * left.take(column, axis=1))
+        guess = apparent / (left[:, row] * left[:, column])
         if crossbar.has_shunts:
             return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
-            return guess, np.full(len(apparent), 0.0 if crossbar.series_ohm[0] == 0.0 else math.inf)
-        n_rows = 2 * crossbar.rows
-        by_row, by_column = lost[:, :n_rows].max(axis=1), lost[:, n_rows:].max(axis=1)
-        return guess, NEUMANN * (by_row / (1.0 - by_row)) * (by_column / (1.0 - by_column))
+            return guess, xp.zeros_like(unknown) if crossbar.series_ohm[0] == 0.0 else unknown
+        odds = xp.amax(lost[:, : 2 * crossbar.rows], axis=1), xp.amax(lost[:, 2 * crossbar.rows :], axis=1)
+        return guess, NEUMANN * odds[0] / (1.0 - odds[0]) * odds[1] / (1.0 - odds[1])
 
-    def _solved(self, wanted: FloatArray, guess: FloatArray) -> FloatArray:
-        """Conductances of a few scans from apparent ones and a first guess, each (n, n_crossings), in logarithms."""
-        u = guess.copy()
-        unsettled = np.arange(len(u))
-        for is_fresh in (False, True):
-            if is_fresh or self._tangent is None:
-                middle = unsettled[len(unsettled) // 2][None]
-                state = self._newton(u[middle], wanted[middle])
-                apparent, jacobian = self._jacobian(state)
-                self._tangent = _Tangent(state[0], apparent[0], np.linalg.inv(jacobian[0]))
-            near = self._tangent
-            if self.crossbar.scan_mode != ScanMode.ZERO_POTENTIAL:  # there the first guess is nearer
-                u[unsettled] = _stepped(near.u[None], (wanted[unsettled] - near.apparent) @ near.inverse.T)
-            for _ in range(CHORD_STEPS):
-                missing: FloatArray = wanted[unsettled] - np.log(self.crossbar.apparent_of(np.exp(u[unsettled])))
-                is_off = (np.abs(missing) > self.tolerance).any(axis=1)
-                unsettled, missing = unsettled[is_off], missing[is_off]
-                if not len(unsettled):
-                    return u
-                u[unsettled] = _stepped(u[unsettled], missing @ near.inverse.T)
-        u[unsettled] = self._newton(u[unsettled], wanted[unsettled])
-        return u
-
-    def _newton(self, u: FloatArray, wanted: FloatArray) -> FloatArray:
-        for _ in range(MAX_NEWTON_STEPS):
-            apparent, jacobian = self._jacobian(u)
-            missing = wanted - apparent
-            if (np.abs(missing) <= self.tolerance).all():
-                break
-            before, step = u, np.linalg.solve(jacobian, missing[..., None])[..., 0]
-            u = _stepped(u, np.asarray(step, dtype=np.float64))
-            if (np.abs(u - before) <= self.tolerance).all():  # what is still missing lies beyond an open circuit
+    def _settled(self, u: Array, wanted: Array, tolerance: float) -> Array:
+        """Logarithms of conductances from a first guess and from apparent ones, each (n, n_crossings)."""
+        xp = namespace(u)
+        tangent, rest = _like(self._tangent, u), xp.where(u[:, 0] == u[:, 0])[0]
+        low, high = math.log(MIN_SIEMENS), math.log(MAX_SIEMENS)
+        for step in range(MAX_CHORD_STEPS + MAX_NEWTON_STEPS):
+            if step < MAX_CHORD_STEPS:
+                missing = wanted[rest] - xp.log(self.crossbar.apparent_of(xp.exp(u[rest])))
+                by = missing @ tangent
+            else:
+                apparent, jacobian = self._jacobian(u[rest])
+                missing = wanted[rest] - apparent
+                by = xp.linalg.solve(jacobian, missing[..., None])[..., 0]
+            # each by itself: one on its way to open holds up no other
+            moved = (u[rest] + by.clip(-MAX_STEP, MAX_STEP)).clip(low, high)
+            is_off = (abs(missing) > tolerance).any(axis=1)
+            u[rest[is_off]] = moved[is_off]
+            if step >= MAX_CHORD_STEPS:  # what is still missing of one that stays lies beyond an open circuit
+                is_off = is_off & (abs(by) > tolerance).any(axis=1)
+            rest = rest[is_off]
+            if not len(rest):
                 break
         return u
 
-    def _jacobian(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _jacobian(self, u: Array) -> tuple[Array, Array]:
         """Logarithms of apparent conductances, and their derivatives by those of conductances, (n, m, m)."""
-        g = np.exp(u)
+        xp, g = namespace(u), namespace(u).exp(u)
         apparent, derivatives = self.crossbar.apparent_and_derivatives(g)
-        return np.log(apparent), derivatives * g[:, None, :] / apparent[:, :, None]
-
-
-def _stepped(u: FloatArray, step: FloatArray) -> FloatArray:
-    """One step of scans (n, n_crossings), shortened where it is long, from their state or from one for all."""
-    step = np.clip(step, -MAX_STEP, MAX_STEP)  # each by itself: one on its way to open holds up no other
-    stepped: FloatArray = np.clip(u + step, np.log(MIN_SIEMENS), np.log(MAX_SIEMENS))
-    return stepped
+        return xp.log(apparent), derivatives * g[:, None, :] / apparent[:, :, None]

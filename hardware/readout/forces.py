@@ -2,10 +2,9 @@
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
-from geometry.storage.netcdf import write_netcdf
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
 from hardware.link.scanner import Scanner
@@ -24,25 +22,42 @@ from hardware.readout.wrench import Wrench, net_values, net_wrench, wrench_weigh
 from hardware.recording import Recording
 
 if TYPE_CHECKING:
-    from decoupler.evaluation.faults import Fault, FaultTest
+    import xarray as xr
+
+    from decoupler.evaluation.faults import FaultTest
     from decoupler.model.decoupler import Decoupler
 
 CHUNK = 2048  #: frames worked on together
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
+BY_SCAN = ("force_n", "resistance_ohm", "saturated", "time_s", "stamp_ns", "device_us", "sequence")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Forces:
-    """Forces of n scans; k components, as the model gives them."""
+    """Forces of n scans, live or of a recording; k components, as the model gives them.
+
+    `forces[3]` are those of one scan, without the first axis n, `forces[3:9]` those of some.
+    """
 
     force_n: FloatArray  #: (n, rows, cols, k)
     resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y as the model saw them
     saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
-    time_s: FloatArray | None = None  #: (n,), of a recording: the board's clock
+    time_s: Any = None  #: (n,): start of each scan; live on the Unix clock, of a recording the board's
+    stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
+    device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
+    sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
     model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
-    faults: "dict[str, int]" = field(default_factory=dict)  #: of a recording: named ones, and in how many windows
+    faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
+
+    def __getitem__(self, which: int | slice) -> "Forces":
+        """Forces of some scans; what is known of deviations goes along."""
+        given = {name: values for name in BY_SCAN if (values := getattr(self, name)) is not None}
+        part = replace(self, **{name: values[which] for name, values in given.items()})
+        if "deviations" in vars(self):
+            vars(part)["deviations"] = tuple(None if each is None else each[which] for each in self.deviations)
+        return part
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:
@@ -53,10 +68,10 @@ class Forces:
         """
         if self.model is None:
             return None, None
-        n = len(self.resistance_ohm)
-        parts = [self.model.deviations(self.resistance_ohm[k : k + CHUNK], self.weights) for k in range(0, n, CHUNK)]
+        ohms = self.resistance_ohm.reshape(-1, *self.resistance_ohm.shape[-3:])
+        parts = [self.model.deviations(ohms[k : k + CHUNK], self.weights) for k in range(0, len(ohms), CHUNK)]
         deviation_n, covariance = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return deviation_n, covariance
+        return deviation_n.reshape(self.force_n.shape), covariance.reshape(*self.force_n.shape[:-3], 6, 6)
 
     @property
     def deviation_n(self) -> FloatArray | None:
@@ -72,14 +87,45 @@ class Forces:
     def chi2(self) -> FloatArray | None:
         """χ² over its degrees of freedom if a load that the model knows is on the sensor, (n,); None if unknown."""
         test = None if self.model is None else self.model.load_test
-        return None if test is None else test.chi2(self.force_n.reshape(len(self.force_n), -1))
+        if test is None:
+            return None
+        return test.chi2(self.force_n.reshape(-1, len(self.weights))).reshape(self.force_n.shape[:-3])
 
     @property
     def unexplained(self) -> NDArray[np.bool_]:
         """Which scans no load explains that the model knows, (n,): χ² is beyond the 99.9 % of readings at rest."""
         if self.chi2 is None or self.model is None or self.model.load_test is None:
-            return np.zeros(len(self.force_n), dtype=bool)
+            return np.zeros(self.force_n.shape[:-3], dtype=bool)
         return np.asarray(~(self.chi2 <= self.model.load_test.limit))
+
+    def net(self) -> dict[str, FloatArray]:
+        """Values of the wrench by their names in files and streams; unknown deviations are left out."""
+        return {name: values for name, (values, _) in net_values(self.wrench).items()}
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The forces of a recording with their deviations, net wrench and χ², as they are written to NetCDF."""
+        import xarray as xr
+
+        over_units = ("frame", "row", "col", "axis")
+        variables: dict[str, Any] = {
+            "force_n": (over_units, self.force_n, {"units": "N"}),
+            "saturated": (("frame", "row", "col", "pillar"), self.saturated.astype(np.int8)),
+        }
+        if self.deviation_n is not None:
+            meaning = "half-width that holds 68 % of errors"
+            variables["deviation_n"] = (over_units, self.deviation_n, {"units": "N", "meaning": meaning})
+        if self.chi2 is not None:
+            meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
+            variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
+        for name, (values, unit) in net_values(self.wrench).items():
+            place = "place" if "centre" in name else "direction"
+            variables[name] = (("frame", place), values, {"units": unit})
+        axes = {"axis": list(self.description.axes), "direction": list(AXES), "place": list(AXES[:2])}
+        return xr.Dataset(
+            variables,
+            coords={"time_s": ("frame", self.time_s, {"units": "s"}), "pillar": list(PILLARS), **axes},
+            attrs={"sensor": json.dumps(self.description.plain())},
+        )
 
 
 class ForceReader:
@@ -178,38 +224,6 @@ class ForceReader:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ScanForces:
-    """Forces of one scan; k components, as the model gives them."""
-
-    time_s: float  #: start of the scan, Unix time [s]
-    force_n: FloatArray  #: (rows, cols, k)
-    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y as the model saw them
-    saturated: NDArray[np.bool_]  #: (rows, cols, 3): counts at 0 or full scale, which only bound a resistance
-    source: Forces = field(repr=False)  #: the same, with n = 1
-    faults: "tuple[Fault, ...]" = ()  #: of pillars and wires, in the last whole window of scans
-
-    @property
-    def deviation_n(self) -> FloatArray | None:
-        """Half-widths that hold 68 % of the forces' errors, (rows, cols, k) [N]; None if the model knows none."""
-        return None if self.source.deviation_n is None else self.source.deviation_n[0]
-
-    @property
-    def wrench(self) -> Wrench:
-        """Net force, net moment and centre of pressure, n = 1, with deviations if the model knows them."""
-        return self.source.wrench
-
-    @property
-    def chi2(self) -> float | None:
-        """χ² over its degrees of freedom if a load that the model knows is on the sensor; None if unknown."""
-        return None if self.source.chi2 is None else float(self.source.chi2[0])
-
-    @property
-    def is_explained(self) -> bool:
-        """A load that the model knows explains the scan, or nothing is known of loads."""
-        return not self.source.unexplained[0]
-
-
 class LiveSensor:
     """A sensor whose scans become forces; iterate over it for those of one scan after another.
 
@@ -232,35 +246,44 @@ class LiveSensor:
         self.scanner, self.model = scanner, model
         self._reader = ForceReader(scanner.info, model, calibration)
         self._window: list[FloatArray] = []
-        self._faults: tuple[Fault, ...] = ()
+        self._faults: dict[str, int] = {}
         self._look_s = -math.inf  # when the next window begins
+        self._known: tuple[float, Forces] | None = None  # when deviations were last computed, and of what
 
     @property
     def description(self) -> SensorDescription:
         """Where the pads are, and what does not change from scan to scan."""
         return self._reader.description
 
-    def __iter__(self) -> Iterator[ScanForces]:
+    def __iter__(self) -> Iterator[Forces]:
         """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
         return map(self.forces, self.scanner)
 
-    def forces(self, scan: Scan) -> ScanForces:
-        """Forces of one scan."""
+    def forces(self, scan: Scan, renewed_s: float = 0.0) -> Forces:
+        """Forces of one scan, without the first axis of `Forces`; its faults are those of the last window.
+
+        Deviations up to `renewed_s` old [s] are kept rather than computed anew, for who asks for those of every scan.
+        """
         found = self._reader.forces(scan.frame.counts[None])
         test = self._reader.fault_test
         if test is not None and scan.received_s >= self._look_s:
             self._window.append(found.resistance_ohm[0])
             if len(self._window) == test.window:
-                self._faults, self._window = test.named(np.stack(self._window)), []
-                self._look_s = scan.received_s + LOOKED_S
-        return ScanForces(
-            time_s=scan.time_s,
-            force_n=found.force_n[0],
-            resistance_ohm=found.resistance_ohm[0],
-            saturated=found.saturated[0],
-            source=found,
+                self._faults = {str(fault): 1 for fault in test.named(np.stack(self._window))}
+                self._window, self._look_s = [], scan.received_s + LOOKED_S
+        forces = replace(
+            found[0],
+            time_s=np.float64(scan.time_s),
+            stamp_ns=np.int64(scan.stamp_ns),
+            device_us=np.uint32(scan.frame.device_us),
+            sequence=np.uint16(scan.frame.sequence),
             faults=self._faults,
         )
+        if self._known is None or scan.received_s >= self._known[0] + renewed_s:
+            self._known = scan.received_s, forces
+        else:
+            vars(forces)["deviations"] = self._known[1].deviations
+        return forces
 
 
 def replay(
@@ -290,46 +313,12 @@ def replay(
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model, calibration, crosstalk)
     parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
-    resistance_ohm = np.concatenate([part.resistance_ohm for part in parts])
-    return Forces(
-        force_n=np.concatenate([part.force_n for part in parts]),
-        resistance_ohm=resistance_ohm,
-        faults={} if reader.fault_test is None else reader.fault_test.named_in(resistance_ohm),
-        saturated=np.concatenate([part.saturated for part in parts]),
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in BY_SCAN[:3]}
+    return replace(
+        parts[0],
+        **joined,
         time_s=recording.time_s,
-        model=parts[0].model,
-        weights=parts[0].weights,
-        description=reader.description,
+        device_us=recording.device_us,
+        sequence=recording.sequence,
+        faults={} if reader.fault_test is None else reader.fault_test.named_in(joined["resistance_ohm"]),
     )
-
-
-def write_forces(recording: Recording, forces: Forces, axes: tuple[str, ...], path: Path) -> None:
-    """Write the forces of a recording as NetCDF, whole or not at all.
-
-    `axes` names the model's components. The recording's calibration and hashes go along: they should be those used.
-    """
-    import xarray as xr
-
-    over_units = ("frame", "row", "col", "axis")
-    variables: dict[str, Any] = {
-        "force_n": (over_units, forces.force_n, {"units": "N"}),
-        "saturated": (("frame", "row", "col", "pillar"), forces.saturated.astype(np.int8)),
-    }
-    if forces.deviation_n is not None:
-        meaning = {"units": "N", "meaning": "half-width that holds 68 % of errors"}
-        variables["deviation_n"] = (over_units, forces.deviation_n, meaning)
-    if forces.chi2 is not None:
-        meaning = {"units": "1", "meaning": "chi squared over its degrees of freedom if a known load is on the sensor"}
-        variables["chi2"] = (("frame",), forces.chi2, meaning)
-    for name, (values, unit) in net_values(forces.wrench).items():
-        place = "place" if "centre" in name else "direction"
-        variables[name] = (("frame", place), values, {"units": unit})
-    coordinates = {"axis": list(axes), "pillar": list(PILLARS), "direction": list(AXES), "place": list(AXES[:2])}
-    data = xr.Dataset(
-        variables,
-        coords={"time_s": ("frame", recording.time_s, {"units": "s"}), **coordinates},
-        attrs=asdict(recording.statistics)
-        | {"calibration": recording.calibration, "sensor": json.dumps(forces.description.plain())}
-        | dict(recording.made_from),
-    )
-    write_netcdf(data, path)

@@ -72,11 +72,11 @@ def calibrated(
     noise = pairs.noise if noise is None else noise
     readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(PILLARS))])
     expected = Expectation.of(response, None, everything)
-    state = infer(expected, readings, draws=1).state
-    gain = state.gain * state.ohm_per_mm2(expected) / expected.ohm_per_mm2  # resistivity is a gain of all pillars
+    own = infer(expected, readings, draws=1).sensor
+    gain = own.ohm_per_mm2 / forward.ohm_per_mm2  # resistivity is a gain of all pillars
     found = SensorCalibration(
         gain=gain.reshape(modelled.shape[1:]),
-        offset_ohm=state.offset_ohm.reshape(modelled.shape[1:]),
+        offset_ohm=own.offset_ohm.reshape(modelled.shape[1:]),
         electronics=electronics,
         serial=serial,
         made_from={"loads": len(pairs), "noise": noise, "design_hash": digest(response.design)},

@@ -5,7 +5,6 @@ columns, y along the rows, z out of the sensor.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -56,9 +55,10 @@ def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...]) -> FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wrench:
-    """Net load on the array in each of n scans; NaN where the model does not give the axes that a value needs.
+    """Net load on the array in each of n scans, or in one, without the axis n.
 
-    Deviations are standard deviations; they hold 68 % of the errors. They are None if the model knows none.
+    Values that need axes which the model does not give are NaN. Deviations are standard deviations, which hold 68 % of
+    the errors; they are None if the model knows none.
 
     The centre of pressure is where the normal forces of all pads act together, Σ r Fz / Σ Fz. There is none, NaN, while
     ΣFz is below `MIN_NORMAL_N` or below `MIN_DEVIATIONS` of its deviations: it would be noise over noise.
@@ -76,14 +76,9 @@ class Wrench:
         """The net force as a vector on the sensor, (n, 3) [N]: z out of the sensor, below 0 in compression."""
         return self.force_n * SIGNS
 
-    def one(self, k: int) -> "Wrench":
-        """That of scan k, n = 1."""
-        known: dict[str, Any] = {name: each[k : k + 1] for name, each in vars(self).items() if each is not None}
-        return Wrench(**known)
-
 
 def net_wrench(force_n: FloatArray, weights: FloatArray, covariance: FloatArray | None = None) -> Wrench:
-    """Net load of forces (n, rows, cols, k) [N], by `wrench_weights` (rows·cols·k, 6).
+    """Net load of forces (n, rows, cols, k) [N], or of one scan's, by `wrench_weights` (rows·cols·k, 6).
 
     Parameters
     ----------
@@ -98,26 +93,26 @@ def net_wrench(force_n: FloatArray, weights: FloatArray, covariance: FloatArray 
     >>> found.force_n[0].tolist(), found.moment_nmm[0].tolist(), found.centre_mm[0].tolist()
     ([0.0, 0.0, 4.0], [20.0, -20.0, 0.0], [-5.0, -5.0])
     """
-    sums = force_n.reshape(len(force_n), -1) @ weights
-    variance = None if covariance is None else np.diagonal(covariance, axis1=1, axis2=2) + 0.0 * sums
-    normal = sums[:, 2]
+    sums = force_n.reshape(*force_n.shape[:-3], -1) @ weights
+    variance = None if covariance is None else np.diagonal(covariance, axis1=-2, axis2=-1) + 0.0 * sums
+    normal = sums[..., 2]
     known = normal >= MIN_NORMAL_N
     if variance is not None:
-        known &= normal >= MIN_DEVIATIONS * np.sqrt(variance[:, 2])
+        known &= normal >= MIN_DEVIATIONS * np.sqrt(variance[..., 2])
     normal = np.where(known, normal, np.nan)
-    centre = np.stack([sums[:, 4], -sums[:, 3]], axis=1) / normal[:, None]
+    centre = np.stack([sums[..., 4], -sums[..., 3]], axis=-1) / normal[..., None]
     if covariance is None or variance is None:
-        return Wrench(force_n=sums[:, :3], moment_nmm=sums[:, 3:], centre_mm=centre)
-    by_moment = np.array([1.0, -1.0]) * covariance[:, [4, 3], 2]  # covariance of r Fz with Fz
-    centre_variance = variance[:, [4, 3]] - 2.0 * centre * by_moment + centre**2 * variance[:, 2:3]
+        return Wrench(force_n=sums[..., :3], moment_nmm=sums[..., 3:], centre_mm=centre)
+    by_moment = np.array([1.0, -1.0]) * covariance[..., [4, 3], 2]  # covariance of r Fz with Fz
+    centre_variance = variance[..., [4, 3]] - 2.0 * centre * by_moment + centre**2 * variance[..., 2:3]
     deviation = np.sqrt(np.maximum(variance, 0.0))
     return Wrench(
-        force_n=sums[:, :3],
-        moment_nmm=sums[:, 3:],
+        force_n=sums[..., :3],
+        moment_nmm=sums[..., 3:],
         centre_mm=centre,
-        force_deviation_n=deviation[:, :3],
-        moment_deviation_nmm=deviation[:, 3:],
-        centre_deviation_mm=np.sqrt(np.maximum(centre_variance, 0.0)) / normal[:, None],
+        force_deviation_n=deviation[..., :3],
+        moment_deviation_nmm=deviation[..., 3:],
+        centre_deviation_mm=np.sqrt(np.maximum(centre_variance, 0.0)) / normal[..., None],
     )
 
 

@@ -1,13 +1,13 @@
 """The other formats of recordings: NetCDF, MCAP and CSV are written, NetCDF and MCAP are read.
 
 `convert` writes them, whole or not at all; `read_recording` reads every kind of recording, told by its content.
-`docs/recordings.md` describes them. MCAP needs the package ``mcap``.
+`docs/frames.md` describes them. MCAP needs the package ``mcap``.
 """
 
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -15,25 +15,16 @@ from typing import Any
 import numpy as np
 
 from geometry.errors import FileFormatError, needing
-from geometry.layout import FloatArray
-from geometry.storage.files import replacing, write_text
+from geometry.storage.files import write_text
 from geometry.storage.netcdf import read_netcdf, write_netcdf
 from geometry.storage.text_file import why_unreadable
 from hardware.link.frames import Statistics
 from hardware.recording.frames_file import read_frames
-from hardware.recording.recorded import Recording, assemble, read_header
-from hardware.recording.topics import (
-    COLUMNS,
-    FORCES,
-    INFO,
-    SCAN,
-    SCHEMAS,
-    SENSOR,
-    WRENCH,
-    forces_content,
-    wrench_content,
-)
+from hardware.recording.mcap_file import Channel, Message, write_mcap
+from hardware.recording.recorded import Recording, assemble, frame_dims, read_header
+from hardware.recording.topics import COLUMNS, INFO, SCAN, SCHEMAS
 
+STATISTICS = "tripillar statistics"  #: name of the metadata at the end of MCAP files
 _NETCDF, _MCAP = (b"CDF", b"\x89HDF\r\n\x1a\n"), b"\x89MCAP0\r\n"  # such files begin with these
 _COUNTED = [each.name for each in fields(Statistics) if each.name not in ("ok", "info", "lost")]
 
@@ -65,13 +56,14 @@ def read_recording(path: Path) -> Recording:
 def convert(recording: Recording, path: Path) -> None:
     """Write a recording in the format that the suffix of `path` names, whole or not at all.
 
-    NetCDF (.nc), MCAP (.mcap) and CSV (.csv) as `docs/recordings.md` has them.
+    NetCDF (.nc), MCAP (.mcap) and CSV (.csv) as `docs/frames.md` has them.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".nc":
-        _write_netcdf(recording, path)
+        write_netcdf(recording.to_xarray(), path)
     elif suffix == ".mcap":
-        write_mcap(recording, path)
+        channels = {topic: Channel.of_json(topic) for topic in (INFO, SCAN)}
+        write_mcap(path, channels, recorded_messages(recording), {STATISTICS: asdict(recording.statistics)})
     elif suffix == ".csv":
         write_text(csv_text(recording), path)
     else:
@@ -100,126 +92,39 @@ def csv_text(recording: Recording) -> str:
     return text.getvalue()
 
 
-def _write_netcdf(recording: Recording, path: Path) -> None:
-    import xarray as xr
-
-    columns = recording.columns()
-    variables = {
-        name: (_dimensions(name), columns[name], {"long_name": meaning}) for name, (_, meaning) in COLUMNS.items()
-    }
-    variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"
-    write_netcdf(xr.Dataset(variables, attrs=recording.header.plain() | asdict(recording.statistics)), path)
-
-
-def _dimensions(name: str) -> tuple[str, ...]:
-    return ("frame", "crossing") if name == "counts" else ("frame",)
-
-
 def _read_netcdf(path: Path) -> Recording:
-    """Read what `_write_netcdf` wrote, what another program made of it, or a recording of version 1."""
+    """Read what `convert` wrote, or what another program made of it."""
     made_by = "tripillar convert"
-    attributes = read_netcdf(path, {}, made_by).attrs
-    header = read_header(attributes, str(path))
-    has_runs = int(attributes["version"]) > 1
-    names = [name for name in COLUMNS if name != "run" or has_runs]
-    data = read_netcdf(path, {name: _dimensions(name) for name in names}, made_by)
-    counted = {name: max(0, int(attributes.get(name, 0))) for name in _COUNTED}
-    columns = {name: data[name].values for name in names}
-    if "first_record_at" in attributes:  # of version 1: NetCDF reads zeros behind the end of one that was cut short
-        record_bytes = -(-2 * header.info.n_crossings // 4) * 4 + 4 * 4 + 8  # every variable is padded to four bytes
-        there = (path.stat().st_size - int(attributes["first_record_at"])) // record_bytes
-        columns = {name: values[:there] for name, values in columns.items()}
-    if not has_runs:
-        columns["run"] = np.zeros(len(columns["sequence"]), dtype=np.uint32)
-        counted["restarts"] = 0  # found in the sequence
+    header = read_header(read_netcdf(path, {}, made_by).attrs, str(path))
+    data = read_netcdf(path, {name: frame_dims(name) for name in COLUMNS}, made_by)
+    columns = {name: data[name].values for name in COLUMNS}
     for name, values in columns.items():
         if values.dtype.kind not in ("f" if name == "received_s" else "ui"):
             raise FileFormatError(f"{path}: '{name}' is of type {values.dtype}: give a file made by '{made_by}'.")
+    counted = {name: max(0, int(data.attrs.get(name, 0))) for name in _COUNTED}
     return assemble(header, columns, str(path), counted)
 
 
-_STATISTICS = "tripillar statistics"  # name of the metadata at the end
+def recorded_messages(recording: Recording) -> Iterator[Message]:
+    """The header, and then a message a scan.
 
-
-def write_mcap(
-    recording: Recording,
-    path: Path,
-    force_n: FloatArray | None = None,
-    deviation_n: FloatArray | None = None,
-    axes: Sequence[str] = (),
-    net: Mapping[str, FloatArray] | None = None,
-    sensor: Mapping[str, Any] | None = None,
-) -> None:
-    """Write a recording as MCAP, whole or not at all.
-
-    Messages bear the Unix time of arrival as their log time and the board's clock as their publish time. Without times
-    of arrival both are the board's clock.
-
-    Parameters
-    ----------
-    recording : Recording
-    path : Path
-        File to write; replaced if it exists.
-    force_n, deviation_n : array, shape (n, rows, cols, k), optional
-        Forces of the frames and half-widths of their errors [N]; kept to six decimals, since the counts beside them
-        hold the rest.
-    axes : k names
-        The components of the forces.
-    net : mapping, optional
-        Values of the net wrench of each frame, by their names in `SCHEMAS`; NaN is written as null.
-    sensor : mapping, optional
-        Description of the sensor, as `SCHEMAS` has it.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package is not installed.
+    They bear the Unix time of arrival as their log time and the board's clock as their publish time. Without times of
+    arrival both are the board's clock.
     """
-    with needing("MCAP", "mcap"):
-        from mcap.writer import Writer
-    n = len(recording.counts)
-    if force_n is not None and force_n.shape[::3] != (n, len(axes)):
-        raise ValueError(
-            f"force_n has shape {force_n.shape}, expected ({n}, rows, cols, {len(axes)}): "
-            "give the forces of this recording and a name for each of their axes."
-        )
-    times_s = (recording.time_s if recording.received_s is None else recording.received_s).tolist()
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        writer = Writer(file, enable_data_crcs=True)
-        writer.start(library="tripillar")
-        channels: dict[str, int] = {}
-        given = {FORCES: force_n, WRENCH: net, SENSOR: sensor}
-        for topic in (INFO, SCAN, *(topic for topic, content in given.items() if content is not None)):
-            schema = SCHEMAS[topic]
-            schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
-            channels[topic] = writer.register_channel(topic, "json", schema_id)
-
-        def add(topic: str, log_ns: int, publish_ns: int, content: dict[str, Any], sequence: int = 0) -> None:
-            data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
-            writer.add_message(channels[topic], log_ns, data, publish_ns, sequence)
-
-        first_ns = _nanoseconds(times_s[0])  # viewers draw their time axis from the first message on
-        add(INFO, first_ns, first_ns, recording.header.plain())
-        if sensor is not None:
-            add(SENSOR, first_ns, first_ns, dict(sensor))
-        columns = {name: values.tolist() for name, values in recording.columns().items() if name != "received_s"}
-        for k, time_s in enumerate(times_s):
-            log_ns, scan = _nanoseconds(time_s), {name: columns[name][k] for name in SCHEMAS[SCAN]["properties"]}
-            add(SCAN, log_ns, scan["device_us"] * 1000, scan, scan["sequence"])
-            if force_n is not None:
-                deviations = None if deviation_n is None else deviation_n[k]
-                add(FORCES, log_ns, log_ns, {"time": time_s} | forces_content(force_n[k], deviations, axes))
-            if net is not None:
-                add(WRENCH, log_ns, log_ns, wrench_content({name: values[k] for name, values in net.items()}))
-        writer.add_metadata(_STATISTICS, {name: str(value) for name, value in asdict(recording.statistics).items()})
-        writer.finish()
+    times_s = recording.time_s if recording.received_s is None else recording.received_s
+    first_ns = nanoseconds(times_s[0])  # viewers draw their time axis from the first message on
+    yield Message(topic=INFO, content=recording.header.plain(), log_ns=first_ns, publish_ns=first_ns)
+    columns = {name: values.tolist() for name, values in recording.columns().items() if name != "received_s"}
+    for k, time_s in enumerate(times_s.tolist()):
+        scan = {name: columns[name][k] for name in SCHEMAS[SCAN]["properties"]}
+        publish_ns, sequence = scan["device_us"] * 1000, scan["sequence"]
+        yield Message(topic=SCAN, content=scan, log_ns=nanoseconds(time_s), publish_ns=publish_ns, sequence=sequence)
 
 
 def _read_mcap(path: Path) -> Recording:
-    """Read what `write_mcap` or a recorder of version 1 wrote; of one that was cut short, what is whole."""
+    """Read what `convert` wrote."""
     with needing("MCAP", "mcap"):
-        from mcap.exceptions import EndOfFile
-        from mcap.records import Channel, Message, Metadata
+        from mcap import records
         from mcap.stream_reader import StreamReader
     plain: dict[str, Any] = {}
     scans: list[dict[str, Any]] = []
@@ -229,27 +134,24 @@ def _read_mcap(path: Path) -> Recording:
     with path.open("rb") as file:
         try:
             for record in StreamReader(file, validate_crcs=True).records:
-                if isinstance(record, Channel):
+                if isinstance(record, records.Channel):
                     topics[record.id] = record.topic
-                elif isinstance(record, Message) and topics.get(record.channel_id) == INFO:
+                elif isinstance(record, records.Message) and topics.get(record.channel_id) == INFO:
                     plain = plain or _json(record.data)
-                elif isinstance(record, Message) and topics.get(record.channel_id) == SCAN:
-                    scans.append({"run": 0} | _json(record.data))
+                elif isinstance(record, records.Message) and topics.get(record.channel_id) == SCAN:
+                    scans.append(_json(record.data))
                     received_s.append(record.log_time / 10**9)
-                elif isinstance(record, Metadata) and record.name == _STATISTICS:
+                elif isinstance(record, records.Metadata) and record.name == STATISTICS:
                     counted = {name: int(record.metadata.get(name, 0)) for name in _COUNTED}
-        except EndOfFile:
-            pass  # a recorder of version 1 was killed
         except Exception as error:  # each of the decompressors has an error of its own
-            raise FileFormatError(f"{path}: damaged ({error}): convert the recording again.") from None
+            reason = str(error) or "cut short"
+            raise FileFormatError(f"{path}: damaged ({reason}): convert the recording again.") from None
     header = read_header(plain, str(path))
     names = SCHEMAS[SCAN]["properties"]
     try:
         columns = {name: np.array([scan[name] for scan in scans], dtype=np.uint32) for name in names}
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise FileFormatError(f"{path}: a scan is damaged ({error}): convert the recording again.") from None
-    if not columns["run"].any():
-        counted["restarts"] = 0  # found in the sequence
     return assemble(header, columns | {"received_s": np.array(received_s)}, str(path), counted)
 
 
@@ -258,10 +160,10 @@ def _json(data: bytes) -> dict[str, Any]:
     return plain if isinstance(plain, dict) else {}
 
 
-def _nanoseconds(time_s: float) -> int:
+def nanoseconds(time_s: float) -> int:
     """Nanoseconds that, divided by 10⁹, give `time_s` to the last bit; a product of floats would be 100 ns off.
 
-    >>> _nanoseconds(1.8e9 + 0.1) / 10**9 == 1.8e9 + 0.1
+    >>> nanoseconds(1.8e9 + 0.1) / 10**9 == 1.8e9 + 0.1
     True
     """
     seconds = int(time_s)

@@ -2,7 +2,7 @@
 
 A record is one letter, its content and a CRC-32 over both, made free of zero bytes by COBS, between two zero bytes:
 damage costs only the records that it touches. A board's own frames, D, I and E with their CRC-16, are records, too
-(`docs/recordings.md`). Each record is handed to the operating system at once, whole or not at all.
+(`docs/frames.md`). Each record is handed to the operating system at once, whole or not at all.
 """
 
 import json

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
+from hardware.link.reception import DeviceClock, Stamps
+from hardware.recording.topics import COLUMNS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FORMAT, VERSION = "tripillar recording", 2
 MADE_FROM = ("model_recipe", "design_hash")  #: hashes of the model and the design that a recording may state
@@ -46,9 +51,10 @@ def read_header(plain: Mapping[str, Any], source: str) -> Header:
     if plain.get("format") != FORMAT:
         raise FileFormatError(f"{source}: not a recording of TriPillar: give a file made by a recorder.")
     try:
-        if int(plain["version"]) > VERSION:
+        if int(plain["version"]) != VERSION:
             raise FileFormatError(
-                f"{source}: a recording of version {plain['version']}, this program reads up to {VERSION}: update it."
+                f"{source}: a recording of version {plain['version']}, this program reads {VERSION}: "
+                "take the program that made it."
             )
         values: dict[str, Any] = {each.name: plain[each.name] for each in fields(Info)}
         mode, firmware = ScanMode[values.pop("scan_mode")], tuple(map(int, values.pop("firmware").split(".")))
@@ -84,9 +90,37 @@ class Recording:
     calibration: str = ""  #: JSON text, as given to the recorder
     made_from: Mapping[str, str] = field(default_factory=dict)  #: hashes of what the recorder worked with
 
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Start of every scan on the host's Unix clock [ns], (n,), by the board's clock as it is fitted while live.
+
+        The bytes of a board hold no times of arrival: then they are the board's clock.
+        """
+        clock, stamps, found = DeviceClock(), Stamps(), []
+        if self.received_s is None:
+            return np.array([stamps.after(time_s) for time_s in self.time_s.tolist()])
+        first_s = float(self.received_s[0])  # small numbers keep their nanoseconds
+        begins = np.diff(self.run, prepend=self.run[:1]) != 0
+        for device_us, received_s, is_new in zip(self.device_us.tolist(), self.received_s, begins, strict=True):
+            if is_new:
+                clock.restart()
+            clock.add(device_us, float(received_s) - first_s)
+            found.append(stamps.after(first_s + clock.host_time(device_us)))
+        return np.array(found)
+
     @property
     def header(self) -> Header:
         return Header(info=self.info, calibration=self.calibration, made_from=self.made_from)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The recording as it is written to NetCDF: its `columns` by frame, header and statistics as attributes."""
+        import xarray as xr
+
+        variables = {
+            name: (frame_dims(name), values, {"long_name": COLUMNS[name].partition(" ")[2]})
+            for name, values in self.columns().items()
+        }
+        variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"
+        return xr.Dataset(variables, attrs=self.header.plain() | asdict(self.statistics))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of `assemble`, as they were received; unknown times of arrival are NaN."""
@@ -100,6 +134,11 @@ class Recording:
             "received_s": np.full(n, np.nan) if self.received_s is None else self.received_s,
             "run": self.run.astype(np.uint32),
         }
+
+
+def frame_dims(column: str) -> tuple[str, ...]:
+    """Dimensions of a column in NetCDF."""
+    return ("frame", "crossing") if column == "counts" else ("frame",)
 
 
 def assemble(

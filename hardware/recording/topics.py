@@ -11,143 +11,115 @@ from numpy.typing import NDArray
 
 from geometry.layout import FloatArray
 
-_BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF
-COLUMNS = {  # of NetCDF and MCAP: the largest number in it, and what it holds; on the dimension frame
-    "sequence": (_SHORT, "frames sent since the board's start, modulo 2^16"),
-    "device_us": (_WORD, "board's clock at the start of the scan [us], modulo 2^32"),
-    "flags": (5, "bit 0: saturation; bits 1 and 2: scan mode"),
-    "overruns": (_BYTE, "scans skipped since the board's start, 255 stands for more"),
-    "run": (_WORD, "counts up where the board or the recorder began anew; nothing is lost from one to the next"),
-    "counts": (_SHORT, "in the order of the wires, docs/frames.md"),
-    "received_s": (None, "arrival at the host"),
+COLUMNS = {  # of NetCDF and MCAP, on the dimension frame: type and meaning
+    "sequence": "u16 frames sent since the board's start, modulo 2^16",
+    "device_us": "u32 board's clock at the start of the scan [us], modulo 2^32",
+    "flags": "u8 bit 0: saturation; bits 1 and 2: scan mode",
+    "overruns": "u8 scans skipped since the board's start, 255 stands for more",
+    "run": "u32 counts up where the board or the recorder began anew; nothing is lost from one to the next",
+    "counts": "[u16] in the order of the wires, docs/frames.md",
+    "received_s": "number arrival at the host",
 }
 
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics of MCAP
 SENSOR, WRENCH = "/tripillar/sensor", "/tripillar/wrench"  #: with the forces
 RESISTANCES = "/tripillar/resistances"  #: of live streams
+_TYPES: dict[str, dict[str, Any]] = {
+    "text": {"type": "string"},
+    "number": {"type": "number"},
+    "flag": {"type": "boolean"},
+    **{f"u{bits}": {"type": "integer", "minimum": 0, "maximum": 2**bits - 1} for bits in (8, 16, 32)},
+}
 
 
-def _whole(description: str, largest: int) -> dict[str, Any]:
-    return {"type": "integer", "minimum": 0, "maximum": largest, "description": description}
+def _schema(title: str = "", meaning: str = "", **properties: str | dict[str, Any]) -> dict[str, Any]:
+    """JSON schema of an object, each property a type and its meaning in one text; "[number]" is a list of numbers."""
+    found: dict[str, Any] = {"type": "object", "properties": {name: _field(each) for name, each in properties.items()}}
+    return found | ({"title": title} if title else {}) | ({"description": meaning} if meaning else {})
 
 
-def _text(description: str) -> dict[str, Any]:
-    return {"type": "string", "description": description}
+def _field(told: str | dict[str, Any]) -> dict[str, Any]:
+    if isinstance(told, dict):
+        return told
+    kind, _, meaning = told.partition(" ")
+    inner = _TYPES[kind.strip("[]")]
+    return ({"type": "array", "items": inner} if kind[0] == "[" else inner) | {"description": meaning}
 
 
-def _list(items: dict[str, Any], description: str) -> dict[str, Any]:
-    return {"type": "array", "items": items, "description": description}
+def _by_unit(**properties: str) -> dict[str, Any]:
+    """A list of objects, since Foxglove refuses a schema with arrays of arrays."""
+    unit = _schema(row="u8 of the unit, along y", col="u8 of the unit, along x", **properties)
+    return {"type": "array", "items": unit, "description": "row by row"}
 
 
-def _numbers(description: str) -> dict[str, Any]:
-    return _list({"type": "number"}, description)
-
-
-def _object(title: str, **properties: dict[str, Any]) -> dict[str, Any]:
-    return {"title": title, "type": "object", "properties": properties}
-
-
-#: JSON schemas of the topics. Foxglove refuses a schema with arrays of arrays, so units are a list of objects.
+_SIZE = {"rows": "u8 units along y", "cols": "u8 units along x"}
+_AXES = "[text] components of each force"
+#: JSON schemas of the topics
 SCHEMAS: dict[str, dict[str, Any]] = {
-    INFO: {
-        "title": "tripillar.Info",
-        "type": "object",
-        "properties": {
-            "format": _text("tripillar recording"),
-            "version": _whole("of the format", _SHORT),
-            "protocol": _whole("of the frames between board and host", _BYTE),
-            "rows": _whole("units along y", _BYTE),
-            "cols": _whole("units along x", _BYTE),
-            "bits": _whole("of the converter", 16),
-            "scan_mode": _text("DIVIDER, GROUNDED or ZERO_POTENTIAL"),
-            "firmware": _text("major.minor.patch"),
-            "rate_hz": _whole("nominal scans a second", _SHORT),
-            "serial": _whole("the board's own number, 0 if it has none", _WORD),
-            "sense_ohm": _whole("sense resistor [ohm]", _WORD),
-            "vref_mv": _whole("the converter's reference [mV]", _SHORT),
-            "calibration": _text("JSON text, may be empty"),
-            "model_recipe": _text("hash of the model in use, may be empty"),
-            "design_hash": _text("hash of the sensor's design, may be empty"),
-        },
-    },
-    SCAN: {
-        "title": "tripillar.Scan",
-        "type": "object",
-        "properties": {name: _whole(meaning, largest) for name, (largest, meaning) in COLUMNS.items() if largest}
-        | {"counts": _list({"type": "integer"}, COLUMNS["counts"][1])},
-    },
-    FORCES: _object(
+    INFO: _schema(
+        "tripillar.Info",
+        format="text tripillar recording",
+        version="u16 of the format",
+        protocol="u8 of the frames between board and host",
+        **_SIZE,
+        bits="u8 of the converter",
+        scan_mode="text DIVIDER, GROUNDED or ZERO_POTENTIAL",
+        firmware="text major.minor.patch",
+        rate_hz="u16 nominal scans a second",
+        serial="u32 the board's own number, 0 if it has none",
+        sense_ohm="u32 sense resistor [ohm]",
+        vref_mv="u16 the converter's reference [mV]",
+        calibration="text JSON, may be empty",
+        model_recipe="text hash of the model in use, may be empty",
+        design_hash="text hash of the sensor's design, may be empty",
+    ),
+    SCAN: _schema("tripillar.Scan", **{name: told for name, told in COLUMNS.items() if name != "received_s"}),
+    FORCES: _schema(
         "tripillar.Forces",
-        time={"type": "number", "description": "Unix time of arrival of the scan [s]"},
-        rows=_whole("units along y", _BYTE),
-        cols=_whole("units along x", _BYTE),
-        axes=_list({"type": "string"}, "components of each force"),
-        units=_list(
-            {
-                "type": "object",
-                "properties": {
-                    "row": _whole("of the unit, along y", _BYTE),
-                    "col": _whole("of the unit, along x", _BYTE),
-                    "force_n": _numbers("one an axis [N], to six decimals"),
-                    "deviation_n": _numbers("what holds 68 % of their errors [N], empty if unknown"),
-                },
-            },
-            "row by row",
+        time="number Unix time of arrival of the scan [s]",
+        **_SIZE,
+        axes=_AXES,
+        units=_by_unit(
+            force_n="[number] one an axis [N], to six decimals",
+            deviation_n="[number] half-widths that hold 68 % of their errors [N], empty if unknown",
         ),
     ),
-    WRENCH: _object(
+    WRENCH: _schema(
         "tripillar.Wrench",
-        net_force_n=_numbers("along x, y, z [N], z positive in compression; null along axes that the model lacks"),
-        net_force_deviation_n=_numbers("one standard deviation, empty if unknown"),
-        net_moment_nmm=_numbers("of the vectors on the sensor, about the middle of the array on its surface [N mm]"),
-        net_moment_deviation_nmm=_numbers("one standard deviation, empty if unknown"),
-        centre_of_pressure_mm=_numbers("x and y [mm]; empty where hardly anything presses"),
-        centre_of_pressure_deviation_mm=_numbers("one standard deviation, empty if unknown"),
+        net_force_n="[number] along x, y, z [N], z positive in compression; null along axes that the model lacks",
+        net_force_deviation_n="[number] one standard deviation, empty if unknown",
+        net_moment_nmm="[number] of the vectors on the sensor, about the middle of the array on its surface [N mm]",
+        net_moment_deviation_nmm="[number] one standard deviation, empty if unknown",
+        centre_of_pressure_mm="[number] x and y [mm]; empty where hardly anything presses",
+        centre_of_pressure_deviation_mm="[number] one standard deviation, empty if unknown",
     ),
-    RESISTANCES: _object(
+    RESISTANCES: _schema(
         "tripillar.Resistances",
-        units=_list(
-            {
-                "type": "object",
-                "properties": {
-                    "row": _whole("of the unit, along y", _BYTE),
-                    "col": _whole("of the unit, along x", _BYTE),
-                    "resistance_ohm": _numbers("of pillars z, x, y as the model saw them [ohm]"),
-                    "saturated": _list({"type": "boolean"}, "counts at 0 or full scale"),
-                },
-            },
-            "row by row",
+        units=_by_unit(
+            resistance_ohm="[number] of pillars z, x, y as the model saw them [ohm]",
+            saturated="[flag] counts at 0 or full scale",
         ),
     ),
-    SENSOR: _object(
+    SENSOR: _schema(
         "tripillar.Sensor",
-        **{name: _text(name.replace("_", " ")) for name in ("frame", "frame_meaning", "sign_meaning", "clock")},
-        rows=_whole("units along y", _BYTE),
-        cols=_whole("units along x", _BYTE),
-        axes=_list({"type": "string"}, "components of each force"),
-        signs=_numbers("times a force, the component of the vector on the sensor"),
-        pillars=_list({"type": "string"}, "of each unit"),
-        units={"type": "object", "properties": {}, "description": "of all numbers"},
-        pad_mm={"type": "number", "description": "side of a pad [mm]"},
-        design_hash=_text("of the model's design, may be empty"),
-        model_hash=_text("of what the model was made of, may be empty"),
-        board={"type": "object", "properties": {}, "description": "serial, firmware, rate, bits, scan mode"},
-        pads=_list(
-            {
-                "type": "object",
-                "properties": {
-                    "row": _whole("of the unit, along y", _BYTE),
-                    "col": _whole("of the unit, along x", _BYTE),
-                    "position_mm": _numbers("of the pad's centre [mm]"),
-                    "normal": _numbers("unit vector out of the sensor"),
-                    "low_n": _numbers("least force in the model's training, one an axis [N]"),
-                    "high_n": _numbers("largest [N]"),
-                    "rest_ohm": _numbers("pillars with nothing on the sensor, as the model expects them [ohm]"),
-                    "dead": _list({"type": "boolean"}, "pillars that the model does not look at"),
-                    "twin_deviation": _numbers("relative, of gain and offset in an identified twin; may be empty"),
-                },
-            },
-            "row by row",
+        **{name: f"text {name.replace('_', ' ')}" for name in ("frame", "frame_meaning", "sign_meaning", "clock")},
+        **_SIZE,
+        axes=_AXES,
+        signs="[number] times a force, the component of the vector on the sensor",
+        pillars="[text] of each unit",
+        units=_schema(meaning="of all numbers"),
+        pad_mm="number side of a pad [mm]",
+        design_hash="text of the model's design, may be empty",
+        model_hash="text of what the model was made of, may be empty",
+        board=_schema(meaning="serial, firmware, rate, bits, scan mode"),
+        pads=_by_unit(
+            position_mm="[number] of the pad's centre [mm]",
+            normal="[number] unit vector out of the sensor",
+            low_n="[number] least force in the model's training, one an axis [N]",
+            high_n="[number] largest [N]",
+            rest_ohm="[number] pillars with nothing on the sensor, as the model expects them [ohm]",
+            dead="[flag] pillars that the model does not look at",
+            twin_deviation="[number] relative, of gain and offset in an identified twin; may be empty",
         ),
     ),
 }

@@ -1,6 +1,6 @@
-"""Scans as other programs understand them: Foxglove, Rerun, ROS 2.
+"""Forces as other programs understand them: Foxglove, Rerun, ROS 2, and files.
 
-In: the scans of a `LiveSensor` or of a recording. Out: a description of the sensor, once, and a `TactileFrame` a scan.
-Open `tactile_frame.py` first; `foxglove_stream.py`, `rerun_stream.py` and `ros2_file.py` are one adapter each, and load
-their packages only when used.
+In: the forces of a `LiveSensor`'s scans, or those that `replay` made of a recording, each with the description of the
+sensor. Open `addresses.py` for what a stream is; `foxglove_stream.py`, `rerun_stream.py` and `ros2_file.py` are one
+adapter each, and load their packages only when used.
 """

@@ -1,12 +1,24 @@
-"""Opening streams: addresses, who can reach them, and what is in the way."""
+"""Opening streams: addresses, who can reach them, and files with room for their own end."""
 
+import shutil
+import sys
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Protocol
 
 from geometry.errors import DesignError, TriPillarError
 from geometry.storage.files import require_file
+from hardware.readout.forces import Forces
 
 LOOPBACK = "127.0.0.1"
+ROOM_BYTES = 2**22  #: kept free of a stream's file, for its index and what still waits in memory
+
+
+class Stream(Protocol):
+    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts."""
+
+    def add(self, scan: Forces) -> None:
+        """Take those of one scan."""
 
 
 class StreamError(TriPillarError, RuntimeError):
@@ -40,11 +52,16 @@ def reachable(host: str) -> str:
     >>> reachable("127.0.0.1")
     'this machine alone'
     """
+    is_here = is_loopback(host)
+    return "this machine alone" if is_here else "everybody who can reach this address can read it, unencrypted"
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a name or an address is that of this machine alone."""
     try:
-        is_loopback = ip_address(host).is_loopback
+        return ip_address(host).is_loopback
     except ValueError:
-        is_loopback = host == "localhost"
-    return "this machine alone" if is_loopback else "everybody who can reach this address can read it, unencrypted"
+        return host == "localhost"
 
 
 def require_new(path: Path | None) -> None:
@@ -55,8 +72,34 @@ def require_new(path: Path | None) -> None:
             raise StreamError(f"{path}: the file exists: give another name.")
 
 
-def make_room(path: Path | None) -> None:
-    """Make the folder of a stream's file; errors as of `require_new`."""
+def make_file(path: Path) -> None:
+    """Make a stream's empty file, with its folder.
+
+    Raises
+    ------
+    StreamError
+        If it exists or cannot be made, or there is no room for it.
+    """
     require_new(path)
-    if path is not None:
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        require_room(path)
+        path.open("xb").close()
+    except OSError as error:
+        raise StreamError(f"{path}: {error.strerror}: give another file.") from None
+
+
+def require_room(path: Path) -> None:
+    """Refuse to write on where the disk is full but for what the end of the file needs: `StreamError`."""
+    free = shutil.disk_usage(path.parent).free
+    if sys.platform != "win32":
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        if limit != resource.RLIM_INFINITY:
+            free = min(free, limit - (path.stat().st_size if path.exists() else 0))
+    if free < ROOM_BYTES:
+        raise StreamError(
+            f"{path}: the disk is full ({max(free, 0) // 1024} kB left): the file ends here and can be read: make room "
+            "or take another disk."
+        )

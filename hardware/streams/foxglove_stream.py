@@ -1,6 +1,6 @@
-"""Frames for Foxglove: a WebSocket server, and an MCAP file by the same calls. Needs the package ``foxglove-sdk``."""
+"""Frames for Foxglove: a WebSocket server, and an MCAP file of the same messages. Needs the extra ``foxglove``."""
 
-import json
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -11,10 +11,20 @@ import numpy as np
 from geometry.errors import needing
 from geometry.layout import FloatArray
 from hardware.readout.description import FRAME, SensorDescription
-from hardware.recording.topics import FORCES, RESISTANCES, SCHEMAS, SENSOR, WRENCH, forces_content, resistances_content
-from hardware.streams.addresses import LOOPBACK, StreamError, make_room
+from hardware.readout.forces import Forces
+from hardware.recording.mcap_file import Channel, McapWriter, json_bytes
+from hardware.recording.topics import (
+    FORCES,
+    RESISTANCES,
+    SENSOR,
+    WRENCH,
+    forces_content,
+    resistances_content,
+    wrench_content,
+)
+from hardware.streams.addresses import LOOPBACK, make_file, require_room
+from hardware.streams.foxglove_server import FoxgloveServer
 from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.tactile_frame import TactileFrame
 
 if TYPE_CHECKING:
     from foxglove.messages import SceneUpdate
@@ -24,7 +34,7 @@ PORT = 8765  #: where Foxglove looks for a server
 
 
 class FoxgloveStream:
-    """Sends frames to all who are connected, and into a file, as long as the with block lasts.
+    """Sends the forces of scans to all who are connected, and into a file, as long as the with block lasts.
 
     A topic that nobody listens to is not made. The description is sent at the beginning, and again to whoever
     subscribes to it later.
@@ -38,90 +48,90 @@ class FoxgloveStream:
         To listen on; 0: one that is free.
     mcap : Path, optional
         File to write; it must not exist.
+    token : str
+        That clients must name, as of `FoxgloveServer`; empty: they are let in by their origin.
 
     Raises
     ------
     MissingPackageError
-        If the package is not installed.
+        If a package is not installed.
     DesignError
         If nobody knows where the pads are.
     StreamError
-        On entering: if the port cannot be had, or the file exists or cannot be made.
+        On entering: if the port cannot be had, or the file exists or cannot be made. Later: if the disk is full; the
+        file is ended then and can be read.
     """
 
     def __init__(
-        self, sensor: SensorDescription, host: str | None = LOOPBACK, port: int = PORT, mcap: Path | None = None
+        self,
+        sensor: SensorDescription,
+        host: str | None = LOOPBACK,
+        port: int = PORT,
+        mcap: Path | None = None,
+        token: str = "",
     ) -> None:
         with needing("Foxglove", "foxglove"):
             import foxglove  # noqa: F401
+            import mcap as _  # noqa: F401
+            import websockets  # noqa: F401
         self._painter = Painter(sensor)
-        self._host, self.port, self._mcap = host, port, mcap
+        self._host, self.port, self._mcap, self._token = host, port, mcap, token
+        self._server: FoxgloveServer | None = None
+        self._file: McapWriter | None = None
         self._open = ExitStack()
-        self._asked = True  # somebody is to be told what the sensor is
 
     def __enter__(self) -> Self:
-        from foxglove import Channel, Context, open_mcap, start_server
-        from foxglove.channels import SceneUpdateChannel
-        from foxglove.websocket import ServerListener
+        from foxglove.messages import SceneUpdate
 
-        make_room(self._mcap)
-        stream, context = self, Context()
-
-        class Listener(ServerListener):
-            def on_subscribe(self, client: Any, channel: Any) -> None:
-                stream._asked |= channel.topic == SENSOR
-
+        channels = {topic: Channel.of_json(topic) for topic in (SENSOR, FORCES, WRENCH, RESISTANCES)}
+        schema = SceneUpdate.get_schema()
+        channels[SCENE] = Channel(
+            schema=schema.name, text=schema.data, encode=bytes, encodings=("protobuf", "protobuf")
+        )
         with ExitStack() as opened:
-            try:
-                if self._host is not None:
-                    server = start_server(
-                        name="TriPillar", host=self._host, port=self.port, context=context, server_listener=Listener()
-                    )
-                    opened.callback(server.stop)
-                    self.port = server.port
-                if self._mcap is not None:
-                    opened.callback(open_mcap(self._mcap, context=context).close)
-            except RuntimeError as error:  # as the SDK calls whatever is wrong with an address
-                raise StreamError(f"{self._host}:{self.port}: {error}: give another address.") from None
-            self._context = context  # its channels end with it
-            self._scene = SceneUpdateChannel(SCENE, context=context)
-            self._channels = {
-                topic: Channel(topic, schema=SCHEMAS[topic], context=context)
-                for topic in (SENSOR, FORCES, WRENCH, RESISTANCES)
-            }
+            if self._host is not None:
+                self._server = FoxgloveServer(channels, self._host, self.port, self._token, latched=SENSOR)
+                opened.callback(self._server.close)
+                self.port = self._server.port
+            if self._mcap is not None:
+                make_file(self._mcap)
+                self._file = McapWriter(opened.enter_context(self._mcap.open("wb")), channels)
+                opened.callback(self._file.close)
             self._open = opened.pop_all()
+        self._is_first = True
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._scene.close()
-        for channel in self._channels.values():
-            channel.close()
         self._open.close()
 
-    def add(self, frame: TactileFrame) -> None:
-        """Send a frame."""
-        axes = self._painter.sensor.axes
-        if self._asked:
-            self._asked = False
-            self._log(SENSOR, self._painter.sensor.plain(), frame)
-        time_s = {"time": frame.stamp_ns * 1e-9}
-        for topic, content in (
-            (FORCES, lambda: time_s | forces_content(frame.force_n, frame.deviation_n, axes)),
-            (WRENCH, frame.net),
-            (RESISTANCES, lambda: resistances_content(frame.resistance_ohm, frame.saturated)),
-        ):
-            if self._channels[topic].has_sinks():
-                self._log(topic, content(), frame)
-        if self._scene.has_sinks():
-            self._scene.log(self._update(frame), log_time=frame.stamp_ns)
+    def add(self, scan: Forces) -> None:
+        """Send the forces of one scan."""
+        axes, stamp_ns = self._painter.sensor.axes, int(scan.stamp_ns)
+        time_s = {"time": stamp_ns * 1e-9}
+        if self._is_first:
+            self._is_first = False
+            self._send(SENSOR, stamp_ns, json_bytes(self._painter.sensor.plain()))
+        contents: dict[str, Callable[[], bytes]] = {
+            FORCES: lambda: json_bytes(time_s | forces_content(scan.force_n, scan.deviation_n, axes)),
+            WRENCH: lambda: json_bytes(wrench_content(scan.net())),
+            RESISTANCES: lambda: json_bytes(resistances_content(scan.resistance_ohm, scan.saturated)),
+            SCENE: lambda: self._update(scan).encode(),
+        }
+        for topic, content in contents.items():
+            if self._file is not None or (self._server is not None and self._server.has_listeners(topic)):
+                self._send(topic, stamp_ns, content())
+        if self._mcap is not None:
+            require_room(self._mcap)
 
-    def _log(self, topic: str, content: dict[str, Any], frame: TactileFrame) -> None:
-        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
-        self._channels[topic].log(data, log_time=frame.stamp_ns)
+    def _send(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        if self._server is not None:
+            self._server.send(topic, stamp_ns, data)
+        if self._file is not None:
+            self._file.write(topic, data, stamp_ns, stamp_ns)
 
-    def _update(self, frame: TactileFrame) -> "SceneUpdate":
+    def _update(self, scan: Forces) -> "SceneUpdate":
         from foxglove.messages import (
             Color,
             CubePrimitive,
@@ -133,8 +143,8 @@ class FoxgloveStream:
             Vector3,
         )
 
-        painter, scene = self._painter, self._painter.scene(frame)
-        stamp = Timestamp(*divmod(frame.stamp_ns, 1_000_000_000))
+        painter, scene = self._painter, self._painter.scene(scan)
+        stamp = Timestamp(*divmod(int(scan.stamp_ns), 1_000_000_000))
         side, height = painter.pad_m, PAD_HEIGHT * painter.pad_m
         upright, size = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0), Vector3(x=side, y=side, z=height)
         cubes = [

@@ -12,9 +12,9 @@ import numpy as np
 from geometry.errors import needing
 from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
-from hardware.streams.addresses import LOOPBACK, StreamError, make_room
+from hardware.readout.forces import Forces
+from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
 from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
-from hardware.streams.tactile_frame import TactileFrame
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -45,7 +45,8 @@ class RerunStream:
     DesignError
         If nobody knows where the pads are.
     StreamError
-        On entering: if the port is taken, or the file exists or cannot be made.
+        On entering: if the port is taken, or the file exists or cannot be made. Later: if the disk is full; the file
+        is ended then and can be read.
     """
 
     def __init__(
@@ -58,12 +59,12 @@ class RerunStream:
         self._host, self._port, self._rrd = host, port, rrd
 
     def __enter__(self) -> Self:
-        make_room(self._rrd)
         rr, sinks = self._rerun, []
         if self._host is not None:
             require_free(self._host, self._port)
             sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
         if self._rrd is not None:
+            make_file(self._rrd)  # refuses what cannot be written, which the sink would not
             sinks.append(rr.FileSink(self._rrd))
         batches = rr.ChunkBatcherConfig(flush_tick=FILED_S if self._host is None else SERVED_S)
         self._recording = rr.RecordingStream("tripillar", batcher_config=batches)
@@ -77,22 +78,24 @@ class RerunStream:
         self._recording.flush()
         self._recording.disconnect()
 
-    def add(self, frame: TactileFrame) -> None:
-        """Send a frame."""
-        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(frame)
-        self._recording.set_time(TIMELINE, timestamp=np.datetime64(frame.stamp_ns, "ns"))
+    def add(self, scan: Forces) -> None:
+        """Send the forces of one scan."""
+        if self._rrd is not None:
+            require_room(self._rrd)  # the sink tells nobody when it fails
+        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(scan)
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(int(scan.stamp_ns), "ns"))
         log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))
         log("sensor/forces", rr.Arrows3D(vectors=scene.arrows_m, origins=self._painter.places_m - scene.arrows_m))
         if scene.net_arrow_m is None or scene.net_tip_m is None:
             log("sensor/net", rr.Clear(recursive=False))
         else:
             log("sensor/net", rr.Arrows3D(vectors=[scene.net_arrow_m], origins=[scene.net_tip_m - scene.net_arrow_m]))
-        wrench = frame.wrench
-        for name, values in self._plots(frame.force_n, frame.resistance_ohm):
+        wrench = scan.wrench
+        for name, values in self._plots(scan.force_n, scan.resistance_ohm):
             log(name, rr.Scalars(values))
-        log("net/force_n", rr.Scalars(wrench.force_n[0]))
-        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm[0]))
-        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm[0]))
+        log("net/force_n", rr.Scalars(wrench.force_n))
+        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm))
+        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm))
 
     def _plots(self, force_n: FloatArray, resistance_ohm: FloatArray) -> list[tuple[str, FloatArray]]:
         """Names of entities, and the values of all units, row by row."""

@@ -1,8 +1,9 @@
-"""Forces as messages of ROS 2 in an MCAP file, written without ROS. Needs the package ``mcap-ros2-support``.
+"""Forces as messages of ROS 2, written without ROS. Needs the package ``mcap-ros2-support``.
 
 `msg/` holds the definitions of the messages, for a ROS package of the name `PACKAGE`.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,11 @@ import numpy as np
 
 from geometry.errors import needing
 from geometry.layout import AXES, FloatArray
-from geometry.storage.files import replacing
 from hardware.readout.description import FRAME, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
 from hardware.recording import Recording
-from hardware.streams.tactile_frame import TactileFrame, recorded_frames
+from hardware.recording.mcap_file import Channel, Message
 
 PACKAGE = "tripillar_msgs"
 SHAPE, FRAMES = "/tactile/shape", "/tactile/frame"  #: topics
@@ -42,40 +42,34 @@ def definition(name: str) -> str:
     return own + "".join(f"{'=' * 80}\nMSG: {used}\n{text}" for used, text in USED.items())
 
 
-def write_ros2(recording: Recording, forces: Forces, path: Path) -> None:
-    """Write forces of a recording as messages of ROS 2, whole or not at all.
-
-    Parameters
-    ----------
-    recording : Recording
-    forces : Forces
-        That `replay` made of it.
-    path : Path
-        MCAP file to write; replaced if it exists.
+def ros2_channels() -> dict[str, Channel]:
+    """The topics of `ros2_messages`.
 
     Raises
     ------
     MissingPackageError
         If the package is not installed.
-    DesignError
-        If nobody knows where the pads are.
     """
     with needing("ROS 2", "mcap"):
-        from mcap_ros2.writer import Writer
-    forces.description.require_positions()
-    with replacing(path) as temporary, temporary.open("wb") as file, Writer(file) as writer:
-        schemas = {name: writer.register_msgdef(f"{PACKAGE}/msg/{name}", definition(name)) for name in _NAMES}
-        latched = {"offered_qos_profiles": LATCHED}  # the package has no way of its own to state it
-        writer._channel_ids[SHAPE] = writer._writer.register_channel(SHAPE, "cdr", schemas[_NAMES[0]].id, latched)
-        for k, frame in enumerate(recorded_frames(recording, forces)):
-            if k == 0:
-                content = shape_message(forces.description, frame.stamp_ns)
-                writer.write_message(SHAPE, schemas[_NAMES[0]], content, frame.stamp_ns)
-            content = frame_message(frame, forces.description)
-            writer.write_message(FRAMES, schemas[_NAMES[1]], content, frame.stamp_ns, sequence=frame.sequence)
+        from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
+
+    def channel(name: str, **metadata: str) -> Channel:
+        schema, text = f"{PACKAGE}/msg/{name}", definition(name)
+        encode = serialize_dynamic(schema, text)[schema]
+        return Channel(schema=schema, text=text, encode=encode, encodings=("cdr", "ros2msg"), metadata=metadata)
+
+    return {SHAPE: channel("TactileShape", offered_qos_profiles=LATCHED), FRAMES: channel("TactileFrame")}
 
 
-_NAMES = ("TactileShape", "TactileFrame")
+def ros2_messages(recording: Recording, forces: Forces) -> Iterator[Message]:
+    """The description of the sensor, and then a message a scan, at the stamps of the board's clock."""
+    _ = forces.deviations  # of all at once, before they are taken one by one
+    for k, stamp_ns in enumerate(recording.stamps_ns().tolist()):
+        if k == 0:
+            shape = shape_message(forces.description, stamp_ns)
+            yield Message(topic=SHAPE, content=shape, log_ns=stamp_ns, publish_ns=stamp_ns)
+        content = frame_message(forces[k], stamp_ns)
+        yield Message(topic=FRAMES, content=content, log_ns=stamp_ns, publish_ns=stamp_ns, sequence=content["sequence"])
 
 
 def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
@@ -101,27 +95,26 @@ def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
     }
 
 
-def frame_message(frame: TactileFrame, sensor: SensorDescription) -> dict[str, Any]:
-    """A frame as a TactileFrame."""
-    wrench = frame.wrench
-    deviation_n = np.full(frame.force_n.shape, np.nan) if frame.deviation_n is None else frame.deviation_n
-    unknown = np.full((1, 3), np.nan)
+def frame_message(scan: Forces, stamp_ns: int) -> dict[str, Any]:
+    """The forces of one scan as a TactileFrame."""
+    wrench, axes = scan.wrench, scan.description.axes
+    deviation_n = np.full(scan.force_n.shape, np.nan) if scan.deviation_n is None else scan.deviation_n
     deviations = (wrench.force_deviation_n, wrench.moment_deviation_nmm, wrench.centre_deviation_mm)
-    force_n, moment_nmm, centre_mm = (unknown if each is None else each for each in deviations)
+    force_n, moment_nmm, centre_mm = (np.full(3, np.nan) if each is None else each for each in deviations)
     return {
-        "header": _header(frame.stamp_ns),
-        "sequence": frame.sequence,
-        "device_us": frame.device_us,
-        "forces": _vectors(_on_sensor(frame.force_n, sensor.axes)),
-        "force_deviations": _vectors(np.abs(_on_sensor(deviation_n, sensor.axes))),
-        "resistances": frame.resistance_ohm.reshape(-1).tolist(),
-        "saturated": frame.saturated.reshape(-1).tolist(),
-        "explained": frame.is_explained,
-        "net": {"force": _vector(wrench.vector_n[0]), "torque": _vector(1e-3 * wrench.moment_nmm[0])},
-        "net_deviation": {"force": _vector(force_n[0]), "torque": _vector(1e-3 * moment_nmm[0])},
+        "header": _header(stamp_ns),
+        "sequence": int(scan.sequence),
+        "device_us": int(scan.device_us),
+        "forces": _vectors(_on_sensor(scan.force_n, axes)),
+        "force_deviations": _vectors(np.abs(_on_sensor(deviation_n, axes))),
+        "resistances": scan.resistance_ohm.reshape(-1).tolist(),
+        "saturated": scan.saturated.reshape(-1).tolist(),
+        "explained": not scan.unexplained,
+        "net": {"force": _vector(wrench.vector_n), "torque": _vector(1e-3 * wrench.moment_nmm)},
+        "net_deviation": {"force": _vector(force_n), "torque": _vector(1e-3 * moment_nmm)},
         "has_center_of_pressure": not np.isnan(wrench.centre_mm).any(),
-        "center_of_pressure": _vector(np.append(1e-3 * wrench.centre_mm[0], 0.0)),
-        "center_of_pressure_deviation": _vector(np.append(1e-3 * centre_mm[0, :2], 0.0)),
+        "center_of_pressure": _vector(np.append(1e-3 * wrench.centre_mm, 0.0)),
+        "center_of_pressure_deviation": _vector(np.append(1e-3 * centre_mm[:2], 0.0)),
     }
 
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from geometry.layout import AXES, FloatArray
 from hardware.readout.description import SensorDescription
+from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
-from hardware.streams.tactile_frame import TactileFrame
 
 HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))  #: the colour map "plasma"
 PAD_HEIGHT = 0.1  #: of a drawn pad, over its side
@@ -57,17 +57,17 @@ class Painter:
         self.full_scale_n = max(float(np.abs(sensor.range_n).max()), 1.0)
         self._given = [AXES.index(axis) for axis in sensor.axes]
 
-    def scene(self, frame: TactileFrame) -> Scene:
-        """The picture of a frame."""
+    def scene(self, scan: Forces) -> Scene:
+        """The picture of one scan."""
         vectors = np.zeros((len(self.places_m), 3))
-        vectors[:, self._given] = frame.force_n.reshape(len(vectors), -1)
+        vectors[:, self._given] = scan.force_n.reshape(len(vectors), -1)
         shown = vectors[:, 2] if "z" in self.sensor.axes else np.linalg.norm(vectors[:, :2], axis=1)
         vectors *= SIGNS
         per_newton_m = LONGEST * self.pad_m / self.full_scale_n
         net_arrow_m = net_tip_m = None
-        if not np.isnan(frame.wrench.centre_mm).any():
-            net_arrow_m = np.nan_to_num(frame.wrench.vector_n[0]) * per_newton_m / math.sqrt(len(vectors))
-            net_tip_m = np.append(1e-3 * frame.wrench.centre_mm[0], 0.0)
+        if not np.isnan(scan.wrench.centre_mm).any():
+            net_arrow_m = np.nan_to_num(scan.wrench.vector_n) * per_newton_m / math.sqrt(len(vectors))
+            net_tip_m = np.append(1e-3 * scan.wrench.centre_mm, 0.0)
         return Scene(
             pad_colours=colours(np.abs(shown) / self.full_scale_n),
             arrows_m=vectors * per_newton_m,

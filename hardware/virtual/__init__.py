@@ -1,7 +1,7 @@
 """The sensor in a simulation of others, in torch: contacts in, what the sensor reads and its forces out.
 
-Open `sensor.py`: `VirtualSensor` does all of it for many environments at once. `wires.py` is the crossbar and
-`decoding.py` the decoder, each the torch twin of what reads a board.
+Open `sensor.py`: `VirtualSensor` does all of it for many environments at once. `decoding.py` is the decoder, the torch
+twin of what reads a board; the crossbar is that of `readout`.
 """
 
 from hardware.virtual.sensor import Reading, VirtualSensor

@@ -3,7 +3,7 @@
 Every tensor has the environments first: e sensors of one design live side by side, each with imperfections of its own.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,10 +24,9 @@ from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import AXES, rest_lengths
-from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.decoding import TorchDecoder, TorchForward
-from hardware.virtual.wires import TorchCrossbar
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -149,7 +148,10 @@ class VirtualSensor:
                     f"take one of this design."
                 )
         self._decoder = None if model is None else TorchDecoder(model, self._like)
-        self._wires = None if crossbar is None else TorchCrossbar(crossbar, self._like, correct)
+        self._crossbar = crossbar
+        if crossbar is not None:  # the host knows of no shunts
+            host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+            self._found = Corrector(host).correct if correct else host.uncorrected
         if decoder is None:
             self._twin = None
             self._forward = TorchForward(self._designed(response), self._like)
@@ -280,19 +282,13 @@ class VirtualSensor:
         ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_WHOLE_OHM)
         if settings.noise:
             ohms = ohms * (1.0 + settings.noise * self._normal(ohms.shape))
-        if self._wires is not None:
-            crossbar = self._wires.crossbar
-            readings = self._wires.readings(torch.where(self._dead, OPEN_OHM, ohms))
+        if (crossbar := self._crossbar) is not None:
+            readings = crossbar.readings(torch.where(self._dead, OPEN_OHM, ohms))
             if crossbar.noise:
                 readings = readings + crossbar.noise * self._normal(readings.shape)
-            if crossbar.full_scale is not None:
-                readings = self._wires.counts(readings) / crossbar.full_scale
-            ohms = self._wires.resistances(readings)
+            ohms = self._found(readings if crossbar.bits is None else _rounded(readings, crossbar.bits))
         elif settings.bits is not None:
-            full = 2.0**settings.bits - 1.0
-            counts = (full * SENSE_OHM / (ohms + SENSE_OHM)).clamp(1.0, full - 1.0)
-            counts = counts + (counts.round() - counts).detach()
-            ohms = SENSE_OHM * (full / counts - 1.0)
+            ohms = SENSE_OHM * (1.0 / _rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
         return torch.where(self._dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
@@ -358,6 +354,13 @@ class _TorchTwin:
         """Each member once, and the environments that have it."""
         members, sizes = torch.unique_consecutive(sorted_members, return_counts=True)
         return members.tolist(), order.split(sizes.tolist())
+
+
+def _rounded(readings: Tensor, bits: int) -> Tensor:
+    """Shares of full scale as a converter's counts hold them, the nearest inside its range; the derivative stays."""
+    full = 2.0**bits - 1.0
+    counts = (full * readings).clamp(1.0, full - 1.0)
+    return (counts + (counts.round() - counts).detach()) / full
 
 
 def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:

@@ -19,8 +19,8 @@ from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.storage.files import write_json
 from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
-from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
-from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
+from hardware.boards.virtual_board import VirtualBoard, a_frame
+from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.crossbar import Corrector, Crossbar
@@ -98,7 +98,8 @@ def mistaken(motion: Motion, mode: ScanMode) -> dict[str, Any]:
 def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float]:
     """Microseconds that a recorded frame takes to decode, to correct, and to become forces, many together."""
     info = board_info(mode)
-    stream = recording_from_resistances(np.tile(motion.resistance_ohm, (PERIODS, 1, 1, 1)), info)
+    sent = np.tile(Electronics().crossbar(info).counts(motion.resistance_ohm), (PERIODS, 1))
+    stream = b"".join(encode(a_frame(info, counts, k, k * 10**6 // info.rate_hz)) for k, counts in enumerate(sent))
     n = PERIODS * len(motion.resistance_ohm)
     frames, decode_us = _us(FrameDecoder().feed, stream)
     counts = np.stack([frame.counts for frame in frames if isinstance(frame, Frame)])

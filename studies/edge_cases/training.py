@@ -12,7 +12,6 @@ import torch
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate
 from decoupler.data.columns import Scaling, force_columns, pillar_columns, readable_columns
-from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import LINEAR
 from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
@@ -27,6 +26,7 @@ from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
+from geometry.pool import in_parallel
 from studies.edge_cases.trials import Judged, Trial
 
 SAMPLES = 400

@@ -13,13 +13,14 @@ from dataset import Samples
 from dataset.resistance import pillar_strains
 from dataset.simulation import DatasetSettings, LoadError, dataset_cache_key, simulate
 from decoupler.data.columns import component_named, force_columns
-from decoupler.evaluation.crossval import Fold, Job, fold, in_parallel, jobs_of, split_folds
+from decoupler.evaluation.crossval import Fold, Job, fold, jobs_of, split_folds
 from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.model_file import METHOD
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
+from geometry.pool import in_parallel
 from geometry.storage.files import digest
 from studies.paper.results import DataSet, Result, ResultKey, Results, ShownForces
 from tripillar.pipeline.printed import MEAN_OVER_WIDTHS

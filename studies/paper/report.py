@@ -28,7 +28,7 @@ from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spacing
 from tripillar.pipeline import printed
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
-LINEAR_PAGE = Path(__file__).parents[2] / "docs" / "linear.md"
+LINEAR_PAGE = Path(__file__).parents[2] / "docs" / "physics.md"
 ALIKE = 2.0  #: ratio up to which two errors count as of one size
 VISIBLE = 5.0  #: relative error [%] from where a star leaves its circle in figure 11
 QUIET = 0.05  #: share of its own reading by which an undisturbed unit may change under a neighbour's load
@@ -77,7 +77,7 @@ def as_markdown(computed: Computed) -> str:
 
 
 def conclusion() -> str:
-    """The paragraph of docs/linear.md on what linear elasticity costs."""
+    """The paragraph of docs/physics.md on what linear elasticity costs."""
     found = re.search("<!-- conclusion -->\n(.*?)\n<!-- end -->", LINEAR_PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None, f"{LINEAR_PAGE.name} has no conclusion"
     return found[1]

@@ -29,10 +29,10 @@ def draw(out: Path) -> None:
     motion, model, info = press_and_slide(response, PressAndSlide()), joint_net(response), board_info(MODE)
     counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
     k = round(SHARE * len(counts))
-    found = ForceReader(info, model).forces(counts[k : k + 1])
+    found = ForceReader(info, model).forces(counts[k : k + 1])[0]
     assert found.deviation_n is not None, "the joint net knows its uncertainty"
     view = live_view(
-        found.force_n[0], found.deviation_n[0], found.wrench, model.component.axes, float(found.force_n.max()),
+        found.force_n, found.deviation_n, found.wrench, model.component.axes, float(found.force_n.max()),
         info.rate_hz, LinkStatistics(ok=k), [],
     )  # fmt: skip
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())

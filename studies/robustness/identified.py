@@ -11,7 +11,6 @@ from dataset.samples import joined
 from decoupler import Assessment, Decoupler, NetworkConfig, assess
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
-from decoupler.twin.specimen_at_strain import identify_at_strain
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response
@@ -71,10 +70,7 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
     for count in COUNTS:
         start = process_time()
         given = Pairs.of(pairs[:count])
-        if own.posterior is None:
-            twin = identify(given, response, sensitivities, "all")
-        else:
-            twin = identify_at_strain(given, response, sensitivities, own.posterior)
+        twin = identify(given, response, sensitivities, "all", at_strain=own.posterior)
         seconds = process_time() - start
         rows.append(row(count, assess(twin.decoder, test, None), seconds))
     return rows

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
 from decoupler.data.columns import force_columns, readable_columns
-from decoupler.evaluation.crossval import in_parallel
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes
 from decoupler.model.settings import Feature
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
+from geometry.pool import in_parallel
 
 HIDDEN = 17  #: the paper's best
 NETS: tuple[Feature, ...] = ("inverse", "root")  #: inputs of the two skip nets: the response's inverse, and √R

@@ -1,24 +1,14 @@
 """Sensors on the table that are not the simulator: what was meant, what was made, and samples of what was made."""
 
-import os
 from dataclasses import dataclass, replace
 from functools import partial
 
 from dataset import DatasetSettings, Samples, simulate
-from dataset.finite_strain import n_groups, samples_of
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Array, Electrics, Pad, SensorDesign
 from tripillar.pipeline.manufactured import PAIRS_SEED, READ, SETTINGS, SPECIMEN, TEST_SEED, as_made
-from tripillar.sweep.finite_samples import (
-    GroupJob,
-    group_row,
-    groups_folder,
-    kept_groups,
-    make_groups,
-)
-from tripillar.sweep.tasks import failed_task_row
-from tripillar.sweep.workers import open_workers
+from tripillar.sweep.finite_samples import simulate_finite
 
 PROTOCOLS = ("contact", "three-axis")
 SEEDS = {"test": TEST_SEED, "pairs": PAIRS_SEED, "learned": 1}  #: of loads and of noise
@@ -42,26 +32,13 @@ class Truth:
     def measured(self, protocol: str, split: str, samples: int) -> Samples:
         """Samples of the sensor as made, which state the design that was meant."""
         settings = DatasetSettings(protocol=protocol, samples=samples, seed=SEEDS[split], **vars(SPECIMEN))
-        made = partial(finite, self.response()) if self.is_finite else partial(simulate, self.response())
+        made = partial(simulate_finite, self.response()) if self.is_finite else partial(simulate, self.response())
         return replace(made(settings).labels(), design=self.intended, made_from={})
 
     def learned(self, protocol: str) -> Samples:
         """Samples at finite strain of the sensor as designed, read with noise and converter."""
         settings = DatasetSettings(protocol=protocol, samples=LEARNED, seed=SEEDS["learned"], **vars(READ))
-        return finite(array_response(self.intended)[0], settings)
-
-
-def finite(response: ArrayResponse, settings: DatasetSettings) -> Samples:
-    """Samples at finite strain by workers; groups of samples are kept in the cache."""
-    job = GroupJob(response=response, settings=settings)
-    groups = kept_groups(job)
-    numbers = range(n_groups(settings.samples))
-    missing = [number for number in numbers if number not in groups]
-    if missing:
-        log = groups_folder(job) / "workers.log"
-        with open_workers(min(os.cpu_count() or 1, len(missing)), None, log, group_row, failed_task_row) as workers:
-            groups |= make_groups(job, workers, missing, lambda group: None)
-    return samples_of(response, settings, [groups[number] for number in numbers])
+        return simulate_finite(array_response(self.intended)[0], settings)
 
 
 _SOFT = SensorDesign()

@@ -21,12 +21,8 @@ def drawn(name: str, n: int = 500, design: SensorDesign = PAPER, seed: int = 0) 
     return PROTOCOLS[name].draw(np.random.default_rng(seed), n, design)
 
 
-def test_papers_ranges():
-    assert NORMAL_MPA == (1.0, 5.0)
-    assert TANGENTIAL_MPA == (0.2, 1.0)
-
-
-def test_names_are_those_of_the_command_line():
+def test_names_and_ranges_are_those_of_the_paper_and_of_the_command_line():
+    assert (NORMAL_MPA, TANGENTIAL_MPA) == ((1.0, 5.0), (0.2, 1.0))
     assert list(PROTOCOLS) == [
         "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
         "light-fz", "light-fx", "light",
@@ -34,24 +30,16 @@ def test_names_are_those_of_the_command_line():
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_shape_type_and_sign(name):
-    traction = drawn(name, 7, SensorDesign(array=Array(rows=2, cols=3)))
-    assert traction.shape == (7, 6, 3)
-    assert traction.dtype == np.float64
+def test_shape_sign_and_seed(name):
+    small = SensorDesign(array=Array(rows=2, cols=3))
+    traction = drawn(name, 7, small)
+    assert (traction.shape, traction.dtype) == ((7, 6, 3), np.float64)
     assert np.isfinite(traction).all()
     assert (traction[..., Z] <= 0).all()  # no pad is pulled
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-def test_seed_decides(name):
-    assert np.array_equal(drawn(name, 5), drawn(name, 5))
-    assert not np.array_equal(drawn(name, 5), drawn(name, 5, seed=1))
-
-
-@pytest.mark.parametrize("name", [name for name in PROTOCOLS if not name.startswith("light")])
-def test_samples_and_pads_differ(name):
-    traction = np.abs(drawn(name, 5)).sum(axis=2)
-    assert len(np.unique(traction)) == traction.size
+    assert np.array_equal(drawn(name, 7, small), traction)
+    assert not np.array_equal(drawn(name, 7, small, seed=1), traction)
+    if not name.startswith("light"):
+        assert len(np.unique(np.abs(drawn(name, 5)).sum(axis=2))) == 5 * 36  # samples and pads differ
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)

@@ -13,16 +13,14 @@ from dataset.simulation import (
     DatasetSettings,
     LoadError,
     dataset_cache_key,
-    displacements,
     forces,
     measured_again,
     simulate,
 )
 from dataset.variables import VARIABLES
-from geometry import DesignError, Pad, SensorDesign, TriPillarError
-from geometry.layout import AXES
+from geometry import Pad, SensorDesign, TriPillarError
 
-ARRAYS = tuple(VARIABLES)
+ARRAYS = tuple(VARIABLES)[:5]  # the others are of conduction and of finite strain
 
 
 def simulated(response, protocol="three-axis", samples=40, **changed):
@@ -44,9 +42,9 @@ def test_a_dataset_is_what_the_equations_say(response, protocol):
     """
     data = simulated(response, protocol)
     sizes = {"sample": 40, "row": 2, "col": 3, "electrode": 2, "axis": 3, "pillar": 3}
-    for name, (dims, _) in VARIABLES.items():
-        values = getattr(data, name)
-        assert values.shape == tuple(sizes[dim] for dim in dims)
+    assert tuple(data.arrays()) == ARRAYS
+    for name, values in data.arrays().items():
+        assert values.shape == tuple(sizes[dim] for dim in VARIABLES[name].dims)
         assert values.dtype == np.float64
         assert np.isfinite(values).all()
     assert np.array_equal(data.force_n, data.traction_mpa * 144.0 * np.array([1.0, 1.0, -1.0]))
@@ -62,24 +60,6 @@ def test_a_dataset_is_what_the_equations_say(response, protocol):
     assert data.resistance_ohm == pytest.approx(resistance, rel=1e-14)
 
 
-def test_superposition_is_linear(response):
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 4, 6, 3))
-    both = displacements(response, 2.0 * a - 3.0 * b)
-    apart = 2.0 * displacements(response, a) - 3.0 * displacements(response, b)
-    assert both == pytest.approx(apart, abs=1e-12)  # rounding
-    assert np.abs(both).max() > 1.0
-    a[..., :2] = 0.0  # skipping unloaded axes changes nothing: the same products, summed in another order
-    assert displacements(response, a, ("z",)) == pytest.approx(displacements(response, a), abs=1e-14)
-
-
-def test_unit_load_moves_electrodes_as_its_column_of_the_influence_says(response):
-    traction = np.zeros((1, 6, 3))
-    traction[0, 1 * 3 + 2, 0] = 1.0 / 144.0  # 1 N along x on row 1, col 2
-    moved = displacements(response, traction)[0].reshape(2, 3, 2, 3)
-    assert moved == pytest.approx(response.influence_mm_per_n[..., 1, 2, 0], rel=1e-12)
-
-
 @pytest.mark.parametrize("measurement", [{}, {"noise": 0.01, "bits": 12}], ids=["exact", "measured"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_sample_is_the_same_alone_and_in_a_batch(response, protocol, measurement):
@@ -91,31 +71,12 @@ def test_a_sample_is_the_same_alone_and_in_a_batch(response, protocol, measureme
             assert np.array_equal(getattr(few, name), getattr(many, name)[:n]), name
 
 
-def test_blocks_differ(response):
-    data = simulated(response, samples=2 * BLOCK)
-    assert not np.any(data.traction_mpa[:BLOCK] == data.traction_mpa[BLOCK:])
-
-
-def test_the_same_seed_gives_the_same_and_another_seed_another_dataset(response):
-    first, again, other = (simulated(response, seed=seed, noise=0.01) for seed in (1, 1, 2))
+def test_blocks_differ_and_the_seed_decides(response):
+    first, again, other = (simulated(response, samples=2 * BLOCK, seed=seed, noise=0.01) for seed in (1, 1, 2))
+    assert not np.any(first.traction_mpa[:BLOCK] == first.traction_mpa[BLOCK:])
     for name in ARRAYS:
         assert np.array_equal(getattr(first, name), getattr(again, name))
         assert not np.any(getattr(first, name) == getattr(other, name))
-
-
-def test_noise_touches_the_resistances_alone(response):
-    exact, noisy = simulated(response), simulated(response, noise=0.01)
-    for name in ARRAYS[:-1]:
-        assert np.array_equal(getattr(exact, name), getattr(noisy, name))
-    error = noisy.resistance_ohm / exact.resistance_ohm - 1.0
-    assert error.std() == pytest.approx(0.01, rel=4 / np.sqrt(2 * error.size))  # of a deviation
-
-
-def test_converter_steps_are_seen_in_the_resistances(response):
-    read = simulated(response, bits=8).resistance_ohm
-    counts = 255 * 1e4 / (read + 1e4)
-    assert counts == pytest.approx(np.rint(counts), abs=1e-9)  # rounding
-    assert len(np.unique(read)) < 256
 
 
 @pytest.mark.parametrize(("noise", "bits"), [(0.0, None), (0.01, None), (0.01, 12)])
@@ -137,13 +98,18 @@ SPECIMEN = Imperfections(
 )
 
 
-def test_a_specimen_changes_the_resistances_alone(response):
+def test_a_specimen_changes_the_resistances_alone_and_another_seed_only_its_noise(response):
     exact, real = simulated(response), simulated(response, **vars(SPECIMEN))
     for name in ARRAYS[:-1]:
         assert np.array_equal(getattr(exact, name), getattr(real, name))
-    dead = SPECIMEN.dead_mask(2, 3)
-    assert (real.resistance_ohm[:, dead] == OPEN_OHM).all()
-    assert (real.resistance_ohm[:, ~dead] != exact.resistance_ohm[:, ~dead]).all()
+    alive = ~SPECIMEN.dead_mask(2, 3)
+    assert (real.resistance_ohm[:, ~alive] == OPEN_OHM).all()
+    assert (real.resistance_ohm[:, alive] != exact.resistance_ohm[:, alive]).all()
+    quiet = replace(SPECIMEN, noise=1e-3, bits=None)
+    first, second = (measured_again(exact, quiet, seed).resistance_ohm for seed in (1, 2))
+    ratio = first[:, alive] / second[:, alive] - 1.0
+    assert (ratio != 0).all()
+    assert ratio.std() == pytest.approx(np.sqrt(2) * 1e-3, rel=4 / np.sqrt(2 * ratio.size))  # of a deviation
 
 
 @pytest.mark.parametrize("before", [Imperfections(), Imperfections(noise=0.1, bits=8, gain_spread=0.5)])
@@ -156,16 +122,6 @@ def test_measuring_again_is_as_simulating_with_that_sensor(response, before):
     assert (again.design, again.noise, again.bits) == (made.design, 0.01, 14)
     assert np.array_equal(again.dead, SPECIMEN.dead_mask(2, 3))
     assert again.content_hash == made.to_xarray().attrs["content_hash"]
-
-
-def test_another_seed_is_the_same_specimen_with_other_noise(response):
-    data = simulated(response, samples=400)
-    real = replace(SPECIMEN, noise=1e-3, bits=None)
-    first, second = (measured_again(data, real, seed).resistance_ohm for seed in (1, 2))
-    alive = ~real.dead_mask(2, 3)
-    ratio = first[:, alive] / second[:, alive] - 1.0
-    assert (ratio != 0).all()
-    assert ratio.std() == pytest.approx(np.sqrt(2) * 1e-3, rel=4 / np.sqrt(2 * ratio.size))  # of a deviation
 
 
 def strains(data) -> np.ndarray:
@@ -181,16 +137,10 @@ def test_cap_holds_and_redrawn_samples_are_counted(response, protocol):
     capped = simulated(response, protocol, 200, cap=0.2)
     assert strains(capped).max() <= 0.2
     assert free.made_from["redrawn"] == 0
-    assert capped.made_from["redrawn"] >= over.sum()
+    assert capped.made_from["redrawn"] >= over.sum() > simulated(response, protocol, 10, cap=0.2).made_from["redrawn"]
     # those within the cap are what they were; the others are new
     same = (capped.traction_mpa == free.traction_mpa).all(axis=(1, 2, 3))
     assert np.array_equal(same, ~over)
-
-
-def test_redrawn_counts_only_the_samples_that_are_kept(response):
-    counts = [simulated(response, samples=n, cap=0.2).made_from["redrawn"] for n in (10, 20, BLOCK)]
-    assert counts == sorted(counts)
-    assert counts[0] < counts[2]
 
 
 def test_impossible_cap_is_refused_in_one_line(response, monkeypatch):
@@ -261,38 +211,5 @@ def test_resistivity_scales_resistances_alone(response):
     assert second.resistance_ohm == pytest.approx(2 * first.resistance_ohm, rel=1e-15)  # rounding
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"protocol": "contact-fy"}, "protocol='contact-fy' is unknown; known are independent-fz, "),
-        ({"samples": 0}, "samples=0 must be from 1 to 10000000"),
-        ({"samples": 2.5}, "samples=2.5 must be a whole number"),
-        ({"samples": True}, "samples=True must be a whole number"),
-        ({"samples": "10"}, "samples='10' must be a whole number"),
-        ({"seed": -1}, "seed=-1 must be from 0"),
-        ({"seed": 2**63}, f"seed={2**63} must be from 0 to below 2⁶³"),
-        ({"seed": 1.5}, "seed=1.5 must be a whole number"),
-        ({"cap": 0.0}, "cap=0 must be above 0 and below 1; the paper uses 0.2 and 0.3"),
-        ({"cap": 1.0}, "cap=1 must be above 0 and below 1"),
-        ({"cap": float("nan")}, "cap=nan must be a finite number"),
-        ({"noise": -0.001}, "noise=-0.001 must be from 0 to 0.1"),
-        ({"noise": 0.11}, "noise=0.11 must be from 0 to 0.1"),
-        ({"noise": "loud"}, "noise='loud' must be a finite number"),
-        ({"bits": 3}, "bits=3 must be from 4 to 24"),
-        ({"bits": 25}, "bits=25 must be from 4 to 24"),
-        ({"bits": 12.5}, "bits=12.5 must be from 4 to 24"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused_by_name(changed, message):
-    with pytest.raises(DesignError) as caught:
-        DatasetSettings(**{"protocol": "contact", "samples": 10, **changed})
-    assert str(caught.value).startswith(message)
-    assert "\n" not in str(caught.value)
-
-
 def test_largest_noise_allowed_leaves_resistances_above_zero(response):
     assert simulated(response, samples=BLOCK, noise=0.1).resistance_ohm.min() > 0
-
-
-def test_axes_of_protocols_are_axes():
-    assert all(set(protocol.axes) <= set(AXES) for protocol in PROTOCOLS.values())

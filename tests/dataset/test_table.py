@@ -28,7 +28,7 @@ def stored(data, tmp_path_factory):
     return read_samples(path)
 
 
-def test_parquet_gives_back_every_number_and_what_it_means(data, stored, tmp_path):
+def test_tables_give_back_every_bit_and_parquet_what_it_means(data, stored, tmp_path):
     """A column a number: of each kind one is looked up by its name, and all by their dictionary."""
     for samples, dtype in ((data, "double"), (stored, "float")):
         counts = []
@@ -47,6 +47,11 @@ def test_parquet_gives_back_every_number_and_what_it_means(data, stored, tmp_pat
             place = (slice(None), *(int(at) for at in _numbers(column["place"])))
             assert np.array_equal(table[name], getattr(whole, column["variable"])[place])
             assert table.schema.field(name).metadata[b"units"].decode() == column["units"]
+        write_table(samples, tmp_path / "a.csv")
+        names, *lines = (tmp_path / "a.csv").read_text().splitlines()
+        assert names.split(",") == table.column_names
+        numbers = np.loadtxt(lines, delimiter=",").astype(samples.dtype)
+        assert np.array_equal(numbers, np.stack([table[name] for name in table.column_names], axis=1))
     assert "displacement_0_0_u2_y_mm" in {column.name for column in columns_of(data)}
     assert pa.parquet.read_table(tmp_path / "a.parquet").to_pandas()["force_0_0_z_n"].gt(0).all()
 
@@ -93,16 +98,6 @@ def test_a_table_that_is_none_of_samples_is_refused(tmp_path, text, said):
     assert said in str(refused.value)
 
 
-def test_csv_gives_back_every_bit(data, stored, tmp_path):
-    for samples, dtype in ((data, np.float64), (stored, np.float32)):
-        write_table(samples, tmp_path / "a.csv")
-        lines = (tmp_path / "a.csv").read_text().splitlines()
-        assert lines[0].split(",") == [column.name for column in columns_of(samples)]
-        numbers = np.loadtxt(lines[1:], delimiter=",").astype(dtype)
-        at = lines[0].split(",").index("force_0_0_x_n")
-        assert np.array_equal(numbers[:, at : at + 18], samples[:].force_n.reshape(40, 18).astype(dtype))
-
-
 def test_other_forms_and_a_missing_package_are_refused_and_leave_nothing(data, tmp_path, monkeypatch):
     with pytest.raises(FileFormatError, match=r"end the name in \.parquet or \.csv"):
         write_table(data, tmp_path / "a.xlsx")
@@ -124,14 +119,10 @@ def test_card_says_what_how_and_under_which_licence(data, stored):
         assert words in body
     assert "    tripillar dataset --protocol three-axis --samples 40 --seed 3 --noise 0.001 --bits 12 " in body
     assert "--only force,resistance --dtype float32 --design sensor.toml --out data.zarr" in body
+    sizes = [size_category(n) for n in (999, 1000, 9999, 10_000, 10**7)]
+    assert sizes == ["n<1K", "1K<n<10K", "1K<n<10K", "10K<n<100K", "10M<n<100M"]
     with pytest.raises(DesignError, match="must be an identifier such as cc-by"):
         card_text(stored, stored.path, "my own\nlicense: other")
-
-
-def test_size_categories_are_half_open():
-    assert [size_category(n) for n in (999, 1000, 9999, 10_000, 10**7)] == [
-        "n<1K", "1K<n<10K", "1K<n<10K", "10K<n<100K", "10M<n<100M",
-    ]  # fmt: skip
 
 
 def test_the_command_writes_beside_the_data_and_refuses_what_does_not_go_together(data, stored, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from dataset import SampleError, Samples, TorchBatches, read_samples
+from dataset import DatasetSettings, SampleError, Samples, TorchBatches, TorchSamples, read_samples, simulate
 from dataset.leaves import LEAF
 from geometry.errors import ArgumentError
 
@@ -64,12 +64,28 @@ def test_workers_share_the_leaves_and_see_the_epoch(stored):
     del loader
 
 
+@pytest.mark.parametrize("displacement", [False, True])
+def test_a_loader_takes_samples_in_memory(response, displacement):
+    """In batches, in order, in the type asked for, by two processes."""
+    data = simulate(response, DatasetSettings(protocol="contact", samples=5))
+    samples = TorchSamples(data, dtype=torch.float64, displacement=displacement)
+    batches = list(DataLoader(samples, batch_size=2, num_workers=2))
+    assert [len(batch[0]) for batch in batches] == [2, 2, 1]
+    names = ["resistance_ohm", *(["displacement_mm"] if displacement else []), "force_n"]
+    for name, parts in zip(names, zip(*batches, strict=True), strict=True):
+        assert np.array_equal(torch.cat(parts).numpy(), getattr(data, name))
+    assert TorchSamples(data)[1][0].dtype == torch.float32
+
+
 def test_other_samples_and_settings_are_refused(stored):
+    for kind, samples in ((TorchBatches, stored), (TorchSamples, stored[:5])):
+        with pytest.raises(SampleError, match="hold no displacement_mm"):
+            kind(samples, displacement=True)
+        with pytest.raises(SampleError, match=r"must be torch\.float32"):
+            kind(samples, dtype=torch.int32)
     with pytest.raises(ArgumentError, match="TorchSamples takes those in memory"):
         TorchBatches(stored[:5])
+    with pytest.raises(ArgumentError, match="samples is of type list, expected Samples"):
+        TorchSamples([1, 2])
     with pytest.raises(SampleError, match="batch_size=0 must be"):
         TorchBatches(stored, batch_size=0)
-    with pytest.raises(SampleError, match="hold no displacement_mm"):
-        TorchBatches(stored, displacement=True)
-    with pytest.raises(SampleError, match=r"must be torch\.float32"):
-        TorchBatches(stored, dtype=torch.int32)

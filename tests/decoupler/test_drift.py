@@ -14,7 +14,7 @@ from decoupler.model.model_file import read_model, require_same_sensor, write_mo
 from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import response, sensor
 
-DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002}
+DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002, "drift_offset_ohm": 50.0}
 SENSOR = sensor(3, 3)
 PLAIN = response(SENSOR)
 STATED = replace(PLAIN, design=replace(SENSOR, electrics=Electrics(**DRIFTS)))

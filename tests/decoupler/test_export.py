@@ -31,11 +31,6 @@ AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
 DEAD = np.zeros((2, 3, 3), dtype=bool)
 DEAD[0, 1], DEAD[1, 2, 0] = True, True
 
-every_form = pytest.mark.parametrize(
-    ("component", "feature", "net"),
-    [(c, f, n) for c in AXES for f in ("resistance", "root", "inverse") for n in ("plain", "skip")],
-)
-
 
 @cache
 def trained(component: str, feature: str, net: str):
@@ -49,51 +44,36 @@ def trained(component: str, feature: str, net: str):
     return model, np.where(DEAD, np.nan, data.resistance_ohm[:20])
 
 
-def deviation(found, model, resistance_ohm):
-    """Largest, relative to the largest force."""
-    expected = model.forces(resistance_ohm)
-    assert found.shape == expected.shape
-    return np.abs(found - expected).max() / np.abs(expected).max()
+def require_alike(model, scans):
+    """Require that both forms give the model's forces, for one scan as for many, but for rounding."""
+    for some in (scans, scans[:1]):
+        expected = model.forces(some)
+        for dtype in (np.float64, np.float32):
+            forms = [run_onnx(onnx_model(model, dtype).SerializeToString(), some, dtype)]
+            if CC is not None:
+                forms.append(compiled_forces(header_text(model, dtype), some, expected.shape[1:], dtype, CC))
+            for found in forms:
+                assert found.shape == expected.shape
+                if dtype is np.float64:
+                    assert np.abs(found - expected).max() < ROUNDING * np.abs(expected).max()
+                else:
+                    assert (np.abs(found - expected) < float_rounding_n(model, some)).all()
 
 
-def in_roundings(found, model, resistance_ohm):
-    """Largest deviation of a force, relative to what roundings to float explain of it."""
-    return (np.abs(found - model.forces(resistance_ohm)) / float_rounding_n(model, resistance_ohm)).max()
-
-
-@every_form
-def test_onnx_gives_the_models_forces(component, feature, net):
-    model, scans = trained(component, feature, net)
-    content = onnx_model(model, np.float64).SerializeToString()
-    single = onnx_model(model, np.float32).SerializeToString()
-    for some in (scans, scans[:1]):  # the batch is free
-        assert deviation(run_onnx(content, some, np.float64), model, some) < ROUNDING
-        assert in_roundings(run_onnx(single, some, np.float32), model, some) < 1
-
-
-@needs_cc
-@every_form
-def test_header_gives_the_models_forces(component, feature, net):
-    model, scans = trained(component, feature, net)
-    shape = model.forces(scans).shape[1:]
-    found = compiled_forces(header_text(model, np.float64), scans, shape, np.float64, CC)
-    assert deviation(found, model, scans) < ROUNDING
-    found = compiled_forces(header_text(model, np.float32), scans, shape, np.float32, CC)
-    assert in_roundings(found, model, scans) < 1
+@pytest.mark.parametrize("net", ["plain", "skip"])
+@pytest.mark.parametrize("feature", ["resistance", "root", "inverse"])
+@pytest.mark.parametrize("component", AXES)
+def test_both_forms_give_the_models_forces(component, feature, net):
+    require_alike(*trained(component, feature, net))
 
 
 def test_as_designed_and_nothing_dead():
     """Without gains, offsets and dead pillars the exported forms lack those steps, and still agree."""
     data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
     model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
-    content = onnx_model(model, np.float64).SerializeToString()
-    assert deviation(run_onnx(content, data.resistance_ohm, np.float64), model, data.resistance_ohm) < ROUNDING
-    header = header_text(model, np.float64)
-    assert "gain" not in header
-    assert "< 0 ?" not in header
-    if CC is not None:
-        found = compiled_forces(header, data.resistance_ohm, (2, 3, 3), np.float64, CC)
-        assert deviation(found, model, data.resistance_ohm) < ROUNDING
+    require_alike(model, data.resistance_ohm)
+    for name in ("ANY_DEAD", "CONVERTER", "STEPS"):
+        assert f"#define TRIPILLAR_{name} 0\n" in header_text(model, np.float64)
 
 
 def test_onnx_says_what_it_is(tmp_path):

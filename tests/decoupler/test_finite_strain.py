@@ -5,19 +5,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset import Imperfections
+from dataset.changed_designs import Answers
 from dataset.measurement import measured
 from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
+from decoupler.data.pairs import Pairs
 from decoupler.export.checked import ExportError, export_model
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.specimen import Specimen
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
+from decoupler.model.ensemble import Ensemble
 from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import with_strain_maps
+from decoupler.twin import identification, identify, near_designs
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.linearised import Shown
+from fem.array.sensitivities import ResponseSensitivities
+from geometry.tolerances import usual_deviations
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR, ALL = sensor(1, 2), component_named("all")
-LINEAR = ForwardModel.of(response(SENSOR), ALL)
+EVEN = response(SENSOR)
+#: not its own image in a mirror, as made-up laws are not
+RESPONSE = replace(
+    EVEN, influence_mm_per_n=EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
+)
+LINEAR = ForwardModel.of(RESPONSE, ALL)
 STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
 
@@ -42,7 +55,7 @@ def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
     """Samples at finite strain whose states are `STATES`."""
     squares, _, force_n, _ = model.at_states(STATES)
     shape = (len(STATES), 1, 2, 3)
-    moved = (STATES @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+    moved = (STATES @ model.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
     ohms = (model.ohm_per_mm2 * squares).reshape(shape)
     return Samples(
         force_n=force_n.reshape(shape),
@@ -58,7 +71,7 @@ def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
 def test_maps_are_learned_from_samples():
     """1000 samples leave a hundredth of what the linear response misses on 200 others; left-out errors foretell it."""
     truth = samples(law(1.0))
-    found = with_strain_maps(response(SENSOR), ALL, truth[:1000])
+    found = with_strain_maps(RESPONSE, ALL, truth[:1000])
     assert found.maps is not None
     squares, _, force_n, _ = found.at_states(STATES[1000:])
     true_n = truth.force_n[1000:].reshape(200, -1)
@@ -68,31 +81,77 @@ def test_maps_are_learned_from_samples():
     assert np.std(squares - true) < 0.01 * np.std(lengths**2 - true)
     assert np.sqrt(np.mean(found.maps.misfit_n**2)) == pytest.approx(np.std(force_n - true_n), rel=0.5)
     with pytest.raises(SampleError, match="hold no displacements"):
-        with_strain_maps(response(SENSOR), ALL, truth.labels())
+        with_strain_maps(RESPONSE, ALL, truth.labels())
+
+
+def test_mirrored_forces_are_known():
+    """20 samples of positive Fy teach an array that is its own image, and no other, what negative forces do."""
+    weights = np.zeros((N_FEATURES, 6))
+    weights[126 * np.arange(3) + 2, np.arange(3)] = [0.1 * STATES.std()] * 3  # products of Gx, Gy, Gz with Gz
+    flipped = STATES[100:200] * np.tile([1.0, -1.0, 1.0], 2)
+    missed = []
+    for given in (EVEN, RESPONSE):
+        linear = ForwardModel.of(given, ALL)
+        maps = replace(law(0.0).maps, influence=linear.influence, weights=weights)
+        truth = replace(linear, maps=maps)
+        found = with_strain_maps(given, ALL, samples(truth)[:20])
+        off_n = found.maps.forces(flipped) - maps.forces(flipped)
+        missed.append(np.std(off_n[:, 1::3]) / np.std(maps.forces(flipped)[:, 1::3] - flipped[:, 1::3]))
+    assert missed[0] < 0.02
+    assert missed[1] > 0.1
 
 
 def test_derivatives_are_slopes():
-    """Of squares and forces by states, and of squares by the unknowns of a specimen."""
+    """Of squares and forces by states; of a specimen's readings by forces and parameters, alone and as draws of it."""
     model, at = law(1.0), STATES[:1]
     _, by_state, _, by_force = model.at_states(at)
     for part, slopes in ((0, by_state), (2, by_force)):
         assert_slopes(lambda x, part=part: model.at_states(x)[part], at, slopes[0], 1e-3)
-    changes = np.random.default_rng(1).standard_normal((2, len(FEW), 6)) * 1e-4 * np.repeat([np.std(STATES), 100.0], 3)
-    exact = Specimen.as_designed(changes, LINEAR.n_pillars)
-    some = np.random.default_rng(2).standard_normal(len(exact.unknowns)) * 1e-3
-    specimen = replace(exact, unknowns=some)
+    by_weights = np.random.default_rng(1).standard_normal((N_FEATURES, 2, 6))
+    by_weights *= 1e-5 * np.repeat([np.std(STATES), 100.0], 3)
+    expected = expected_at_strain(model, by_weights)
+    forces, state = model.at_states(at)[2], expected.mean()
+    own = np.random.default_rng(2).standard_normal(state.own.shape)
+    shared = np.random.default_rng(3).standard_normal(state.shared.shape)
+    state = replace(state, shared=0.3 * shared, own=0.3 * own)
 
-    def shown(unknowns: np.ndarray) -> np.ndarray:
-        """Squares as a sensor of the specimen's gains and offsets shows them under the same forces."""
-        other = [replace(exact, unknowns=x) for x in unknowns]
-        rest = LINEAR.lengths(np.zeros((1, 6)))[0] ** 2
-        gain, offset, *_ = specimen.parts
-        squares = [(1 + o.parts[0]) * o.model(model).lengths(forces)[0] ** 2 + o.parts[1] * rest for o in other]
-        return (np.array(squares) - offset * rest) / (1 + gain)
+    def shown(shared: np.ndarray) -> np.ndarray:
+        """Readings of a specimen under the same forces by its parameters and its resistivity."""
+        others = [np.concatenate([some, state.shared[3:]]) for some in shared]
+        return np.array([Shown(expected, replace(state, shared=x), forces).resistance_ohm[0] for x in others])
 
-    own = specimen.model(model)
-    forces = own.at_states(at)[2]
-    assert_slopes(shown, some[None], specimen.derivatives(own, at)[0], 1e-4)
+    here = Shown(expected, state, forces)
+    by_parameters = here.sensor.ohm_per_mm2[:, None] * here.by_parameters[0]
+    assert_slopes(shown, state.shared[None, :3], by_parameters, 1e-4)
+    by_forces = here.sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
+    assert_slopes(lambda x: Shown(expected, state, x).resistance_ohm, forces, by_forces, 1e-3)
+    nothing = np.zeros((2, 6))
+    ensemble = Ensemble(
+        resistance=nothing,
+        offset_ohm=nothing,
+        rest_mm=np.zeros((2, 6, 3)),
+        influence=np.zeros((2, 6, 3, 6)),
+        parameters=np.eye(2),
+        by_weights=by_weights,
+    )
+    differences = ensemble.differences(here.sensor, here.state_n)[0]
+    np.testing.assert_allclose(differences.T, by_parameters[:, :2], rtol=1e-9, atol=1e-6)
+
+
+def expected_at_strain(designed: ForwardModel, by_weights: np.ndarray) -> Expectation:
+    """The prior of specimens of a made-up law with two parameters."""
+    return Expectation.of(response(SENSOR), two_parameters(), ALL).at_strain(designed, by_weights)
+
+
+def two_parameters() -> ResponseSensitivities:
+    """The parameters of specimens; derivatives of the linear response do not count at finite strain."""
+    names = "rubber.young_mpa", "pad.size_mm"
+    return ResponseSensitivities(
+        design=SENSOR,
+        parameters=names,
+        deviation=np.array([usual_deviations(SENSOR)[name] for name in names]),
+        influence_mm_per_n=np.stack([response(SENSOR).influence_mm_per_n] * 2),
+    )
 
 
 def assert_slopes(function, point, slopes, size):
@@ -119,22 +178,84 @@ def test_forces_beyond_the_samples_are_refused():
         replace(maps, weights=weights).states(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
 
 
-def test_training_takes_the_posterior_of_what_it_learned(tmp_path):
+@pytest.fixture(scope="module")
+def decoder():
+    """Trained on samples of the made-up law, linear ones among them."""
+    linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
+    return train(joined([linear, samples(law(1.0), noise=1e-3)[:1000]]), response=response(SENSOR))
+
+
+def test_training_takes_the_posterior_of_what_it_learned(decoder, tmp_path):
     """Joined with linear samples: errors are those of the noise, deviations hold them, the file keeps the same bits."""
     truth = samples(law(1.0), noise=1e-3)
-    linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
-    model = train(joined([linear, truth[:1000]]), response=response(SENSOR))
     ohms, force_n = truth.resistance_ohm[1000:], truth.force_n[1000:]
-    error_n = np.abs(model.forces(ohms) - force_n)
-    one, two = model.half_widths(ohms)
-    assert np.std(model.first_answers(model.columns(ohms)) - force_n.reshape(200, -1)) > 1.2 * np.std(error_n)
+    error_n = np.abs(decoder.forces(ohms) - force_n)
+    one, two = decoder.half_widths(ohms)
+    first_n = decoder.first_answers(decoder.columns(ohms))
+    assert np.std(first_n - force_n.reshape(200, -1)) > 1.2 * np.std(error_n)
     assert 0.6 < (error_n < one).mean() < 0.8
     assert 0.92 < (error_n < two).mean() < 0.99
-    assert np.array_equal(model.forces(ohms[7:8])[0], model.forces(ohms)[7])
-    write_model(model, tmp_path / "model.safetensors")
-    assert np.array_equal(read_model(tmp_path / "model.safetensors").forces(ohms), model.forces(ohms))
+    assert np.array_equal(decoder.forces(ohms[7:8])[0], decoder.forces(ohms)[7])
+    write_model(decoder, tmp_path / "model.safetensors")
+    assert np.array_equal(read_model(tmp_path / "model.safetensors").forces(ohms), decoder.forces(ohms))
     with pytest.raises(ExportError, match="not exported yet"):
-        export_model(model, tmp_path / "model.h")
+        export_model(decoder, tmp_path / "model.h")
+
+
+BY_SIZE = np.zeros((N_FEATURES, 6))  #: of the made-up law's weights by a mm of the pads' size
+BY_SIZE[FEW] = np.random.default_rng(4).standard_normal((len(FEW), 6)) * 2e-3 * np.repeat([np.std(STATES), 100.0], 3)
+BY_SIZE[N_CURVED] = 0.0  # nothing moves at rest
+
+
+def specimen(size_mm: float, young_mpa: float) -> ForwardModel:
+    """A sensor that follows the made-up law with pads and rubber of its own."""
+    model, stiffer = law(1.0), young_mpa / SENSOR.matrix_material.young_mpa
+    assert model.maps is not None
+    weights = model.maps.weights + (size_mm - SENSOR.pad.size_mm) * BY_SIZE
+    weights[:, :3] *= stiffer
+    weights[N_CURVED + 1 + np.arange(3), np.arange(3)] += (stiffer - 1.0) * SIZES[:3]
+    return replace(model, maps=replace(model.maps, weights=weights))
+
+
+class MadeUpDesigns:
+    """Stands for `ChangedDesigns`: other designs follow the made-up law, too."""
+
+    def __init__(self, known, sensitivities, force_n):
+        self.force_n = (force_n * (1.0, 1.0, -1.0)).reshape(len(force_n), -1)
+
+    def answers(self, other):
+        model = specimen(other.pad.size_mm, other.matrix_material.young_mpa)
+        assert model.maps is not None
+        state_n, there_are = model.maps.nearest_states(self.force_n)
+        moved = (state_n @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+        squares = model.at_states(state_n)[0].reshape(-1, 2, 3)
+        return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
+
+
+def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
+    """Larger pads, softer rubber, gains: ten pairs halve the errors, find both within three deviations, which hold."""
+    monkeypatch.setattr(near_designs, "ChangedDesigns", MadeUpDesigns)
+    monkeypatch.setattr(identification, "DRAWS", 6000)
+    size_mm, young_mpa = 12.4, 0.95 * SENSOR.matrix_material.young_mpa
+    truth = samples(specimen(size_mm, young_mpa))[1000:]
+    read_ohm = Imperfections(gain_spread=0.1, specimen=1, noise=1e-3).apply(
+        truth.resistance_ohm, np.random.default_rng(1)
+    )
+    truth = replace(truth, resistance_ohm=read_ohm, noise=1e-3)
+    twin = identify(Pairs.of(truth[:10]), response(SENSOR), two_parameters(), at_strain=decoder.posterior)
+    for name, true in (("pad.size_mm", size_mm), ("rubber.young_mpa", young_mpa)):
+        value, deviation = twin.parameters[name]
+        assert abs(value - true) < 3.0 * deviation
+        assert deviation < 0.5 * usual_deviations(SENSOR)[name]
+    test = truth[10:]
+    own, designs = (np.abs(each.forces(test.resistance_ohm) - test.force_n) for each in (twin.decoder, decoder))
+    assert own.mean() < 0.5 * designs.mean()
+    one, two = twin.decoder.half_widths(test.resistance_ohm)
+    assert 0.6 < (own < one).mean() < 0.85
+    assert (own < two).mean() > 0.92
+    write_model(twin.decoder, tmp_path / "own.safetensors")
+    again = read_model(tmp_path / "own.safetensors").forces(test.resistance_ohm)
+    assert np.array_equal(again, twin.decoder.forces(test.resistance_ohm))
 
 
 def test_other_sensors_are_not_joined():

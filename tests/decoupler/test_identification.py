@@ -97,14 +97,25 @@ def test_deviations_hold_on_a_sensor_unlike_the_design(response, sensitivities, 
     assert (off < two).mean() > 0.9
 
 
-def test_deviations_hold_where_the_design_is_another_sensor(response, sensitivities):
-    """Pads of 10 mm instead of 12, seven times their tolerance."""
-    other = layer_response(replace(DESIGN, pad=replace(DESIGN.pad, size_mm=10.0)))
-    test = measured(other, 200, 2)
-    model = identify(Pairs.of(measured(other, 20, 3)), response, sensitivities).decoder
+#: sensors outside the model, 3 to 7 tolerances off: other pads, another mould and another rubber than were stated
+OTHERS = {
+    "pads": replace(DESIGN, pad=replace(DESIGN.pad, size_mm=10.0)),
+    "pitch": replace(DESIGN, array=replace(DESIGN.array, pitch_mm=14.0)),
+    "thickness": replace(DESIGN, unit=replace(DESIGN.unit, height_mm=11.0)),
+    "rubber": with_values(DESIGN, {"rubber.young_mpa": 4.3, "rubber.poisson": 0.46}),
+}
+
+
+@pytest.mark.parametrize("n", [10, 56])
+@pytest.mark.parametrize("name", OTHERS)
+def test_deviations_hold_where_the_design_is_another_sensor(response, sensitivities, name, n):
+    other = layer_response(OTHERS[name])
+    test = measured(other, 100, 2)
+    model = identify(Pairs.of(measured(other, n, 3)), response, sensitivities).decoder
     off = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.half_widths(test.resistance_ohm)
-    assert 0.6 < (off < one).mean() < 0.8
+    print(name, n, "pairs: within", (off < one).mean(), (off < two).mean())
+    assert 0.6 < (off < one).mean() < 0.85
     assert (off < two).mean() > 0.9
 
 

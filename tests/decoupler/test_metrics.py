@@ -66,4 +66,4 @@ def test_projection_reaches_the_bound_in_newtons():
     force_n = labelled(sensor(2, 3), "z", n_samples=30, seed=1).force_n
     floor = pca_floor(force_n, FZ, 4)
     assert floor.projection["fz"].rmse_n == pytest.approx(floor.rmse_n, rel=1e-10)
-    assert pca_floor(force_n, FZ, 9).scaled_mse == 0.0
+    assert pca_floor(force_n, FZ, 9).scaled_mse < 1e-28  # rounding of numbers of size 1, squared

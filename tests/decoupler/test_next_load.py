@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named
 from decoupler.twin.expectation import Expectation
-from decoupler.twin.linearised import State
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
 from fem.array.sensitivities import ResponseSensitivities
 from tests.decoupler.synthetic_sensor import response, sensor
@@ -21,7 +21,7 @@ SENSITIVITIES = ResponseSensitivities(
     influence_mm_per_n=-response(DESIGN).influence_mm_per_n[None] / 6.1,
 )
 EXPECTED = Expectation.of(response(DESIGN), SENSITIVITIES, EVERYTHING)
-BEFORE = Knowledge.before(EXPECTED, State.as_expected(EXPECTED, 0), noise=1e-3, bits=12)
+BEFORE = Knowledge.before(EXPECTED, EXPECTED.mean(), ReadingError(noise=1e-3, bits=12))
 LOADS = {load.name: as_columns(load, EVERYTHING) for load in loads_at_hand(KITCHEN, DESIGN)}
 USUAL_N = np.random.default_rng(0).uniform(0.0, 1.0, (30, 27)) * np.tile([140.0, 140.0, 700.0], 9)
 
@@ -43,17 +43,14 @@ def test_derivatives_are_those_of_the_readings():
     force_n, state, step = USUAL_N[0], BEFORE.state, 1e-5
 
     def readings(state, force_n):
-        v = state.rest_mm(EXPECTED) + state.influence(EXPECTED) @ force_n
-        return state.gain * state.ohm_per_mm2(EXPECTED) * (v**2).sum(axis=1) + state.offset_ohm
+        return EXPECTED.sensor(state).resistances(force_n[None])[0]
 
     by_unknown, by_force, _ = BEFORE.derivatives(force_n)
-    first, widths = np.eye(27)[0] * step, EXPECTED.widths
-    moved = [
-        replace(state, parameters=np.array([step])),
-        replace(state, resistivity=step),
-        replace(state, gain=1.0 + widths.gain * first),
-        replace(state, offset_ohm=widths.offset * EXPECTED.rest_ohm * first),
-    ]
+    first = np.eye(27)[0] * step
+    own, shared = np.zeros((2, *state.own.shape)), np.zeros((2, len(state.shared)))
+    own[[0, 1], 0, [0, 1]] = step
+    shared[[0, 1], [0, 1]] = step
+    moved = [replace(state, shared=each) for each in shared] + [replace(state, own=each) for each in own]
     for column, other in zip((0, 1, 2, 29), moved, strict=True):
         slope = (readings(other, force_n) - readings(state, force_n)) / step
         assert by_unknown[:, column] == pytest.approx(slope, rel=1e-3, abs=1e-2)

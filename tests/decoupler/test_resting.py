@@ -8,11 +8,8 @@ import pytest
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
 from decoupler.data.columns import Resting
-from decoupler.export.c_header import compiled_forces, header_text
-from decoupler.export.checked import run_onnx
-from decoupler.export.onnx_file import onnx_model
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
-from tests.decoupler.test_export import CC, ROUNDING, deviation, in_roundings, needs_cc
+from tests.decoupler.test_export import require_alike
 
 SENSOR = sensor(2, 3)
 RNG = np.random.default_rng(0)
@@ -48,19 +45,4 @@ def test_model_file_and_exports_do_the_same(model, tmp_path):
     scans = np.concatenate([DATA.resistance_ohm[:3], light, measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
     assert np.abs(model.forces(scans) - replace(model, resting=None).forces(scans))[3:].max() > 0.1
     np.testing.assert_array_equal(read_model(tmp_path / "model.safetensors").forces(scans), model.forces(scans))
-    double, single = (
-        run_onnx(onnx_model(model, dtype).SerializeToString(), scans, dtype) for dtype in (np.float64, np.float32)
-    )
-    assert deviation(double, model, scans) < ROUNDING
-    assert in_roundings(single, model, scans) < 1
-
-
-@needs_cc
-def test_the_header_does_the_same(model):
-    scans = np.concatenate([DATA.resistance_ohm[:3], measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
-    shape = model.forces(scans).shape[1:]
-    double, single = (
-        compiled_forces(header_text(model, dtype), scans, shape, dtype, CC) for dtype in (np.float64, np.float32)
-    )
-    assert deviation(double, model, scans) < ROUNDING
-    assert in_roundings(single, model, scans) < 1
+    require_alike(model, scans)

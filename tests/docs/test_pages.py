@@ -51,12 +51,12 @@ def test_the_reference_of_commands_is_what_they_say():
 
 
 def test_the_design_file_shown_is_the_one_written():
-    (shown,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/geometry.md").read_text(encoding="utf-8"), re.DOTALL)
+    (shown,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/sensor.md").read_text(encoding="utf-8"), re.DOTALL)
     assert design_from_toml(shown) == SensorDesign()
     assert shown.strip() == design_to_toml(SensorDesign()).partition("\n\n")[2].strip()
 
 
-BUILDING = (ROOT / "docs" / "building.md").read_text(encoding="utf-8").replace("−", "-")
+BUILDING = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8").replace("−", "-")
 
 
 def test_the_crossbars_table_is_the_wiring():

@@ -71,7 +71,7 @@ def test_in_a_browser_pictures_load_and_nothing_leaves_the_machine(site):
         page = browser.new_page()
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: wrong.append(str(error)))
-        for name in ("index.html", "accuracy.html", "robustness.html", "api/fem.html"):
+        for name in ("index.html", "physics.html", "results.html", "api/fem.html"):
             page.goto(f"file://{site}/{name}", wait_until="load")
             assert page.locator("h1").count() == 1
             assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")

@@ -1,10 +1,10 @@
-"""The tutorial, typed from its first line to its last."""
+"""The tutorial in docs/index.md, typed from its first line to its last."""
 
 import pytest
 
 from tests.docs.terminal import ROOT, Terminal, agrees, console_commands, last_digit, missing
 
-PAGE = ROOT / "docs" / "tutorial.md"
+PAGE = ROOT / "docs" / "index.md"
 
 
 def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache):

@@ -6,7 +6,9 @@ from collections import deque
 
 import numpy as np
 
+from hardware.boards.virtual_board import a_frame
 from hardware.link.frames import Frame, Info, encode
+from hardware.readout.calibration import Electronics
 
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]
@@ -24,6 +26,14 @@ def a_wire(sequence, *, info=INFO, **changes):
         "scan_mode": info.scan_mode,
     }
     return encode(Frame(**values | changes))
+
+
+def recording_from_resistances(resistance_ohm, info, first_sequence=0, first_us=0, electronics=None):
+    """The bytes that a board without noise would send of known resistances (n, rows, cols, 3) [Ω], INFO first."""
+    counts = (electronics or Electronics()).crossbar(info).counts(resistance_ohm)
+    times_us = [first_us + round(k * 1e6 / info.rate_hz) for k in range(len(counts))]
+    frames = [a_frame(info, counts[k], first_sequence + k, times_us[k]) for k in range(len(counts))]
+    return encode(info) + b"".join(map(encode, frames))
 
 
 PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still

@@ -16,6 +16,7 @@ from hardware.link.frames import encode
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError, open_port
 from tests.hardware.boards import COUNTS, INFO, PATIENT_S, ScriptedPort, a_wire, closes_within, wait_until
+from tests.hardware.faulty_board import FaultyBoard
 
 ROOT = Path(__file__).parents[2]
 RESUMES_S = 1.0
@@ -30,7 +31,7 @@ def link(tmp_path):
 
 @pytest.fixture
 def board(link):
-    with VirtualBoard(COUNTS, INFO, link=link) as board:
+    with FaultyBoard(COUNTS, INFO, link=link) as board:
         yield board
 
 
@@ -160,12 +161,12 @@ def test_a_restarted_board_is_asked_again_and_its_clock_fitted_anew():
 
 def test_stalled(board, impatient):
     scanner = impatient
-    board.stall(FOR_EVER)
+    board.stall()
     wait_until(lambda: scanner.trouble)
     assert scanner.trouble == f"no frames for {TIMEOUT_S:.1f} s"
     drain(scanner)
     assert scanner.get(0.1) is None
-    board.stall(0)
+    board.stall(False)
     wait_until(lambda: scanner.trouble is None)
     assert_resumes(scanner)
     assert (scanner.stats.stalls, scanner.stats.reconnects, scanner.stats.lost) == (1, 0, 0)
@@ -203,11 +204,11 @@ def test_a_host_that_hangs_costs_what_the_buffers_do_not_hold(board):
 def test_a_reader_slower_than_the_board(board):
     with Scanner(board.port, queue=5) as scanner:
         wait_until(lambda: scanner.stats.dropped >= 20)
-        board.stall(FOR_EVER)  # what it has sent has come
+        board.stall()  # what it has sent has come
         sent, _ = board.sent[-1]
         wait_until(lambda: scanner.latest().frame.sequence == sent)
         assert sent - scanner.get().frame.sequence < 5  # the oldest were dropped, not the newest
-        board.stall(0)
+        board.stall(False)
         assert_resumes(scanner)
 
 
@@ -262,7 +263,7 @@ def test_random_garbage_for_longer_than_the_timeout_is_a_stall(board, impatient)
     board.garble(np.random.default_rng(1).bytes(232), n_frames=FOR_EVER * INFO.rate_hz)
     wait_until(lambda: scanner.trouble)
     assert scanner.trouble.startswith("no frames for")
-    board._do(board._garbage.clear)
+    board.do(board.frames.garbage.clear)
     wait_until(lambda: scanner.trouble is None)
     assert_resumes(scanner)
     assert scanner.stats.stalls == 1

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware.boards.simavr_board import FIRMWARE
-from hardware.boards.virtual_board import Commands
+from hardware.link.board_port import Commands
 from hardware.link.frames import Errors, Frame, FrameDecoder, Info, encode
 from tests.hardware.frames_page import VECTORS
 from tests.hardware.test_decoder import errors, frames, infos

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import signal
 import subprocess
 import time
 from dataclasses import replace
@@ -121,7 +122,7 @@ def test_a_board_that_hangs_is_restarted_by_its_watchdog(board):
     with board(fast=True) as running, listening(running) as listener:
         assert listener.ask_errors() == Errors(reset_cause=1 << 0)  # power
         last = listener.take_frames(10)[-1]
-        running.hang()
+        running._running().send_signal(signal.SIGUSR2)
         listener.take(lambda self: self.frames[-1].sequence < last.sequence)
         assert listener.ask_errors() == Errors(reset_cause=1 << 3)
         assert listener.ask(b"?") == INFO
@@ -131,7 +132,7 @@ def test_a_board_that_hangs_is_restarted_by_its_watchdog(board):
 
 def test_damaged_and_lost_bytes_are_counted_and_make_no_command(board):
     """Every fifth byte has a wrong stop bit, which in R100 is the line feed or a digit."""
-    with board(fast=True, damage=5) as running, listening(running) as listener:
+    with board(fast=True, options=["--damage", "5"]) as running, listening(running) as listener:
         for _ in range(20):
             listener.port.write(b"R100\n")
             listener.take_frames(1)
@@ -142,7 +143,7 @@ def test_damaged_and_lost_bytes_are_counted_and_make_no_command(board):
 
 
 def test_a_counter_stays_at_its_largest(board):
-    with board(fast=True, damage=2) as running, listening(running) as listener:
+    with board(fast=True, options=["--damage", "2"]) as running, listening(running) as listener:
         for _ in range(15):
             listener.port.write(40 * b"x")
             listener.take_frames(1)
@@ -185,7 +186,7 @@ def test_the_reset_button_starts_the_sequence_and_the_table_again(board, tmp_pat
     with board(table=tmp_path / "steps", fast=True) as running, listening(running) as listener:
         listener.ask(b"R100\n")
         listener.take(lambda self: self.frames and self.frames[-1].counts[0] == 200)
-        running.press_reset()
+        running._running().send_signal(signal.SIGUSR1)
         listener.take(lambda self: self.decoder.statistics.restarts == 1)
         assert listener.ask(b"?") == INFO
     sequence = [frame.sequence for frame in listener.frames]

@@ -224,3 +224,32 @@ def test_times_around_the_last_frame_may_be_asked():
 def test_no_time_without_a_frame():
     with pytest.raises(ValueError, match=r"no frame has set the clock yet: add\(\)"):
         DeviceClock().host_time(0)
+
+
+def test_times_of_a_backlog_are_apart_as_its_scans_are_and_never_repeat(reception):
+    """What waited in the port comes in pieces: within one, times are a period apart; from one to the next they grow."""
+    sent = wires(0, 200)
+    scans = [*reception.take(b"".join(sent[:60]), NOW_S), *reception.take(b"".join(sent[60:120]), NOW_S + 0.001)]
+    scans += feed(reception, sent[120:], arrivals(NOW_S + 0.002, 80))
+    steps_s = np.diff([scan.time_s for scan in scans])
+    assert (steps_s > 0).all()
+    assert steps_s[:59] == pytest.approx(1 / INFO.rate_hz, abs=1e-6)
+
+
+def test_a_restart_within_a_piece_parts_its_times(reception):
+    """Scans of both runs come in one piece: each is timed by the clock of its own run, and stamps grow on."""
+    sent = wires(500, 10, uptime_s=100.0) + wires(0, 10, uptime_s=0.0)
+    scans = reception.take(b"".join(sent), NOW_S)
+    assert [scan.run for scan in scans] == [0] * 10 + [1] * 10
+    steps_s = np.diff([scan.time_s for scan in scans])
+    assert (steps_s > 0).all()
+    assert steps_s[:9] == pytest.approx(1 / INFO.rate_hz, abs=1e-6)
+
+
+def test_a_counter_at_its_end_says_that_there_may_be_more(reception):
+    """The board counts 255 overruns and then no more."""
+    reception.take(a_wire(0, overruns=12), NOW_S)
+    reception.take(a_wire(1, overruns=254), NOW_S + 1)
+    assert reception.statistics.overruns_said == "242 overruns"
+    reception.take(a_wire(2, overruns=255), NOW_S + 2)
+    assert reception.statistics.overruns_said == "at least 243 overruns"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geometry.errors import FileFormatError
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader, replay
 from hardware.recording import parse_recording, read_recording
+from tests.hardware.boards import recording_from_resistances
 from tests.hardware.models import PillarModel
 
 INFO = Info(rows=2, cols=3, bits=10, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=2_900)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import serial
 
-from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError
 from tests.hardware.boards import COUNTS, INFO, PATIENT_S, ScriptedPort, a_wire, closes_within, wait_until
+from tests.hardware.faulty_board import FaultyBoard
 
 
 def take(scanner, n):
@@ -31,7 +31,7 @@ def reading_threads():
 
 
 def test_scans_come_in_order_with_their_counts():
-    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+    with FaultyBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
         assert scanner.info == INFO
         scans = take(scanner, 50)
         assert scanner.trouble is None
@@ -46,7 +46,7 @@ def test_scans_come_in_order_with_their_counts():
 
 def test_times_are_when_the_board_scanned():
     """In one process both clocks are one: a scan's time is when it was sent, give or take the system's delays."""
-    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+    with FaultyBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
         scans = take(scanner, 100)
         sent = dict(board.sent)
     to_unix_s = time.time() - time.perf_counter()
@@ -103,7 +103,7 @@ def test_overruns_are_counted_through_their_wrap():
 
 
 def test_the_rate_is_set_and_told():
-    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+    with FaultyBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
         assert scanner.set_rate(500) == scanner.info == replace(INFO, rate_hz=500)
         assert scanner.request(b"?") == scanner.info
         with pytest.raises(ScannerError, match="rate_hz=2000 must be a whole number from 1 to 1000"):
@@ -111,7 +111,7 @@ def test_the_rate_is_set_and_told():
 
 
 def test_a_reset_board_is_asked_for_its_rate_again():
-    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+    with FaultyBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
         scanner.set_rate(500)
         for n_restarts in (1, 2):
             board.restart()
@@ -121,7 +121,7 @@ def test_a_reset_board_is_asked_for_its_rate_again():
 
 
 def test_a_board_that_comes_back_is_asked_for_its_rate_again(tmp_path):
-    with VirtualBoard(COUNTS, INFO, link=tmp_path / "board") as board, Scanner(board.port) as scanner:
+    with FaultyBoard(COUNTS, INFO, link=tmp_path / "board") as board, Scanner(board.port) as scanner:
         scanner.set_rate(500)
         board.unplug()
         wait_until(lambda: scanner.trouble)
@@ -181,7 +181,7 @@ def test_no_answer_to_a_request():
 
 
 def test_closing_is_prompt_and_final():
-    with VirtualBoard(COUNTS, replace(INFO, rate_hz=1)) as board:  # hardly ever a byte that would wake the reader
+    with FaultyBoard(COUNTS, replace(INFO, rate_hz=1)) as board:  # hardly ever a byte that would wake the reader
         with Scanner(board.port) as scanner:
             closes_within(scanner, 0.2)
             scanner.close()
@@ -329,7 +329,7 @@ def test_a_loop():
 
 def test_any_array_and_any_scan_mode():
     info = replace(INFO, rows=2, cols=3, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL)
-    with VirtualBoard(np.arange(18), info) as board, Scanner(board.port) as scanner:
+    with FaultyBoard(np.arange(18), info) as board, Scanner(board.port) as scanner:
         assert take(scanner, 1)[0].frame.counts.tolist() == list(range(18))
 
 

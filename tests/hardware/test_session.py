@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hardware.boards.virtual_board import VirtualBoard, recording_from_resistances
+from hardware import session
+from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics
 from hardware.link.scanner import Scanner, ScannerError
@@ -17,7 +18,7 @@ from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
-from tests.hardware.boards import INFO, ScriptedPort, a_wire
+from tests.hardware.boards import INFO, ScriptedPort, a_wire, recording_from_resistances
 from tests.hardware.models import PillarModel
 from tripillar.cli.board.reading import other_counts
 
@@ -136,3 +137,23 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
             assert scan.force_n == pytest.approx(np.full((6, 6, 1), 8.0), rel=5e-3)  # a step of 10 bits
             assert scan.deviation_n is None
     assert abs(read[-1].time_s - time.time()) < 60
+
+
+def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
+    """And no other: not a recording's name, not a server's; nor for longer than said."""
+    link, looked = tmp_path / "board", []
+
+    def look(seconds):
+        looked.append(seconds)
+        if len(looked) == 3:
+            link.touch()
+
+    monkeypatch.setattr(session.time, "sleep", look)
+    session._await(str(link))
+    assert len(looked) == 3
+    for port in (str(link), "missing.frames", "socket://127.0.0.1:9", ""):
+        session._await(port)
+    assert len(looked) == 3
+    monkeypatch.setattr(session, "APPEARS_S", 0.01)
+    with pytest.raises(PortError, match="no such port"), session.connect(str(tmp_path / "never")):
+        pass

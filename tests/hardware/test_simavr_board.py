@@ -45,8 +45,8 @@ def test_a_fast_board_waits_for_its_reader(board):
 
 
 def test_a_board_in_real_time_drops_what_nobody_reads(board):
-    with board(seconds=1.0) as running:
-        statistics = running.wait()
+    with board(options=["--seconds", "1.0"]) as running:
+        statistics = running.stop(at_once=False)
     assert statistics["bytes_dropped"] > 0
     assert statistics["bytes_sent"] + statistics["bytes_dropped"] == pytest.approx(148 * 232, abs=232)
     assert statistics["seconds"] == pytest.approx(1.0, abs=2e-3)

@@ -12,11 +12,12 @@ from fem.array.cell import CondensedCell, PortModes
 from fem.array.response import read_response, write_response
 from geometry import Array, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
+from geometry.storage.journal import Journal
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
 from studies.paper.results import Results, read_results, write_results
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
-from tripillar.sweep.rows import Row, read_row, write_row
+from tripillar.sweep.rows import Row
 
 SMALL = sensor(1, 2)
 
@@ -64,8 +65,8 @@ def a_calibration(path: Path):
 
 def a_row(path: Path):
     row = Row(cache_key=path.stem, values={"pad.size_mm": 9.0}, design="x", metrics={"error_n": 1.5})
-    write_row(row, path.parent)
-    return lambda path: read_row(path.parent, path.stem)
+    Journal(path.parent).keep(path.stem, vars(row))
+    return lambda path: Journal(path.parent).read(path.stem, lambda plain: Row(**plain))
 
 
 def results(path: Path):

@@ -21,10 +21,10 @@ from dataset.imperfections import Imperfections
 from decoupler.data.load_table import read_pairs
 from hardware.boards.simavr_board import find_tools
 from hardware.boards.simulated import suited_kind
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.recording import read_recording
+from tests.hardware.boards import recording_from_resistances
 from tests.house import House
 
 MODEL = "model.safetensors"

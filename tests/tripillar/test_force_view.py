@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hardware.link.frames import Frame
+from decoupler.data.columns import COMPONENTS
+from hardware.link.frames import Frame, Info
 from hardware.link.reception import LinkStatistics, Scan
+from hardware.readout.calibration import SensorCalibration
+from hardware.readout.forces import LiveSensor
 from hardware.readout.wrench import net_wrench, wrench_weights
+from tests.hardware.models import Unknown
 from tripillar.terminal import force_view
 from tripillar.terminal.force_view import force_table, live_view
 
@@ -42,7 +46,7 @@ def test_a_model_of_shear_alone_shows_its_size():
 
 def test_the_view_says_what_is_wrong():
     force_n = np.ones((1, 2, 3))
-    wrench = net_wrench(force_n[None], wrench_weights(PLACES, ("x", "y", "z")))
+    wrench = net_wrench(force_n, wrench_weights(PLACES, ("x", "y", "z")))
     stats = LinkStatistics(ok=7, lost=2)
     text = drawn(live_view(force_n, force_n, wrench, ("x", "y", "z"), 10.0, 150.0, stats, ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"
@@ -53,31 +57,23 @@ def test_the_view_says_what_is_wrong():
 RATE_HZ = 150
 
 
-class Sensor:
-    """What `print_lines` needs of a `LiveSensor`."""
+class Model(Unknown):
+    """Tells Fz of scan k as k + 1/3 [N]; counts how often deviations, a hundredth of it, are calculated."""
 
-    scanner = SimpleNamespace(trouble=None, dropped=3)
-    model = SimpleNamespace(component=SimpleNamespace(axes=("z",)))
+    rows, cols, component, dead, fault_test = 1, 2, COMPONENTS["fz"], None, None
+    load_test = SimpleNamespace(chi2=lambda force_n: np.full(len(force_n), 1.23456), limit=2.0)
+    calculated, fz_n = 0, -2 / 3
 
-    def __init__(self, knows_uncertainty):
-        self.knows_uncertainty, self.calculated = knows_uncertainty, 0
+    def rest_resistances(self):
+        return None
 
-    def forces(self, scan):
-        sensor = self
+    def forces(self, resistance_ohm):
+        self.fz_n += 1
+        return np.full((1, 1, 2, 1), self.fz_n)
 
-        class Found:
-            force_n = np.full((1, 1, 2, 1), scan.frame.sequence + 1 / 3)
-            resistance_ohm = np.ones((1, 1, 2, 3))
-            saturated = np.zeros((1, 1, 2, 3), bool)
-            chi2, unexplained = np.array([1.23456]), np.array([False])
-            weights = wrench_weights(PLACES, ("z",))
-
-            @property
-            def deviations(self):
-                sensor.calculated += 1
-                return (self.force_n / 100, np.ones((1, 6, 6))) if sensor.knows_uncertainty else (None, None)
-
-        return SimpleNamespace(source=Found(), faults=("row wire 3 stuck",))
+    def deviations(self, resistance_ohm, weights):
+        self.calculated += 1
+        return np.full((1, 1, 2, 1), self.fz_n / 100), np.ones((1, 6, 6))
 
 
 @pytest.mark.parametrize("knows_uncertainty", [True, False])
@@ -86,17 +82,22 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
 ):
     frames = [Frame(sequence=k, device_us=0, bits=10, counts=np.ones(6, int)) for k in range(RATE_HZ)]
     scans = [
-        Scan(frame=frame, received_s=100 + k / RATE_HZ, time_s=k / RATE_HZ, restarts=0, run=0)
+        Scan(frame=frame, received_s=100 + k / RATE_HZ, stamp_ns=k * 10**9 // RATE_HZ, restarts=0, run=0)
         for k, frame in enumerate(frames)
     ]
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: scans)
-    sensor = Sensor(knows_uncertainty)
+    scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, dropped=3), Model()
+    model.knows_uncertainty = knows_uncertainty
+    sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
+    sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}
+    sensor._reader._weights = wrench_weights(PLACES, ("z",))
     force_view.print_lines(sensor, 1.0)
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["sequence"] for line in lines] == list(range(RATE_HZ))
     assert [line["force_n"] for line in lines] == [[[[round(k + 1 / 3, 4)]] * 2] for k in range(RATE_HZ)]
     assert {line["dropped"] for line in lines} == {3}
-    assert {(line["chi2"], line["explained"], *line["faults"]) for line in lines} == {(1.235, True, "row wire 3 stuck")}
+    chi2 = 1.235 if knows_uncertainty else None
+    assert {(line["chi2"], line["explained"], *line["faults"]) for line in lines} == {(chi2, True, "row wire 3 stuck")}
     assert [line["net_force_n"][2] for line in lines] == pytest.approx(
         [2 * k + 2 / 3 for k in range(RATE_HZ)], rel=1e-5
     )
@@ -104,9 +105,18 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert [line["centre_of_pressure_mm"] for line in lines[5:]] == [[10.0, 3.0]] * (RATE_HZ - 5)
     assert lines[0]["centre_of_pressure_mm"] == []  # 0.67 N are no touch
     assert bool(lines[0]["net_force_deviation_n"]) == knows_uncertainty
-    assert sensor.calculated <= 11
+    assert model.calculated <= 11
     if knows_uncertainty:
         ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]
         assert max(ages) / RATE_HZ < 0.1 + 0.01
     else:
         assert {line["deviation_n"] for line in lines} == {None}
+
+
+def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():
+    """150 Hz on the board's clock, which turns over meanwhile; all received at once, some of a run before."""
+    numbers = [(0, 5), *((1, (2**32 - 20_000 + k * 10**6 // RATE_HZ) % 2**32) for k in range(64))]
+    frames = [(run, Frame(sequence=0, device_us=us, bits=10, counts=np.ones(6, int))) for run, us in numbers]
+    scans = [Scan(frame=frame, received_s=7.0, restarts=0, run=run, stamp_ns=0) for run, frame in frames]
+    assert force_view.pace(scans) == pytest.approx(RATE_HZ, rel=1e-4)
+    assert force_view.pace(scans[:1]) == force_view.pace([]) == 0.0

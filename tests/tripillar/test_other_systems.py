@@ -1,4 +1,4 @@
-"""What differs on Windows and macOS: consoles in other encodings, no POSIX, workers that are no copies."""
+"""What differs on Windows and macOS: consoles in other encodings, no POSIX."""
 
 import os
 import subprocess
@@ -6,20 +6,8 @@ import sys
 from pathlib import Path
 
 from tests.house import House
-from tripillar.sweep import workers as local
-from tripillar.sweep.run import judge_all
-from tripillar.sweep.sampling import samples_of
-from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.workers import open_workers
 
 ROOT = Path(__file__).parents[2]
-SWEEP = sweep_from_dict(
-    {
-        "design": {"array": {"rows": 1, "cols": 2}},
-        "sweep": {"sampling": "grid", "tolerance": 2e-2},
-        "vary": [{"key": "unit.height_mm", "values": [9.0, 10.0]}],
-    }
-)
 #: modules that ask for the system load, and work, where it is none of POSIX; libraries are loaded before
 WITHOUT_POSIX = """
 import concurrent.futures.process, ctypes, mmap, multiprocessing.spawn, os, select, signal, subprocess, sys
@@ -42,14 +30,12 @@ from geometry.storage.netcdf import write_netcdf
 from hardware.boards import simavr_board, simulated, virtual_board
 from hardware.link.frames import Info
 from hardware.link.serial_ports import PortError, open_port
-from decoupler.evaluation.crossval import deaf_to_interrupts
-import tripillar.cli.app, tripillar.sweep.memory, tripillar.sweep.workers
-assert tripillar.sweep.workers.START == "spawn"
+import decoupler
+import geometry.pool, tripillar.cli.app, tripillar.sweep.memory
 write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
 assert [path.name for path in Path().iterdir()] == ["a.nc"]
 assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))
-with deaf_to_interrupts():
-    assert "Windows" in simavr_board.find_tools()
+assert "Windows" in simavr_board.find_tools()
 for begin in (lambda: virtual_board.VirtualBoard([1], Info(rows=1, cols=1)), lambda: open_port("")):
     try:
         begin()
@@ -84,12 +70,3 @@ def test_nothing_but_boards_needs_posix(tmp_path):
     ]
     assert done.stderr == "tripillar: interrupted.\n"
     assert done.returncode == 130
-
-
-def test_workers_that_are_no_copies_judge_the_same(tmp_path, monkeypatch):
-    """Windows and macOS begin them anew (spawn)."""
-    monkeypatch.setattr(local, "START", "spawn")
-    samples = samples_of(SWEEP)
-    with open_workers(1, None, tmp_path / "log") as judges:
-        rows = judge_all(samples, SWEEP.judging, judges, tmp_path / "rows")
-    assert [rows[sample.cache_key].reason for sample in samples] == ["", ""]

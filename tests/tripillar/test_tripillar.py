@@ -13,7 +13,7 @@ import xarray as xr
 
 from dataset import read_samples
 from hardware import Info
-from hardware.boards.virtual_board import recording_from_resistances
+from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dataset.csv_file import holds_samples
+from dataset.table import holds_samples
 from geometry.errors import DesignError
 from tripillar.cli.board.options import BAUD, TIMEOUT_S, BaudOption, ForceOption, TimeoutOption, require_positive
 from tripillar.cli.learning import Protocol, caller

@@ -1,6 +1,5 @@
 """The commands that make data, and train and test networks."""
 
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,7 +25,6 @@ from tripillar.terminal.console import (
     spelled,
     wrote,
 )
-from tripillar.terminal.interrupts import last_words
 
 if TYPE_CHECKING:
     from dataset import DatasetSettings, Readout, Samples
@@ -93,6 +91,9 @@ def dataset(
     drift_pillar: Annotated[
         float, typer.Option(help="Standard deviation of its drift of each pillar alone, relative.")
     ] = 0.0,
+    drift_offset: Annotated[
+        float, typer.Option(help="Standard deviation of its drift that adds as much to all readings [Ω].")
+    ] = 0.0,
     gain_spread: GainSpreadOption = 0.0,
     offset: OffsetOption = 0.0,
     specimen: Annotated[int, typer.Option(help="Seed of gains and offsets; each is another specimen.")] = 0,
@@ -144,10 +145,10 @@ def dataset(
     require_other(out, design)
     from dataset import DatasetSettings
     from dataset.imperfections import place_of
+    from dataset.leaves import is_zarr
     from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
-    from dataset.zarr_folder import is_zarr
     from fem.contact.surface import require_bare
     from tripillar.cli.studying import require_counts, require_packages
     from tripillar.pipeline.run import respond
@@ -171,6 +172,7 @@ def dataset(
         drift=drift,
         drift_tilt=drift_tilt,
         drift_pillar=drift_pillar,
+        drift_offset_ohm=drift_offset,
         gain_spread=gain_spread,
         offset_ohm=offset,
         specimen=specimen,
@@ -268,32 +270,14 @@ def _finite_samples(
     bars: "Bars",
 ) -> "Samples":
     """Samples at finite strain by workers, those of earlier runs taken up again."""
-    from dataset.finite_strain import n_groups, require_finite, samples_of
+    from dataset.finite_strain import n_groups, require_finite
     from tripillar.pipeline.run import respond
-    from tripillar.sweep.finite_samples import GroupJob, group_row, groups_folder, kept_groups, make_groups
-    from tripillar.sweep.tasks import failed_task_row
-    from tripillar.sweep.workers import open_workers
+    from tripillar.sweep.finite_samples import simulate_finite
 
     require_finite(sensor)
     _, solved = respond(with_model(sensor, "linear"), bars)
-    job = GroupJob(response=replace(solved, design=sensor), settings=settings)
-    found = kept_groups(job)
-    total = n_groups(settings.samples)
-    missing = [number for number in range(total) if number not in found]
-    if missing:
-        folder = groups_folder(job)
-        words = f"stopped; the samples in {folder} are kept: give the same command again to go on."
-        count = None if scheduler is not None else min(workers or os.cpu_count() or 1, len(missing))
-        with (
-            last_words(words),
-            open_workers(count, scheduler, folder / "workers.log", group_row, failed_task_row) as hands,
-        ):
-            advance = bars.begin("dataset", total=total)
-            advance(len(found), "workers begin")
-            found |= make_groups(
-                job, hands, missing, lambda group: advance(1, f"{group.iterations.mean():.0f} iterations a sample")
-            )
-    return samples_of(job.response, settings, [found[number] for number in range(total)], readout)
+    advance = bars.begin("dataset", total=n_groups(settings.samples))
+    return simulate_finite(replace(solved, design=sensor), settings, readout, workers, scheduler, advance)
 
 
 def train(

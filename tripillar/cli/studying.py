@@ -24,6 +24,7 @@ from tripillar.terminal.console import (
 from tripillar.terminal.interrupts import last_words
 
 if TYPE_CHECKING:
+    from geometry.storage.journal import Journal
     from tripillar.sweep.rows import Row
     from tripillar.sweep.sweep_file import Sweep
     from tripillar.terminal.progress import Bars
@@ -92,29 +93,29 @@ def sweep(
     """
     require_counts(workers=count, best=best)
     require_packages("pyarrow", "matplotlib", *(["dask", "distributed"] if scheduler else []))
-    from tripillar.sweep.rows import write_parquet, write_rows_netcdf
+    from geometry.pool import open_pool
+    from geometry.storage.journal import Journal
+    from tripillar.sweep.rows import write_parquet
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of
     from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
-    from tripillar.sweep.workers import open_workers
 
     asked = sweep_of(file, train)
     samples = samples_of(asked)
-    folder = out / f"{file.stem}-rows"
-    found = kept_rows(samples, folder, retry)
+    journal = Journal(out / f"{file.stem}-rows")
+    found = kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
     if missing:
         log = out / f"{file.stem}-workers.log"
-        with stoppable(folder), progress_bars(verbosity) as bars, open_workers(count, scheduler, log) as judges:
-            found |= judge_all(missing, asked.judging, judges, folder, shown(bars, "designs", len(missing)))
+        with stoppable(journal), progress_bars(verbosity) as bars, open_pool(count, scheduler, log) as pool:
+            found |= judge_all(missing, asked.judging, pool, journal, shown(bars, "designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
-    files = [out / f"{file.stem}.parquet", out / f"{file.stem}.nc"]
+    files = [out / f"{file.stem}.parquet"]
     write_parquet(rows, files[0])
-    write_rows_netcdf(rows, files[1])
     if not all(row.failed for row in rows):
         files += [out / f"{file.stem}-pareto.png", out / f"{file.stem}-parallel.png"]
-        draw_pareto(rows, asked, files[2])
-        draw_parallel(rows, asked, files[3])
+        draw_pareto(rows, asked, files[1])
+        draw_parallel(rows, asked, files[2])
     failed = reasons(rows)
     result = {
         "designs": len(rows),
@@ -146,32 +147,29 @@ def optimize(
     """
     require_counts(workers=count, trials=trials)
     require_packages("optuna", *(["dask", "distributed"] if scheduler else []))
+    from geometry.pool import open_pool
     from geometry.storage.files import write_text
-    from tripillar.sweep.optimize import finished, open_study, search, written
+    from geometry.storage.journal import Journal
+    from tripillar.sweep.optimize import search, trial_sample, tried
     from tripillar.sweep.run import kept_rows
     from tripillar.sweep.trade_offs import best_table, ranked
-    from tripillar.sweep.workers import open_workers
 
     asked = sweep_of(file, train=False)
     if trials is not None:
         asked = replace(asked, samples=trials)
-    folder = out / f"{file.stem}-rows"
-    journal = out / f"{file.stem}-trials.log"
-    with written(journal):
-        study = open_study(asked, journal)
-    done = finished(study, asked)
-    kept = kept_rows(done, folder)
-    rows = list(kept.values())
+    journal, history = Journal(out / f"{file.stem}-rows"), Journal(out / f"{file.stem}-trials")
+    done = [trial_sample(asked, shares) for shares in tried(asked, history)]
+    rows = list(kept_rows(done, journal).values())
     left = max(0, asked.samples - len(done))
-    if left or len(kept) < len({sample.cache_key for sample in done}):
+    if left or len(rows) < len({sample.cache_key for sample in done}):
         log = out / f"{file.stem}-workers.log"
         with (
-            written(journal),
-            stoppable(folder),
+            history.alone(),
+            stoppable(journal),
             progress_bars(verbosity) as bars,
-            open_workers(count, scheduler, log) as judges,
+            open_pool(count, scheduler, log) as pool,
         ):
-            rows = search(asked, study, judges, folder, shown(bars, "trials", left))
+            rows = search(asked, pool, journal, history, shown(bars, "trials", left))
     best = ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {file} failed, such as: {rows[0].reason}")
@@ -223,9 +221,9 @@ def sweep_of(file: Path, train: bool) -> "Sweep":
     return replace(asked, judging=replace(asked.judging, train=train))
 
 
-def stoppable(folder: Path) -> AbstractContextManager[None]:
+def stoppable(journal: "Journal") -> AbstractContextManager[None]:
     """On Ctrl-C say that what is done is kept."""
-    return last_words(f"stopped; the rows in {folder} are kept: give the same command again to go on.")
+    return last_words(f"stopped; the rows in {journal.folder} are kept: give the same command again to go on.")
 
 
 def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:

@@ -18,6 +18,7 @@ from tripillar.terminal.console import (
     output_file,
     progress_bars,
 )
+from tripillar.terminal.interrupts import leave_at_once
 from tripillar.viewer.page.opening import (
     HTTP_PORT,
     LOOPBACK,
@@ -184,6 +185,7 @@ def show_page(options: PageOptions, path: Path | None, verbosity: bool | None, a
     if isinstance(design, Scene):
         raise DesignError(f"{path} is a scene; the page of --serve loads the pads of a design: give one, or none.")
     open_page(options, design, progress_bars(verbosity), as_json)
+    leave_at_once()
 
 
 def _pressures(given: list[float] | None) -> tuple[float, ...]:

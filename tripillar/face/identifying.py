@@ -59,7 +59,7 @@ def identify(
         Number of loads to propose to measure next, in the twin's ``next_loads``.
     have : str or path, optional
         What these are made of, such as ``"plate:20kg,pad:15kg,string:3kg,air:30kPa"``, or a table (.csv) of loads;
-        default: what a kitchen has, see docs/measuring.md.
+        default: what a kitchen has, see docs/decoder.md.
     force : bool
         True goes on although the pairs look wrong; the decoder remembers why they did.
     caller : Caller, optional
@@ -137,12 +137,7 @@ def identify(
     def passed(share: float) -> None:
         advance(share, f"{len(checked)} pairs")
 
-    if at_strain is not None and response is not None and sensitivities is not None:
-        from decoupler.twin.specimen_at_strain import identify_at_strain
-
-        twin = identify_at_strain(checked, response, sensitivities, at_strain, loads_n, progress=passed)
-    else:
-        twin = identify(checked, response, sensitivities, loads_n=loads_n, progress=passed)
+    twin = identify(checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain, progress=passed)
     if sensor is not None and next_loads:
         proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, caller.bars, checked, twin)
         twin = replace(twin, next_loads=proposed)
@@ -216,7 +211,7 @@ def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", call
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
 
     if isinstance(finite, Decoupler):
-        if finite.posterior is None or finite.posterior.specimen is not None:
+        if finite.posterior is None or finite.ensemble is not None:
             raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
         size, of, found = (finite.rows, finite.cols), finite.design, finite.posterior
     else:
@@ -263,17 +258,16 @@ def next_loads_of(
     """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
     from decoupler.data.columns import component_named
     from decoupler.twin.expectation import Expectation
-    from decoupler.twin.linearised import State
     from decoupler.twin.next_load import next_loads
     from tripillar.terminal.progress import Bars
 
     possible, usual_n = _possible(design, count, have), usual_loads(design, usual)
-    if twin is not None and twin.posterior is not None and twin.decoder.component.name == "all":
+    if twin is not None and twin.decoder.component.name == "all":
         expected, state = twin.posterior.expected, twin.posterior.state
     else:
         response, sensitivities = with_derivatives(design, bars or Bars(quiet=True), tolerances)
         expected = Expectation.of(response, sensitivities, component_named("all"))
-        state = State.as_expected(expected, 0)
+        state = expected.mean()
     return next_loads(expected, state, measured, possible, usual_n, count)
 
 

@@ -1,19 +1,20 @@
-"""Samples at finite strain made by workers: each group is kept as it comes, so that a killed run is taken up again."""
+"""Samples at finite strain made by a pool: each group is kept as it comes, so that a killed run is taken up again."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Lock
 
-from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups
+from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups, samples_of
+from dataset.measurement import Readout
+from dataset.samples import Samples
 from dataset.simulation import DatasetSettings
 from fem.array.response import ArrayResponse
 from fem.finite.samples import typical_conduction
-from geometry.errors import TriPillarError
-from geometry.storage.files import cache_folder, write_text
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
-from tripillar.sweep.tasks import Task, TaskRow, made_rows
-from tripillar.sweep.workers import Workers
+from geometry.pool import open_pool
+from geometry.storage.files import cache_folder
+from geometry.storage.journal import Journal
+from tripillar.sweep.parts import made_parts
+from tripillar.terminal.interrupts import last_words
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,48 +25,43 @@ class GroupJob:
     settings: DatasetSettings
 
     @property
-    def cache_key(self) -> str:
-        return group_cache_key(self.response, self.settings)
+    def journal(self) -> Journal:
+        """Groups of one protocol, seed, cap and sensor in the cache, whatever number is wanted."""
+        return Journal(cache_folder() / f"samples-{group_cache_key(self.response, self.settings)}")
 
 
 _solvers: dict[str, GroupSolver] = {}  #: of this process, the last one only
 _one_at_a_time = Lock()  #: a worker of Dask may have several threads, a factor takes one
 
 
-def group_row(task: Task, job: GroupJob) -> TaskRow:
+def group(number: int, job: GroupJob) -> Group:
     """Make a group, in a worker; its solver is kept for the next one."""
     with _one_at_a_time:
-        try:
-            if job.cache_key not in _solvers:
-                _solvers.clear()
-                _solvers[job.cache_key] = GroupSolver(job.response, job.settings)
-            group = _solvers[job.cache_key].group(job.settings, task.number)
-        except TriPillarError as error:
-            return TaskRow(cache_key=task.cache_key, number=task.number, reason=str(error), refused=True)
-    return TaskRow(cache_key=task.cache_key, number=task.number, made=group.as_plain())
+        key = group_cache_key(job.response, job.settings)
+        if key not in _solvers:
+            _solvers.clear()
+            _solvers[key] = GroupSolver(job.response, job.settings)
+        return _solvers[key].group(job.settings, number)
 
 
-def groups_folder(job: GroupJob) -> Path:
-    """Folder of the cache for the groups of one protocol, seed, cap and sensor, whatever number is wanted."""
-    return cache_folder() / f"samples-{job.cache_key}"
+def simulate_finite(
+    response: ArrayResponse,
+    settings: DatasetSettings,
+    readout: Readout | None = None,
+    count: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, str], None] = lambda groups, said: None,
+) -> Samples:
+    """Samples at finite strain by workers, those of earlier runs taken up again.
 
-
-def kept_groups(job: GroupJob) -> dict[int, Group]:
-    """Groups of earlier runs by number; damaged ones are said and made anew."""
-    found = {}
-    for number in range(n_groups(job.settings.samples)):
-        path = _path(job, number)
-        try:
-            found[number] = Group.of_plain(opened_json(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError, KeyError):
-            say_made_anew(path)
-    return found
-
-
-def make_groups(
-    job: GroupJob, workers: Workers, missing: list[int], progress: Callable[[Group], None]
-) -> dict[int, Group]:
-    """Have groups made by workers opened with `group_row` and `failed_task_row`; each is written as it comes.
+    Parameters
+    ----------
+    response, settings, readout
+        As of `dataset.finite_strain.samples_of`.
+    count, scheduler
+        As of `open_pool`.
+    progress : function
+        Called with the number of groups that were added and a word on them, those of earlier runs first.
 
     Raises
     ------
@@ -76,16 +72,18 @@ def make_groups(
     OSError
         If a file cannot be written.
     """
-    design = job.response.design
-    if missing and design.electrics.is_conduction:
-        typical_conduction(design)  # once in the cache, not by every worker
-    made: dict[int, Group] = {}
-    for row in made_rows(missing, job, workers, "groups of samples"):
-        write_text(sealed_json(row.made) + "\n", _path(job, row.number))
-        made[row.number] = Group.of_plain(row.made)
-        progress(made[row.number])
-    return made
-
-
-def _path(job: GroupJob, number: int) -> Path:
-    return groups_folder(job) / f"{number:07d}.json"
+    job = GroupJob(response=response, settings=settings)
+    journal, numbers = job.journal, range(n_groups(settings.samples))
+    kept = {number: journal.read(f"{number:07d}", Group.of_plain) for number in numbers}
+    groups = {number: group for number, group in kept.items() if group is not None}
+    missing = [number for number in numbers if number not in groups]
+    if missing and response.design.electrics.is_conduction:
+        typical_conduction(response.design)  # once in the cache, not by every worker
+    words = f"stopped; the samples in {journal.folder} are kept: give the same command again to go on."
+    with last_words(words), open_pool(count, scheduler, journal.folder / "workers.log", len(missing)) as pool:
+        progress(len(groups), "workers begin")
+        for number, made in made_parts(pool, group, missing, job, "groups of samples"):
+            journal.keep(f"{number:07d}", made.as_plain())
+            groups[number] = made
+            progress(1, f"{made.iterations.mean():.0f} iterations a sample")
+    return samples_of(response, settings, [groups[number] for number in numbers], readout)

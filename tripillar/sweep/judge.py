@@ -1,6 +1,6 @@
 """Judging a design: from its finite-element response to its metrics, without training; runs in worker processes.
 
-Every force is judged by the pillar named after it, its own. Definitions with their equations are in docs/sweeps.md.
+Every force is judged by the pillar named after it, its own. Definitions with their equations are in docs/results.md.
 """
 
 from dataclasses import replace

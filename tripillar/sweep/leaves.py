@@ -6,27 +6,26 @@ Until then they are in a folder beside it, so that a killed run is taken up agai
 import hashlib
 import os
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dataset.leaves import LEAF, Leaf, n_leaves, packed, write_leaf, write_leaves_header
+from dataset.leaves import LEAF, Leaf, chunk_name, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
-from dataset.samples import LABELS, Samples
-from dataset.simulation import DatasetSettings, dataset_cache_key, shapes, simulate, simulate_part
+from dataset.samples import Samples
+from dataset.simulation import DatasetSettings, dataset_cache_key, simulate, simulate_part
 from dataset.stored import is_current, read_samples
-from dataset.zarr_folder import chunk_name, put
+from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
-from geometry.errors import DesignError, NotWrittenError, TriPillarError
-from geometry.storage.files import digest, reported, write_text
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
-from tripillar.sweep.tasks import Task, TaskRow, ThisProcess, failed_task_row, made_rows
-from tripillar.sweep.workers import Workers, open_workers
+from geometry.errors import DesignError, NotWrittenError
+from geometry.pool import open_pool
+from geometry.storage.files import digest, reported
+from geometry.storage.journal import Journal
+from tripillar.sweep.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 
 
@@ -57,6 +56,10 @@ class LeafJob:
         """Number of samples of a leaf."""
         return min(LEAF, self.settings.samples - number * LEAF)
 
+    def key(self, number: int) -> str:
+        """Where a journal keeps a leaf: the last one of another number of samples is another one."""
+        return f"{number:07d}-{self.size(number)}"
+
     def whole(self, progress: Callable[[int], None]) -> Samples:
         """All samples, in memory."""
         if self.twin is None:
@@ -73,17 +76,12 @@ class LeafJob:
         return samples if self.only is None else samples.only(*self.only)
 
 
-def leaf_row(task: Task, job: LeafJob) -> TaskRow:
-    """Make a leaf, in a worker."""
-    try:
-        # products of a twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
-        whole = LEAF if job.twin is not None else job.size(task.number)
-        samples = job.part(task.number * LEAF, whole)
-    except TriPillarError as error:
-        return TaskRow(cache_key=task.cache_key, number=task.number, reason=str(error), refused=True)
-    arrays = {name: values[: job.size(task.number)] for name, values in samples.arrays().items()}
-    leaf = packed(arrays, job.settings.samples, job.dtype)
-    return TaskRow(cache_key=task.cache_key, number=task.number, made=(leaf, samples.made_from["redrawn"]))
+def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
+    """Make a leaf, in a worker; it, and how often its samples were redrawn."""
+    # products of a twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
+    samples = job.part(number * LEAF, LEAF if job.twin is not None else job.size(number))
+    arrays = {name: values[: job.size(number)] for name, values in samples.arrays().items()}
+    return packed(arrays, job.settings.samples, job.dtype), samples.made_from["redrawn"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +108,7 @@ def make_directory(
     out : Path
         Zarr directory. It appears when all samples are there; what is there is replaced then.
     count, scheduler
-        As of `open_workers`. With one process, or one leaf, this one makes them itself.
+        As of `open_pool`. With one process, or one leaf, this one makes them itself.
     progress : function
         Called with the number of samples that were added, those of earlier runs first.
 
@@ -131,25 +129,31 @@ def make_directory(
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
         return Made(recipe=recipe, redrawn=int(read_samples(out).made_from["redrawn"]), kept=job.settings.samples)
+    journal, numbers = records(folder), range(n_leaves(job.settings.samples))
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
-    with reported(out, folder / "any"), kept_folder(folder), last_words(f"stopped; {go_on}"):
+    with reported(out, folder / "any"), Journal(folder).alone(), last_words(f"stopped; {go_on}"):
         try:
             _require_same(folder, job)
-            found = kept_leaves(folder, job)
-            missing = [number for number in range(n_leaves(job.settings.samples)) if number not in found]
+            read = {number: journal.read(job.key(number), partial(_intact, folder, number)) for number in numbers}
+            found = {number: record for number, record in read.items() if record is not None}
+            missing = [number for number in numbers if number not in found]
             kept = sum(job.size(number) for number in found)
             progress(kept)
-            count = None if scheduler is not None else min(count or os.cpu_count() or 1, len(missing))
-            if count == 1:
-                found |= make_leaves(job, ThisProcess(leaf_row), missing, folder, progress)
-            elif missing:
-                with open_workers(count, scheduler, folder / "workers.log", leaf_row, failed_task_row) as workers:
-                    found |= make_leaves(job, workers, missing, folder, progress)
+            with open_pool(count, scheduler, folder / "workers.log", len(missing)) as pool:
+                for number, (made, redrawn) in made_parts(pool, leaf, missing, job, "parts of the data set"):
+                    write_leaf(folder / "data.zarr", number, made)
+                    found[number] = {
+                        "redrawn": redrawn,
+                        "files": {name: _hash(content) for name, content in made.content.items()},
+                        "hashes": made.hashes,
+                    }
+                    journal.keep(job.key(number), found[number])
+                    progress(job.size(number))
             redrawn = sum(record["redrawn"] for record in found.values())
             _finish(folder, job, found, first.attributes() | {"redrawn": redrawn, "recipe": recipe})
             put(folder / "data.zarr", Path(os.path.realpath(out)))
         except Exception as error:
-            if not _is_begun(folder):
+            if not journal.keys():
                 shutil.rmtree(folder, ignore_errors=True)
             elif isinstance(error, NotWrittenError):
                 raise NotWrittenError(f"{error} {go_on[0].upper()}{go_on[1:]}") from None
@@ -164,45 +168,17 @@ def unfinished(out: Path) -> Path:
     return target.with_name(f"{target.name}.unfinished")
 
 
-def kept_leaves(folder: Path, job: LeafJob) -> dict[int, dict[str, Any]]:
-    """Records of the leaves of earlier runs by number; damaged ones are said and made anew."""
-    found = {}
-    for number in range(n_leaves(job.settings.samples)):
-        path = _record_path(folder, number)
-        try:
-            record = opened_json(path.read_text(encoding="utf-8"))
-            if record["samples"] != [job.size(number), min(LEAF, job.settings.samples)]:
-                continue  # the last leaf of another number of samples
-            for name, stated in record["files"].items():
-                if _hash((folder / "data.zarr" / _chunk(name, number)).read_bytes()) != stated:
-                    raise ValueError
-            found[number] = record
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            say_made_anew(path)
-    return found
+def records(folder: Path) -> Journal:
+    """Records of the leaves in an unfinished folder."""
+    return Journal(folder / "leaves")
 
 
-def make_leaves(
-    job: LeafJob, workers: Workers, missing: list[int], folder: Path, progress: Callable[[int], None]
-) -> dict[int, dict[str, Any]]:
-    """Have leaves made by workers opened with `leaf_row`; each is written, and then recorded, as it comes.
-
-    Errors as of `make_directory`.
-    """
-    made = {}
-    for row in made_rows(missing, job, workers, "parts of the data set"):
-        leaf: Leaf
-        leaf, redrawn = row.made
-        write_leaf(folder / "data.zarr", row.number, leaf)
-        made[row.number] = {
-            "samples": [job.size(row.number), min(LEAF, job.settings.samples)],
-            "redrawn": redrawn,
-            "files": {name: _hash(content) for name, content in leaf.content.items()},
-            "hashes": leaf.hashes,
-        }
-        write_text(sealed_json(made[row.number]) + "\n", _record_path(folder, row.number))
-        progress(job.size(row.number))
-    return made
+def _intact(folder: Path, number: int, record: dict[str, Any]) -> dict[str, Any]:
+    """A record of a leaf; `ValueError` or `OSError` if its files are not those that it states."""
+    for name, stated in record["files"].items():
+        if _hash((folder / "data.zarr" / chunk_name(name, number)).read_bytes()) != stated:
+            raise ValueError
+    return record
 
 
 def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], attributes: Mapping[str, Any]) -> None:
@@ -211,15 +187,14 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
     numbers = range(n_leaves(job.settings.samples))
     names = records[0]["hashes"]
     for name in names:
-        wanted = {Path(_chunk(name, number)).name for number in numbers}
+        wanted = {Path(chunk_name(name, number)).name for number in numbers}
         for path in (tree / name).iterdir():
             if path.name not in wanted:
                 path.unlink()
     shutil.rmtree(header, ignore_errors=True)
     hashes = {name: [records[number]["hashes"][name] for number in numbers] for name in names}
-    of_one = shapes(job.response.design, job.response.conducted is not None)
-    whole = {name: (job.settings.samples, *of_one[name]) for name in names}
-    write_leaves_header(header, whole, hashes, attributes, job.dtype)
+    array = job.response.design.array
+    write_header(header, (job.settings.samples, array.rows, array.cols), hashes, attributes, job.dtype)
     for path in sorted(header.rglob("*")):
         target = tree / path.relative_to(header)
         if path.is_dir():
@@ -230,62 +205,15 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
 
 def _require_same(folder: Path, job: LeafJob) -> None:
     """Refuse a folder of other settings; state those of a new one."""
-    path = folder / "job.json"
-    stated = None
-    with suppress(OSError, ValueError):
-        stated = opened_json(path.read_text(encoding="utf-8"))["cache_key"]
-    if stated is None or not _is_begun(folder):
-        write_text(sealed_json({"cache_key": job.cache_key}) + "\n", path)
+    journal = Journal(folder)
+    stated = journal.read("job", lambda plain: plain["cache_key"])
+    if stated is None or not records(folder).keys():
+        journal.keep("job", {"cache_key": job.cache_key})
     elif stated != job.cache_key:
         raise DesignError(
             f"{folder} holds an unfinished data set of other settings: give those again to finish it, or remove it."
         )
 
 
-def _is_begun(folder: Path) -> bool:
-    """Whether something is kept."""
-    return any((folder / "leaves").glob("*.json"))
-
-
-def _record_path(folder: Path, number: int) -> Path:
-    return folder / "leaves" / f"{number:07d}.json"
-
-
-def _chunk(name: str, number: int) -> str:
-    return chunk_name(name, number, 5 if name == "displacement_mm" else 4)
-
-
 def _hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-@contextmanager
-def kept_folder(folder: Path) -> Iterator[None]:
-    """A folder that stays when the process is ended, for the next one to go on; one process uses it at a time.
-
-    Raises
-    ------
-    DesignError
-        If another process uses it.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        file = (folder / "lock").open("wb")
-    except OSError:
-        with suppress(OSError):
-            folder.rmdir()
-        raise
-    with file:
-        try:
-            if sys.platform == "win32":
-                import msvcrt
-
-                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-            else:
-                import fcntl
-
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if isinstance(error, BlockingIOError | PermissionError):
-                raise DesignError(f"{folder} is used by another process: wait for it, or end it first.") from None
-        yield  # a file system without locks is trusted

@@ -15,7 +15,7 @@ from geometry.storage.files import digest, stated
 from tripillar.sweep.sweep_file import Judging, Sweep
 from tripillar.sweep.variables import value_of, with_values
 
-VERSION = 1  #: raise when the same design and settings give other metrics, so that kept rows are not reused
+VERSION = 2  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 
 
 @dataclass(frozen=True, kw_only=True)

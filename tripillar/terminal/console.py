@@ -124,10 +124,10 @@ def output_file(path: Path | None) -> Path | None:
 
 def output_samples(path: Path) -> Path:
     """The same of a data set: a file, or a zarr directory."""
-    from dataset.zarr_folder import is_zarr, require_zarr_place
+    from dataset.leaves import is_zarr, require_zarr_place
 
     if is_zarr(path):
-        require_zarr_place(path, "resistance_ohm")
+        require_zarr_place(path)
     else:
         require_file(path)
     return path

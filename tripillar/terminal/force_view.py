@@ -13,16 +13,18 @@ from rich.table import Table
 from rich.text import Text
 
 from geometry.layout import AXES, FloatArray
-from hardware.link.reception import LinkStatistics
-from hardware.readout.forces import LiveSensor
+from hardware.link.reception import LinkStatistics, Scan
+from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench
+from hardware.recording.topics import wrench_content
 from hardware.session import scans_within
+from hardware.streams.addresses import Stream
 from hardware.streams.scene import colours
-from hardware.streams.tactile_frame import LiveFrames, Stream, TactileFrame
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
+RENEWED_S = 0.1  #: between two calculations of the deviations, which take twenty times as long as the forces
 RATE_OVER = 64  #: scans whose pace is the rate shown
 MIN_FULL_SCALE_N = 10.0  #: that is drawn brightest, so that noise at rest stays dark
 
@@ -56,16 +58,16 @@ def live_view(
     notes: list[str],
 ) -> RenderableType:
     """The terminal's picture: the table, net load, the link's counts, and what is wrong, if anything."""
-    net, net_deviation = wrench.force_n[0], wrench.force_deviation_n
+    net, net_deviation = wrench.force_n, wrench.force_deviation_n
     sums = "   ".join(
-        f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[0, k]:.1f}'} N"
+        f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[k]:.1f}'} N"
         for axis, k in zip(axes, (AXES.index(axis) for axis in axes), strict=True)
     )
     unsure = "" if deviation_n is None else f"   ± {float(deviation_n.mean()):.1f} N each (68 %)"
     damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
         f"{rate_hz:5.1f} frames/s   {stats.ok} ok   {stats.lost} lost   {damaged} damaged   "
-        f"{stats.overruns} overruns   {stats.dropped} dropped   {stats.reconnects} reconnects"
+        f"{stats.overruns_said}   {stats.dropped} dropped   {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
@@ -76,51 +78,57 @@ def live_view(
 
 
 def _centre(wrench: Wrench) -> str:
-    (x, y), deviation = wrench.centre_mm[0], wrench.centre_deviation_mm
+    (x, y), deviation = wrench.centre_mm, wrench.centre_deviation_mm
     if math.isnan(x):
         return "-"
     if deviation is None:
         return f"x {x:.1f}, y {y:.1f} mm"
-    return f"x {x:.1f} ± {deviation[0, 0]:.1f}, y {y:.1f} ± {deviation[0, 1]:.1f} mm"
+    return f"x {x:.1f} ± {deviation[0]:.1f}, y {y:.1f} ± {deviation[1]:.1f} mm"
 
 
 def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = ()) -> None:
     """Draw the newest forces ten times a second; scans in between only go to the streams."""
-    scanner, axes, frames = sensor.scanner, sensor.model.component.axes, LiveFrames(sensor)
-    frame: TactileFrame | None = None
-    times: deque[float] = deque(maxlen=RATE_OVER)
+    scanner, axes = sensor.scanner, sensor.model.component.axes
+    frame: Forces | None = None
+    newest: deque[Scan] = deque(maxlen=RATE_OVER)
     full_scale, shown = MIN_FULL_SCALE_N, 0.0
     with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans_within(scanner, seconds):
             if scan is not None:
-                times.append(scan.received_s)
+                newest.append(scan)
                 if streams:
-                    frame = _sent(frames.frame(scan), streams)
+                    frame = _sent(sensor.forces(scan, RENEWED_S), streams)
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
             notes = [scanner.trouble] if scanner.trouble else []
             if not streams and (latest := scanner.latest()) is not None:
-                frame = frames.frame(latest)
+                frame = sensor.forces(latest, RENEWED_S)
             if frame is None:
                 screen.update(Group("waiting for scans", *notes), refresh=True)
                 continue
             if n_saturated := int(frame.saturated.sum()):
                 notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
-            if not frame.is_explained:
+            if frame.unexplained:
                 notes.append(
                     f"χ² {frame.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
                 )
             notes.extend(frame.faults)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
-            rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
             view = live_view(
-                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, rate_hz, scanner.stats, notes
+                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, pace(newest), scanner.stats, notes
             )
             screen.update(view, refresh=True)
 
 
-def _sent(frame: TactileFrame, streams: Sequence[Stream]) -> TactileFrame:
+def pace(scans: Sequence[Scan]) -> float:
+    """Scans a second of the board's own clock, however quickly they are caught up with; those of the newest run."""
+    ticks = [scan.frame.device_us for scan in scans if scan.run == scans[-1].run]
+    elapsed_us = (ticks[-1] - ticks[0]) % 2**32 if ticks else 0
+    return 1e6 * (len(ticks) - 1) / elapsed_us if elapsed_us else 0.0
+
+
+def _sent(frame: Forces, streams: Sequence[Stream]) -> Forces:
     for stream in streams:
         stream.add(frame)
     return frame
@@ -132,7 +140,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     The first one describes the sensor if it is asked for. Deviations are 0.1 s old at most. Ends quietly when the
     pipe's other end closes.
     """
-    trouble, deviation, known, frames = None, "null", None, LiveFrames(sensor)
+    trouble, deviation, known = None, "null", None
     try:
         if describes:
             print(json.dumps({"sensor": sensor.description.plain()}), flush=True)
@@ -142,21 +150,21 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 print(json.dumps({"trouble": trouble}), flush=True)
             if scan is None:
                 continue
-            frame = _sent(frames.frame(scan), streams)
+            frame = _sent(sensor.forces(scan, RENEWED_S), streams)
             if frame.deviation_n is not known:
                 known = frame.deviation_n
                 deviation = json.dumps(None if known is None else known.round(4).tolist())
             line = {
                 "time_s": scan.time_s,
-                "sequence": frame.sequence,
+                "sequence": int(frame.sequence),
                 "axes": sensor.model.component.axes,
                 "force_n": frame.force_n.round(4).tolist(),
                 "chi2": None if frame.chi2 is None else float(f"{frame.chi2:.4g}"),
-                "explained": frame.is_explained,
-                "faults": frame.faults,
+                "explained": not frame.unexplained,
+                "faults": list(frame.faults),
                 "saturated": int(frame.saturated.sum()),
                 "dropped": sensor.scanner.dropped,
-                **frame.net(),
+                **wrench_content(frame.net()),
             }
             # put in as text, which is as long again as all the rest
             print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)

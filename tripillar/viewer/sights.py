@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dataset.resistance import pillar_lengths, pillar_strains
 from fem.pictures.arrays import PAD_LOADS, WHERE, pressed_sensor, solve_array_field
-from fem.pictures.parts import Parts, sensor_parts, solve_scene_parts
+from fem.pictures.parts import AROUND, Parts, sensor_parts, solve_scene_parts
 from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign
@@ -61,14 +62,31 @@ def is_linear(body: SensorDesign | Scene) -> bool:
 def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """Warning that linear rubber is drawn beyond `LINEAR_UP_TO`; empty elsewhere.
 
-    Strain is taken as the largest displacement over the body's height.
+    A sensor is judged by the largest strain of a pillar, a scene by its largest displacement over its height.
     """
+    if not is_linear(body):
+        return ""
+    if isinstance(body, SensorDesign):
+        return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()))
     parts = [part for panel in panels.values() for part in panel.values()]
     height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    strain = max(largest_mm(part.displacement_mm) for part in parts) / height
-    if not is_linear(body) or strain <= LINEAR_UP_TO:
-        return ""
-    return f"linear, but {strain:.0%} strain"
+    share = max(largest_mm(part.displacement_mm) for part in parts) / height
+    return f"linear, but moved by {share:.0%} of its height" if share > LINEAR_UP_TO else ""
+
+
+def beyond_linear(strain: float) -> str:
+    """Warning of the largest strain of a pillar beyond `LINEAR_UP_TO`; empty up to it."""
+    return f"linear, but a pillar strain of {strain:.0%}" if strain > LINEAR_UP_TO else ""
+
+
+def pillar_strain(design: SensorDesign, parts: Parts) -> float:
+    """Largest |l − l₀|/l₀ of a pillar between the mean places of its electrodes, as data sets and the page state it."""
+    moved = parts["electrodes"].displacement_mm.reshape(design.n_units, -1, AROUND + 1, AROUND + 1, 3)
+    upper = moved[:, : len(design.unit.layout.upper)]
+    even = np.full(AROUND + 1, 1.0 / AROUND)
+    even[[0, -1]] /= 2
+    upper_mm = np.einsum("nejka,j,k->nea", upper, even, even)
+    return float(pillar_strains(upper_mm, pillar_lengths(upper_mm, design.unit), design.unit).max())
 
 
 def suited_scale(panels: dict[str, Parts]) -> float:

@@ -9,14 +9,13 @@ import pytest
 import xarray as xr
 
 from geometry.errors import FileFormatError
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, Statistics
 from hardware.recording import Recorder, convert, parse_recording, read_recording
+from tests.hardware.boards import recording_from_resistances
 from tests.hardware.recording.recorded_frames import (
     CALIBRATION,
     INFO,
     MADE_FROM,
-    arrivals,
     assert_refused,
     assert_same,
     frames,
@@ -109,55 +108,23 @@ def test_a_part_that_xarray_took_is_read(recording, tmp_path):
     assert_same(read_recording(tmp_path / "part.nc"), frames(10)[2:7], recording.received_s[2:7])
 
 
-def of_version_1(path, n=10, cut=0, **changes):
-    """As recorders wrote until version 1: classic NetCDF, a record a frame, no runs, no hash."""
-    import netCDF4
-
-    sent, received_s = frames(n), arrivals(n)
-    with netCDF4.Dataset(path, "w", format="NETCDF3_64BIT_DATA") as data:
-        data.createDimension("frame", None)
-        data.createDimension("crossing", 18)
-        columns = {"sequence": "u2", "device_us": "u4", "flags": "u1", "overruns": "u1"}
-        data.createVariable("counts", "u2", ("frame", "crossing"), fill_value=False)[:] = [each.counts for each in sent]
-        for name, kind in columns.items():
-            values = [getattr(frame, name) for frame in sent]
-            data.createVariable(name, kind, ("frame",), fill_value=False)[:] = values
-        data.createVariable("received_s", "f8", ("frame",), fill_value=False)[:] = received_s
-        known = {"format": "tripillar recording", "version": 1, "protocol": 1, "rows": 2, "cols": 3, "bits": 16}
-        known |= {"scan_mode": "GROUNDED", "firmware": "1.2.255", "rate_hz": 200, "serial": 2**32 - 1, "vref_mv": 3300}
-        known |= {"sense_ohm": 2**32 - 1, "calibration": "", "model_recipe": "", "design_hash": "", "bad_crc": -1}
-        known |= {"restarts": 3, "first_record_at": 0} | changes
-        data.setncatts({name: value for name, value in known.items() if value is not None})
-    size = path.stat().st_size
-    with netCDF4.Dataset(path, "a") as data:
-        data.setncattr("first_record_at", size - n * (36 + 4 * 4 + 8))
-    path.write_bytes(path.read_bytes()[: size - cut])
-    return sent, received_s
-
-
-@pytest.mark.parametrize(("cut", "n"), [(0, 10), (1, 9), (60, 9), (61, 8)])
-def test_netcdf_recordings_of_version_1_are_read_as_far_as_they_go(tmp_path, cut, n):
-    sent, received_s = of_version_1(tmp_path / "old.nc", cut=cut)
-    recording = read_recording(tmp_path / "old.nc")
-    assert_same(recording, sent[:n], received_s[:n])
-    assert recording.statistics == Statistics(ok=n, info=1)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"format": "other"}, "not a recording of TriPillar"),
-        ({"version": 3}, "version 3, this program reads up to 2"),
-        ({"rows": 3}, r"shape \(7, 18\), but 7 frames of 3 × 3 units"),
+        ({"version": 1}, "version 1, this program reads 2"),
+        ({"version": 3}, "version 3, this program reads 2"),
+        ({"rows": 3}, r"shape \(25, 18\), but 25 frames of 3 × 3 units"),
         ({"rows": -3}, "its header is damaged .*rows=-3"),
         ({"scan_mode": "grounded"}, "its header is damaged"),
         ({"sense_ohm": None}, "its header is damaged .*sense_ohm"),
         ({"bits": 12}, r"data frame \d has .* the INFO frame 12 bits"),
     ],
 )
-def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, changes, message):
-    path = tmp_path / "other.nc"
-    of_version_1(path, **changes)
+def test_files_that_are_no_recording_are_refused_in_one_line(recording, tmp_path, changes, message):
+    path, data = tmp_path / "other.nc", recording.to_xarray()
+    stated = {name: value for name, value in (data.attrs | changes).items() if value is not None}
+    data.assign_attrs(stated).drop_attrs(deep=False).assign_attrs(stated).to_netcdf(path)
     assert_refused(path, message)
 
 

@@ -5,16 +5,23 @@ import json
 import numpy as np
 import pytest
 
-from hardware.recording import Recorder, read_recording
-from hardware.recording.formats import write_mcap
-from hardware.recording.topics import FORCES, INFO, SCAN, SCHEMAS, WRENCH
+from hardware.recording import Recorder, convert, read_recording
+from hardware.recording.mcap_file import Channel, Message, write_mcap
+from hardware.recording.topics import INFO, SCAN, SCHEMAS
 from tests.hardware.recording.recorded_frames import CALIBRATION, MADE_FROM, arrivals, assert_refused, frames
 from tests.hardware.recording.recorded_frames import INFO as BOARD
 
 reader = pytest.importorskip("mcap.reader")
 
-TYPES = {"integer": int, "number": (int, float), "string": str, "array": list, "object": dict, "boolean": bool}
-AXES = ("x", "y", "z")
+TYPES = {
+    "integer": int,
+    "number": (int, float),
+    "string": str,
+    "array": list,
+    "object": dict,
+    "boolean": bool,
+    "null": type(None),
+}
 
 
 @pytest.fixture
@@ -39,18 +46,13 @@ def check(content, schema):
     assert isinstance(content, TYPES[schema["type"]])
     assert schema.get("minimum", -np.inf) <= (content if schema["type"] == "integer" else 0)
     assert (content if schema["type"] == "integer" else 0) <= schema.get("maximum", np.inf)
-    if schema["type"] == "object":
+    if schema["type"] == "object" and schema["properties"]:
         assert set(content) == set(schema["properties"])
         for name, value in content.items():
             check(value, schema["properties"][name])
     if schema["type"] == "array":
         for value in content:
-            check(value, schema["items"])
-
-
-def by_unit(forces, name):
-    """One of the units' values, shape (rows, cols, k)."""
-    return np.array([unit[name] for unit in forces["units"]]).reshape(forces["rows"], forces["cols"], -1)
+            check(value, schema["items"] if value is not None else {"type": "null"})
 
 
 @pytest.fixture
@@ -60,19 +62,10 @@ def recording(tmp_path):
     return read_recording(tmp_path / "press.frames")
 
 
-def forces_of(recording):
-    return np.random.default_rng(9).normal(size=(len(recording.counts), 2, 3, 3))
-
-
-def test_any_mcap_reader_finds_info_scans_and_forces(recording, path):
-    forces = forces_of(recording)
-    net = {"net_force_n": forces.sum(axis=(1, 2))}
-    write_mcap(recording, path, forces, np.full((40, 2, 3, 3), 0.1), AXES, net)
+def test_any_mcap_reader_finds_info_and_scans(recording, path):
+    convert(recording, path)
     found = messages(path)
-    assert list(found) == [INFO, SCAN, FORCES, WRENCH]
-    for k, (_, content) in enumerate(found[WRENCH]):
-        assert content["net_force_n"] == pytest.approx(net["net_force_n"][k], rel=1e-5)  # six digits
-        assert content["centre_of_pressure_mm"] == []
+    assert list(found) == [INFO, SCAN]
     [(message, info)] = found[INFO]
     assert message.log_time / 10**9 == recording.received_s[0]  # a viewer's time axis starts here
     assert (info["rows"], info["serial"], info["scan_mode"]) == (2, 2**32 - 1, "GROUNDED")
@@ -81,16 +74,10 @@ def test_any_mcap_reader_finds_info_scans_and_forces(recording, path):
         assert message.log_time / 10**9 == time_s
         assert message.publish_time == frame.device_us * 1000
         assert (message.sequence, scan["counts"]) == (frame.sequence, frame.counts.tolist())
-    for k, (message, content) in enumerate(found[FORCES]):
-        assert message.log_time / 10**9 == content["time"] == recording.received_s[k]
-        assert (content["rows"], content["cols"], content["axes"]) == (2, 3, list(AXES))
-        assert [(unit["row"], unit["col"]) for unit in content["units"]] == list(np.ndindex(2, 3))
-        assert np.abs(by_unit(content, "force_n") - forces[k]).max() <= 0.5e-6  # six decimals
-        assert (by_unit(content, "deviation_n") == 0.1).all()
 
 
 def test_it_has_an_index_so_that_viewers_need_not_read_it_all(recording, path):
-    write_mcap(recording, path)
+    convert(recording, path)
     with path.open("rb") as file:
         summary = reader.make_reader(file).get_summary()
     assert summary.statistics.message_count == 41
@@ -98,13 +85,11 @@ def test_it_has_an_index_so_that_viewers_need_not_read_it_all(recording, path):
 
 
 def test_what_fails_leaves_the_old_file(recording, path):
-    write_mcap(recording, path)
+    convert(recording, path)
     before = path.read_bytes()
-    forces = forces_of(recording)
+    bad = Message(topic=SCAN, content={"counts": np.nan}, log_ns=0, publish_ns=0)
     with pytest.raises(ValueError, match="not JSON compliant"):
-        write_mcap(recording, path, forces * np.nan, None, AXES)
-    with pytest.raises(ValueError, match="a name for each of their axes"):
-        write_mcap(recording, path, forces)
+        write_mcap(path, {SCAN: Channel.of_json(SCAN)}, [bad])
     assert path.read_bytes() == before
     assert len(list(path.parent.iterdir())) == 2
 
@@ -123,7 +108,7 @@ def of_other_content(path, topic="/imu", data=b"{}"):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "not a recording of TriPillar"),
+        (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "damaged"),
         (lambda path: path.write_bytes(b"\x89MCAP0\r\n" + b"\xff" * 100), "damaged"),
         (of_other_content, "not a recording of TriPillar"),
         (lambda path: of_other_content(path, INFO), "not a recording of TriPillar"),
@@ -144,19 +129,18 @@ def test_files_that_are_no_recording_are_refused_in_one_line(path, make, message
 def test_scans_that_are_none_are_refused_in_one_line(recording, path, scan, monkeypatch):
     dumps, found = json.dumps, scan.decode()
     monkeypatch.setattr(
-        "hardware.recording.formats.json.dumps",
+        "hardware.recording.mcap_file.json.dumps",
         lambda content, **options: found if "counts" in content else dumps(content, **options),
     )
-    write_mcap(recording, path)
+    convert(recording, path)
     assert_refused(path, "a scan is damaged")
 
 
-def test_one_that_was_cut_short_is_read_as_far_as_it_goes(recording, path):
-    """As a recorder of version 1 left it when it was killed."""
-    write_mcap(recording, path)
+def test_one_that_was_cut_short_is_refused(recording, path):
+    convert(recording, path)
     whole = path.read_bytes()
     path.write_bytes(whole[: -len(whole) // 3])
-    assert len(read_recording(path).counts) in (0, 40)
+    assert_refused(path, "damaged")
 
 
 @pytest.mark.parametrize("topic", SCHEMAS)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Frame, Info, ScanMode, encode
 from hardware.recording import parse_recording, read_recording
+from tests.hardware.boards import recording_from_resistances
 from tests.hardware.recording.recorded_frames import assert_refused
 
 INFO = Info(rows=2, cols=3, bits=12, rate_hz=200)

@@ -13,7 +13,6 @@ from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Frame, Info, ScanMode
 from hardware.readout.calibration import Electronics
 from hardware.recording import Recorder, read_recording
-from hardware.streams.tactile_frame import LiveFrames
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
@@ -36,10 +35,9 @@ def pressed():
 def board(pressed):
     """A simulated board, live: the `description` of its sensor, and `take(n)` frames of it."""
     with VirtualBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
-        made = LiveFrames(scans)
 
         def take(n):
-            return [made.frame(scans.scanner.get(10)) for _ in range(n)]
+            return [scans.forces(scans.scanner.get(10), renewed_s=0.1) for _ in range(n)]
 
         yield SimpleNamespace(description=scans.description, take=take)
 

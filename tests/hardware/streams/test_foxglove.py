@@ -14,10 +14,12 @@ import pytest
 from geometry.errors import DesignError, MissingPackageError
 from hardware.readout.wrench import SIGNS
 from hardware.recording.topics import FORCES, RESISTANCES, SENSOR, WRENCH
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import ROOM_BYTES, StreamError, make_file
+from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
 from hardware.streams.foxglove_stream import SCENE, FoxgloveStream
 from hardware.streams.rerun_stream import RerunStream
 from hardware.streams.scene import LONGEST, Painter
+from tests.hardware.recording.test_recorder_failures import room_for
 
 pytest.importorskip("foxglove")
 websockets = pytest.importorskip("websockets")
@@ -113,8 +115,8 @@ def test_a_client_decodes_what_was_sent(received):
         found = np.array([unit["force_n"] for unit in forces["units"]])
         assert found == pytest.approx(frame.force_n.reshape(-1, 3), abs=1e-6)
         assert np.array([unit["deviation_n"] for unit in forces["units"]]).min() > 0
-        assert net["net_force_n"] == pytest.approx(frame.wrench.force_n[0], rel=1e-5)
-        assert net["centre_of_pressure_mm"] == pytest.approx(frame.wrench.centre_mm[0], rel=1e-5)
+        assert net["net_force_n"] == pytest.approx(frame.wrench.force_n, rel=1e-5)
+        assert net["centre_of_pressure_mm"] == pytest.approx(frame.wrench.centre_mm, rel=1e-5)
         found = np.array([unit["resistance_ohm"] for unit in ohms["units"]])
         assert found == pytest.approx(frame.resistance_ohm.reshape(-1, 3), abs=1e-3)
 
@@ -140,8 +142,8 @@ def test_arrows_are_the_forces_on_the_pads(received):
         assert len(arrows) == 6  # every pad is pressed well
         assert np.array(ends[:-1]) == pytest.approx(pads_m, abs=1e-9)
         assert np.array(forces[:-1]) == pytest.approx(frame.force_n.reshape(-1, 3) * SIGNS, abs=1e-6)
-        assert ends[-1] == pytest.approx([*1e-3 * frame.wrench.centre_mm[0], 0.0], abs=1e-9)
-        assert 6**0.5 * forces[-1] == pytest.approx(frame.wrench.vector_n[0], abs=1e-6)
+        assert ends[-1] == pytest.approx([*1e-3 * frame.wrench.centre_mm, 0.0], abs=1e-9)
+        assert 6**0.5 * forces[-1] == pytest.approx(frame.wrench.vector_n, abs=1e-6)
 
 
 def test_the_file_holds_what_the_stream_would(board, tmp_path):
@@ -185,3 +187,108 @@ def test_a_sensor_of_unknown_pads_is_refused(board):
     unknown = vars(board.description) | {"position_mm": np.full((2, 3, 3), np.nan)}
     with pytest.raises(DesignError, match="model states no design"):
         FoxgloveStream(type(board.description)(**unknown))
+
+
+def handshake(port, path="/", **headers):
+    """The HTTP status that a client gets."""
+    asked = {
+        "Host": f"127.0.0.1:{port}",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+    }
+    asked |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "foxglove.sdk.v1"} | headers
+    connection = socket.create_connection(("127.0.0.1", port), timeout=10)
+    lines = [f"GET {path} HTTP/1.1", *(f"{name}: {value}" for name, value in asked.items()), "", ""]
+    connection.sendall("\r\n".join(lines).encode())
+    return int(connection.recv(4096).split()[1]), connection
+
+
+@pytest.mark.parametrize(
+    ("token", "path", "headers", "status"),
+    [
+        ("", "/", {}, 101),
+        ("", "/", {"Origin": "https://app.foxglove.dev"}, 101),
+        ("", "/", {"Origin": "http://localhost:8080"}, 101),
+        ("", "/", {"Origin": "file://"}, 101),
+        ("", "/", {"Origin": "https://evil.example"}, 403),
+        ("", "/", {"Origin": "https://foxglove.dev.evil.example"}, 403),
+        ("", "/", {"Host": "evil.example:8765"}, 403),  # a name that was pointed at this machine
+        ("secret", "/", {}, 403),
+        ("secret", "/?token=secre", {}, 403),
+        ("secret", "/?token=secret", {"Origin": "https://mine.example"}, 101),
+    ],
+)
+def test_only_known_pages_or_a_token_are_let_in(board, token, path, headers, status):
+    with FoxgloveStream(board.description, port=0, token=token) as stream:
+        found, connection = handshake(stream.port, path, **headers)
+        connection.close()
+    assert found == status
+
+
+def test_a_client_that_talks_nonsense_is_sent_away_without_a_word(board, capfd):
+    with FoxgloveStream(board.description, port=0) as stream:
+        for said in (b"\0\0\0", b"GET / HTTP/1.1\r\n\r\n", b"POST / HTTP/1.1\r\nHost: a\r\n\r\n", b""):
+            with socket.create_connection(("127.0.0.1", stream.port), timeout=10) as connection:
+                connection.sendall(said)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(4096):
+                    pass
+    assert capfd.readouterr() == ("", "")
+
+
+def test_clients_and_what_waits_for_them_are_bounded(board):
+    """Those that never read cost no more than the newest messages, which all share; one more is sent away."""
+    [scan] = board.take(1)
+    with FoxgloveStream(board.description, port=0) as stream:
+        held = [handshake(stream.port) for _ in range(MAX_CLIENTS)]
+        assert [status for status, _ in held] == [101] * MAX_CLIENTS
+        server = stream._server
+        end_s = time.monotonic() + 10
+        while len(server._clients) < MAX_CLIENTS and time.monotonic() < end_s:
+            time.sleep(0.005)
+        held.append(handshake(stream.port))
+        assert held[-1][0] == 503
+        for client in server._clients:
+            client.hear(
+                json.dumps({"op": "subscribe", "subscriptions": [{"id": k, "channelId": k} for k in range(9)]}), {2}
+            )
+            for nonsense in ("{", "[]", '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [{}]}', b"\xff"):
+                assert client.hear(nonsense, {2}) == []
+            assert client.subscribed == {2: 2}
+        for _ in range(2 * MAX_WAITING):
+            stream.add(scan)
+        waiting = [client._waiting for client in server._clients]
+        assert all(len(each) <= MAX_WAITING for each in waiting)
+        assert len({id(data) for each in waiting for _, _, data in each}) <= MAX_WAITING + 1
+        held[0][1].close()
+        while len(server._clients) == MAX_CLIENTS and time.monotonic() < end_s:
+            time.sleep(0.005)
+        held.append(handshake(stream.port))
+        assert held[-1][0] == 101  # there is room again
+    for _, connection in held:
+        connection.close()
+
+
+def test_a_full_disk_ends_the_file_and_all_of_it_is_read(board, tmp_path):
+    """A limit on the size of files stands for the disk."""
+    reader, path = pytest.importorskip("mcap.reader"), tmp_path / "shown.mcap"
+    [scan] = board.take(1)
+    n = 0
+
+    def add_until_full():
+        nonlocal n
+        while n < 20_000:
+            stream.add(scan)
+            n += 1
+
+    full = pytest.raises(StreamError, match=r"shown.mcap: the disk is full \(.*the file ends here and can be read")
+    with room_for(ROOM_BYTES + 100_000), full, FoxgloveStream(board.description, host=None, mcap=path) as stream:
+        add_until_full()
+    with room_for(10_000), pytest.raises(StreamError, match="the disk is full"):
+        make_file(tmp_path / "other.mcap")
+    with path.open("rb") as file:
+        found = reader.make_reader(file, validate_crcs=True)
+        assert found.get_summary().statistics.message_count == 1 + 4 * (n + 1)
+        assert sum(1 for _ in found.iter_messages()) == 1 + 4 * (n + 1)
+    assert [each.name for each in tmp_path.iterdir()] == ["shown.mcap"]

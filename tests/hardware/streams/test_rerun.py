@@ -1,5 +1,6 @@
 """Rerun's stream: a file read back by the SDK's own reader, and what its program receives over gRPC."""
 
+import shutil
 import socket
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from hardware.readout.wrench import SIGNS
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import ROOM_BYTES, StreamError
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
 from hardware.streams.scene import LONGEST, Painter
 
@@ -49,8 +50,8 @@ def check(found, description, sent):
         single = {"rel": 1e-6, "abs": 1e-6}  # precision
         assert vectors / per_newton == pytest.approx(frame.force_n.reshape(-1, 3) * SIGNS, abs=1e-3)
         assert vectors + origins == pytest.approx(description.position_m.reshape(-1, 3), **single)
-        assert found["/net/force_n", "scalars"][k][1] == frame.wrench.force_n[0].tolist()
-        assert found["/net/centre_of_pressure_mm", "scalars"][k][1] == frame.wrench.centre_mm[0].tolist()
+        assert found["/net/force_n", "scalars"][k][1] == frame.wrench.force_n.tolist()
+        assert found["/net/centre_of_pressure_mm", "scalars"][k][1] == frame.wrench.centre_mm.tolist()
         assert found["/resistance_ohm/x", "scalars"][k][1] == frame.resistance_ohm[..., 1].reshape(-1).tolist()
     [(_, [stated])] = found["/sensor/description", "text"]
     assert description.design_hash in stated
@@ -101,3 +102,17 @@ def wait_for_bytes(path, more_than):
         now = path.stat().st_size if path.exists() else 0
         quiet, size = quiet + 1 if now == size else 0, now
     return size
+
+
+def test_a_full_disk_ends_the_file_and_all_of_it_is_read(board, tmp_path, monkeypatch):
+    path = tmp_path / "shown.rrd"
+    free, usage = [10 * ROOM_BYTES], shutil.disk_usage(tmp_path)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage._replace(free=free[0]))
+    sent = board.take(20)
+    with RerunStream(board.description, host=None, rrd=path) as stream:
+        for frame in sent:
+            stream.add(frame)
+        free[0] = ROOM_BYTES - 1
+        with pytest.raises(StreamError, match=r"shown.rrd: the disk is full \(4095 kB left\): the file ends here"):
+            stream.add(sent[0])
+    check(read(path), board.description, sent)

@@ -8,8 +8,8 @@ import pytest
 from hardware import replay
 from hardware.readout.wrench import SIGNS
 from hardware.streams import ros2_file
-from hardware.streams.ros2_file import FRAMES, SHAPE, write_ros2
-from hardware.streams.tactile_frame import unix_times
+from hardware.streams.forces_file import write_forces
+from hardware.streams.ros2_file import FRAMES, SHAPE
 from tests.hardware.streams.conftest import BEGAN_S
 
 reader = pytest.importorskip("mcap_ros2.reader")
@@ -23,7 +23,7 @@ def vectors(messages):
 def written(recording, pressed, tmp_path):
     """A recording, its forces, and the messages of the file by topic."""
     forces, path, found = replay(recording, pressed.model), tmp_path / "press.mcap", {}
-    write_ros2(recording, forces, path)
+    write_forces(recording, forces, path, ros2=True)
     for message in reader.read_ros2_messages(path):
         found.setdefault(message.channel.topic, []).append(message)
     return recording, forces, found
@@ -75,7 +75,7 @@ def test_stamps_are_the_boards_clock_and_only_grow(written):
 
 def test_bytes_of_a_board_without_arrivals_keep_its_own_clock(recording):
     object.__setattr__(recording, "received_s", None)
-    assert unix_times(recording) == recording.time_s.tolist()
+    assert recording.stamps_ns().tolist() == [round(time_s * 1e9) for time_s in recording.time_s.tolist()]
 
 
 def test_definitions_are_whole_files_of_messages():

@@ -1,6 +1,6 @@
 """Groups of samples made by workers: kept as they come, taken up again, failed ones counted."""
 
-from queue import SimpleQueue
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,15 +11,9 @@ from dataset.simulation import LoadError
 from fem.array.response import ArrayResponse
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
-from tripillar.sweep.finite_samples import (
-    GroupJob,
-    group_row,
-    groups_folder,
-    kept_groups,
-    make_groups,
-)
-from tripillar.sweep.tasks import TaskRow, ThisProcess, failed_task_row
-from tripillar.sweep.workers import open_workers
+from geometry.pool import WorkerLost, in_parallel
+from tripillar.sweep import finite_samples as finite
+from tripillar.sweep.finite_samples import GroupJob
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=1, pitch_mm=20.0), pad=Pad(kind="stiff"))
 #: stands in for a response: samples at finite strain need one to correct their grids
@@ -39,31 +33,6 @@ def job(tmp_path, monkeypatch):
     return GroupJob(response=NOMINAL, settings=DatasetSettings(protocol="light", samples=3 * GROUP))
 
 
-class Here:
-    """Workers that make a group when it is asked for; `lost` are the numbers of those that no worker survives."""
-
-    count = 2
-
-    def __init__(self, lost=(), refused=()):
-        self.lost, self.refused, self.given = lost, refused, []
-        self._done = SimpleQueue()
-
-    def give(self, task, job):
-        self.given.append(task.number)
-        if task.number in self.lost:
-            self._done.put(failed_task_row(task, RuntimeError("its worker ended by SIGKILL"), ", the last of 20"))
-        elif task.number in self.refused:
-            self._done.put(TaskRow(cache_key="", number=task.number, reason="raise the cap", refused=True))
-        else:
-            self._done.put(TaskRow(cache_key="", number=task.number, made=blank(task.number).as_plain()))
-
-    def row(self, wait_s):
-        return self._done.get()
-
-    def state(self):
-        return ""
-
-
 def blank(number):
     whole = np.full(GROUP, number)
     shape = {"traction_mpa": (GROUP, 1, 3), "displacement_mm": (GROUP, 1, 2, 3), "resistance_ratio": (GROUP, 1, 3)}
@@ -73,30 +42,37 @@ def blank(number):
     )
 
 
-def test_lost_groups_are_told_and_the_others_taken_up_again(job):
-    first = Here(lost=[1])
-    with pytest.raises(DesignError, match=r"1 of 3 groups of samples failed, such as number 1: RuntimeError"):
-        make_groups(job, first, [0, 1, 2], lambda group: None)
-    found = kept_groups(job)
-    assert sorted(found) == [0, 2]
-    assert np.array_equal(found[2].displacement_mm, blank(2).displacement_mm)
-    (groups_folder(job) / "0000002.json").write_text('{"traction_mpa": []}')  # damaged
-    assert sorted(kept_groups(job)) == [0]
-    done = []
-    made = make_groups(job, Here(), [1, 2], done.append)
-    assert sorted(made) == [1, 2]
-    assert len(done) == 2
-    assert sorted(kept_groups(job)) == [0, 1, 2]
+def test_lost_groups_are_told_and_the_others_taken_up_again(job, monkeypatch):
+    given = []
+
+    def made(bad, number, _):
+        given.append(number)
+        if number in bad:
+            raise bad[number]
+        return blank(number)
+
+    def samples(**bad):
+        monkeypatch.setattr(finite, "group", partial(made, {int(key[1:]): error for key, error in bad.items()}))
+        given.clear()
+        return finite.simulate_finite(job.response, job.settings, count=1)
+
+    with pytest.raises(DesignError, match=r"1 of 3 groups of samples failed, such as number 1: WorkerLost: ended"):
+        samples(_1=WorkerLost("ended by SIGKILL"))
+    assert job.journal.keys() == ["0000000", "0000002"]
+    (job.journal.folder / "0000002.json").write_text('{"traction_mpa": []}')  # damaged
+    found = samples()
+    assert given == [1, 2]
+    assert np.array_equal(found.displacement_mm.reshape(3, GROUP, 1, 2, 3)[2], blank(2).displacement_mm)
+    samples()
+    assert given == []
+    (job.journal.folder / "0000000.json").unlink()
+    with pytest.raises(LoadError, match="raise the cap"):  # which no worker can do, and nobody tries again
+        samples(_0=LoadError("raise the cap"))
 
 
-def test_what_no_worker_can_do_ends_at_once(job):
-    with pytest.raises(LoadError, match="raise the cap"):
-        make_groups(job, Here(refused=[0]), [0, 1, 2], lambda group: None)
-
-
-def test_a_process_makes_to_the_last_bit_what_this_one_does(job, tmp_path):
-    with open_workers(1, None, tmp_path / "log", group_row, failed_task_row) as workers:
-        made = make_groups(job, workers, [1], lambda group: None)
-    here = make_groups(job, ThisProcess(group_row), [1], lambda group: None)
-    for name, values in vars(here[1]).items():
-        assert np.array_equal(getattr(made[1], name), values)
+def test_processes_make_to_the_last_bit_what_this_one_does(job):
+    here = [finite.group(number, job) for number in (1, 2)]
+    there = in_parallel([(finite.group, number, job) for number in (1, 2)], lambda number: None)
+    for found, expected in zip(there, here, strict=True):
+        for name, values in vars(expected).items():
+            assert np.array_equal(getattr(found, name), values)

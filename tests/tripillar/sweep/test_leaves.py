@@ -1,13 +1,9 @@
-"""Data sets made leaf by leaf: the same bits by any worker, through any kill, of any number wanted."""
+"""Data sets made leaf by leaf: the same bits by any worker, through any stop, of any number wanted."""
 
-import os
-import subprocess
 import sys
 from pathlib import Path
-from time import monotonic, sleep
 
 import numpy as np
-import psutil
 import pytest
 
 from dataset import DatasetSettings, read_samples, simulate
@@ -20,19 +16,9 @@ from tests.decoupler.synthetic_sensor import sensor
 from tests.house import House
 from tests.tripillar.made_files import a_model
 from tripillar.pipeline import run as pipeline
-from tripillar.sweep.leaves import LeafJob, kept_leaves, make_directory, unfinished
+from tripillar.sweep.leaves import LeafJob, make_directory, records, unfinished
 
-ROOT = Path(__file__).parents[3]
 RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
-#: of a process that is killed: makes so many samples into a folder
-KILLED = """
-import sys
-from pathlib import Path
-from tests.tripillar.sweep.test_leaves import job
-from tripillar.sweep.leaves import make_directory
-if __name__ == "__main__":
-    make_directory(job(int(sys.argv[1])), Path(sys.argv[2]), count=2)
-"""
 
 
 def job(samples, **changed):
@@ -40,45 +26,30 @@ def job(samples, **changed):
     return LeafJob(response=RESPONSE, settings=settings, **changed)
 
 
-def records(out):
-    return sorted((unfinished(out) / "leaves").glob("*.json"))
+class Stopped(Exception):
+    """In the middle of the work."""
 
 
-def wait_for(n, out, process, last_s=60.0):
-    """Until so many leaves are recorded, while the process is at work."""
-    until = monotonic() + last_s
-    while len(records(out)) < n:
-        assert process.poll() is None, process.stderr.read()
-        assert monotonic() < until
-        sleep(0.002)
-
-
-def begun(tmp_path, samples, out):
-    script = tmp_path / "killed.py"
-    script.write_text(KILLED)
-    return subprocess.Popen(
-        [sys.executable, script, str(samples), out],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, cwd=tmp_path,
-    )  # fmt: skip
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="ends processes by SIGKILL")
-def test_killed_twice_and_taken_up_again_it_is_to_the_last_bit_the_same(tmp_path):
-    """Its workers in the middle of their leaves, then the whole run; the next one wants more samples."""
-    out, samples = tmp_path / "data.zarr", 30 * LEAF - 100
-    with begun(tmp_path, 25 * LEAF - 50, out) as first:
-        wait_for(2, out, first)
-        for each in psutil.Process(first.pid).children(recursive=True):
-            if not each.children() and "resource_tracker" not in " ".join(each.cmdline()):
-                each.kill()
-        wait_for(6, out, first)
-        first.kill()
-    assert not out.exists()
-    kept = len(kept_leaves(unfinished(out), job(samples)))
-    assert 6 <= kept < 25
+def stopping_after(n):
     told = []
-    made = make_directory(job(samples), out, count=1, progress=told.append)
-    assert told[0] == made.kept == kept * LEAF
+
+    def progress(samples):
+        told.append(samples)
+        if len(told) > n:
+            raise Stopped
+
+    return progress
+
+
+def test_taken_up_again_it_is_to_the_last_bit_the_same(tmp_path):
+    """Stopped on the way; the next run wants more samples, so that the last part is another one."""
+    out, samples = tmp_path / "data.zarr", 5 * LEAF - 100
+    with pytest.raises(Stopped):
+        make_directory(job(4 * LEAF - 50), out, count=1, progress=stopping_after(2))
+    assert not out.exists()
+    told = []
+    made = make_directory(job(samples), out, count=2, progress=told.append)
+    assert told[0] == made.kept == 2 * LEAF
     assert sum(told) == samples
     expected = simulate(RESPONSE, job(samples).settings)
     stored = read_samples(out)
@@ -88,7 +59,7 @@ def test_killed_twice_and_taken_up_again_it_is_to_the_last_bit_the_same(tmp_path
     assert stored.made_from["redrawn"] == made.redrawn == expected.made_from["redrawn"] > 0
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith("data")] == ["data.zarr"]
     assert {path.name for path in (out / "force_n").iterdir()} == {
-        ".zarray", ".zattrs", *(f"{number}.0.0.0" for number in range(30))
+        ".zarray", ".zattrs", *(f"{number}.0.0.0" for number in range(5))
     }  # fmt: skip
 
 
@@ -118,43 +89,16 @@ def test_what_is_there_is_not_made_again_unless_it_is_damaged(tmp_path, caplog):
     assert len(read_samples(out)[:]) == LEAF + 9
 
 
-class Stopped(Exception):
-    """In the middle of the work."""
-
-
-def stopping_after(n):
-    told = []
-
-    def progress(samples):
-        told.append(samples)
-        if len(told) > n:
-            raise Stopped
-
-    return progress
-
-
 def test_a_damaged_part_is_made_anew_and_another_data_set_refused(tmp_path):
     out = tmp_path / "data.zarr"
     with pytest.raises(Stopped):
         make_directory(job(3 * LEAF), out, count=1, progress=stopping_after(2))
     chunk = unfinished(out) / "data.zarr/force_n/0.0.0.0"
     chunk.write_bytes(b"\0" * chunk.stat().st_size)  # as a crash of the machine may leave it
-    assert sorted(kept_leaves(unfinished(out), job(3 * LEAF))) == [1]
     with pytest.raises(DesignError, match=r"data\.zarr\.unfinished holds an unfinished data set of other settings"):
         make_directory(job(3 * LEAF, dtype="float32"), out, count=1)
     assert make_directory(job(3 * LEAF), out, count=1).kept == LEAF
     assert np.array_equal(read_samples(out)[:].force_n, simulate(RESPONSE, job(3 * LEAF).settings).force_n)
-
-
-def test_one_process_at_a_time_writes_it(tmp_path):
-    out = tmp_path / "data.zarr"
-
-    def another(samples):
-        with pytest.raises(DesignError, match="used by another process"):
-            make_directory(job(LEAF), out, count=1)
-
-    make_directory(job(LEAF), out, count=1, progress=another)
-    assert len(read_samples(out)) == LEAF
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs the device of a full disk")
@@ -163,7 +107,7 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
     real = Path.write_bytes
 
     def full(path, content):
-        if path.name == "chunk.new" and len(records(out)) == 1:
+        if path.name == "chunk.new" and len(records(unfinished(out)).keys()) == 1:
             return real(Path("/dev/full"), content)
         return real(path, content)
 
@@ -187,7 +131,7 @@ def test_workers_of_a_scheduler_make_the_same(tmp_path):
 
 
 def test_nothing_is_left_of_what_cannot_begin(tmp_path, monkeypatch):
-    monkeypatch.setattr("tripillar.sweep.workers.CONNECT_S", 1)
+    monkeypatch.setattr("geometry.pool.CONNECT_S", 1)
     with pytest.raises(DesignError, match="no scheduler at"):
         make_directory(job(9), tmp_path / "data.zarr", None, "tcp://127.0.0.1:9")
     small = LeafJob(response=RESPONSE, settings=DatasetSettings(protocol="three-axis", samples=9, cap=0.01))

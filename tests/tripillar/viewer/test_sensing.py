@@ -13,8 +13,8 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, SensorDesign
-from hardware.boards.virtual_board import recording_from_resistances
 from hardware.link.frames import Info, ScanMode
+from tests.hardware.boards import recording_from_resistances
 from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, tractions, with_all_axes
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=2))

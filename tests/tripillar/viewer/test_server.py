@@ -144,6 +144,19 @@ async def test_only_the_pages_files_are_served(visitor):
     assert await status("GET /" + 100_000 * "a") in (400, 414)
 
 
+@on_page()
+async def test_what_is_no_http_is_refused_without_a_traceback(visitor):
+    for words in (
+        b"GET / HTTP/9.9", b"GET / HTTP/1.1\r\nHost: a\r\nHost: b", b"GET http://[ HTTP/1.1",
+        b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\nContent-Length: 5", b"GET / HTTP/1.1\r\nBad Header",
+        b"GET / HTTP/1.1\r\nCookie: \xff=\x00", b"CONNECT :99999 HTTP/1.1", b"\x16\x03\x01\x02\x00\x01",
+    ):  # fmt: skip
+        reader, writer = await asyncio.open_connection("127.0.0.1", visitor.port)
+        writer.write(words + b"\r\n\r\n")
+        assert (await rest(reader)).split()[1] == b"400", words
+        writer.close()
+
+
 WRONG_VALUES = {
     "pad": [9999, -1, 0.5, "0", None, True, [0], {}, 10**400, float("nan")],
     "pressure": [-0.01, 5.01, 1e308, float("nan"), float("inf"), "1", None, False, [1.0], 10**4000],

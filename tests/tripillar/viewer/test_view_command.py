@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import pyvista as pv
 
+from dataset.resistance import pillar_lengths, pillar_strains
+from dataset.simulation import displacements
+from fem.array.solving import array_response
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from tests.house import House
 from tripillar.cli.viewing import repeated
 from tripillar.viewer import saving, showing
-from tripillar.viewer.sights import panels_of, read_body, suited_scale
+from tripillar.viewer.sights import linear_note, panels_of, pillar_strain, read_body, suited_scale
 
 SCENE = """
 [body]
@@ -173,6 +176,16 @@ def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height
     assert float(f"{scale:.0e}") == scale
     still = {"none": {name: part.times(0.0) for name, part in panels["1 MPa on every pad"].items()}}
     assert suited_scale(still) == 1.0
+
+
+def test_the_strain_in_the_warning_is_that_of_the_data_sets(panels):
+    """Two routes to one strain: the drawn electrodes, which move up to 2 % less, and the array's response."""
+    design = SensorDesign(array=Array(rows=1, cols=2))
+    moved_mm = displacements(array_response(design)[0], np.tile([0.0, 0.0, -3.0], (1, 2, 1)))
+    expected = pillar_strains(moved_mm, pillar_lengths(moved_mm, design.unit), design.unit).max()
+    assert pillar_strain(design, panels["3 MPa on every pad"]) == pytest.approx(expected, rel=0.02)
+    assert linear_note(design, panels) == f"linear, but a pillar strain of {expected:.0%}"
+    assert linear_note(design, {"1 MPa": panels["1 MPa on every pad"]}) == ""
 
 
 def test_a_table_named_body_makes_a_scene(tmp_path):

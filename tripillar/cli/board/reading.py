@@ -26,6 +26,7 @@ from tripillar.cli.board.streaming import (
     AskedStreams,
     FoxgloveAtOption,
     FoxgloveOption,
+    FoxgloveTokenOption,
     McapOption,
     RerunAtOption,
     RerunOption,
@@ -93,6 +94,7 @@ def live(
     timeout: TimeoutOption = TIMEOUT_S,
     foxglove: FoxgloveOption = False,
     foxglove_at: FoxgloveAtOption = None,
+    foxglove_token: FoxgloveTokenOption = None,
     mcap: McapOption = None,
     rerun: RerunOption = False,
     rerun_at: RerunAtOption = None,
@@ -118,6 +120,7 @@ def live(
     require_positive(seconds=seconds, timeout=timeout)
     asked = AskedStreams(
         foxglove=foxglove_at or (LOOPBACK if foxglove else None),
+        token=foxglove_token,
         mcap=mcap,
         rerun=rerun_at or (LOOPBACK if rerun else None),
         rrd=rrd,
@@ -199,7 +202,7 @@ def record(
         n, met = record_scans(scanner, out, seconds, known if calibration else None, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
-    text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns} overruns", *other_counts(met)])
+    text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns_said}", *other_counts(met)])
     answer(json_, {"file": str(out), "scans": n, "statistics": asdict(met)}, text, out)
 
 
@@ -280,11 +283,8 @@ def replay(
     from decoupler.model.model_file import read_model
     from hardware import read_calibration, read_recording, write_forces
     from hardware import replay as replay_frames
-    from hardware.readout.wrench import net_values
-    from hardware.recording.formats import write_mcap
     from hardware.session import hashes_of
     from hardware.session import live as live_forces
-    from hardware.streams.ros2_file import write_ros2
 
     require_suffix("--out", out, ".nc", ".mcap")
     if ros2 and (out is None or out.suffix != ".mcap"):
@@ -313,15 +313,7 @@ def replay(
     if out is not None:
         text = recorded.calibration if own is None else own.to_json()
         used = replace(recorded, calibration=text, made_from=hashes)
-        if ros2:
-            write_ros2(used, found, out)
-        elif out.suffix == ".mcap":
-            net = {name: values for name, (values, _) in net_values(found.wrench).items()}
-            write_mcap(
-                used, out, found.force_n, found.deviation_n, decoupler.component.axes, net, found.description.plain()
-            )
-        else:
-            write_forces(used, found, decoupler.component.axes, out)
+        write_forces(used, found, out, ros2)
     unexplained = int(found.unexplained.sum())
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
     result["faults"] = found.faults

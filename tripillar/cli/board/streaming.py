@@ -12,7 +12,7 @@ from tripillar.terminal.console import require_suffix, say
 
 if TYPE_CHECKING:
     from hardware.readout.description import SensorDescription
-    from hardware.streams.tactile_frame import Stream
+    from hardware.streams.addresses import Stream
 
 FoxgloveOption = Annotated[
     bool, typer.Option("--foxglove", help="Serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone.")
@@ -20,6 +20,10 @@ FoxgloveOption = Annotated[
 FoxgloveAtOption = Annotated[
     str | None,
     typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
+]
+FoxgloveTokenOption = Annotated[
+    str | None,
+    typer.Option("--foxglove-token", metavar="TOKEN", help="Let in only who opens ws://HOST:PORT/?token=TOKEN."),
 ]
 McapOption = Annotated[
     Path | None, typer.Option("--mcap", help="File (.mcap) to write as well: what Foxglove is shown.")
@@ -39,6 +43,7 @@ class AskedStreams:
     """Streams as options ask for them; an address is None where there is no server."""
 
     foxglove: str | None
+    token: str | None
     mcap: Path | None
     rerun: str | None
     rrd: Path | None
@@ -66,7 +71,9 @@ class AskedStreams:
             streams: list[Stream] = []
             if self.foxglove is not None or self.mcap is not None:
                 host, port = host_and_port(self.foxglove or LOOPBACK, foxglove_stream.PORT)
-                served = foxglove_stream.FoxgloveStream(sensor, host if self.foxglove else None, port, self.mcap)
+                served = foxglove_stream.FoxgloveStream(
+                    sensor, host if self.foxglove else None, port, self.mcap, self.token or ""
+                )
                 streams.append(stack.enter_context(served))
                 if self.foxglove:
                     say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")

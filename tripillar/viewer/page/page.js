@@ -81,6 +81,7 @@ function lay(given) {
   for (const button of all("[data-file]")) button.onclick = () => send({ file: button.dataset.file });
   byId("save-picture").onclick = () => savePicture(byId("picture"), said, document.documentElement);
   byId("save-state").onclick = () => save("tripillar-state.json", JSON.stringify(said.state));
+  byId("open-state").onclick = () => byId("load-state").click();
   byId("load-state").onchange = event => loadState(event.target, state => send({ restore: state }));
   byId("save-plot").onclick = () => save("tripillar-time.csv", plot.csv());
   plot.lay(facts, byId("plotted"), byId("plotted-pads"), byId("clear-plot"));

@@ -29,7 +29,7 @@ from tripillar.viewer.page.finite import REST_S, FiniteAnswer, FiniteStrain, is_
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import ArrayScene, Superposition
 from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
-from tripillar.viewer.sights import LINEAR_UP_TO
+from tripillar.viewer.sights import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
@@ -200,7 +200,7 @@ class Page:
     def _strain_note(self, answer: FiniteAnswer | None, reading: Reading) -> str:
         """What the picture and the numbers are worth."""
         largest = float(reading.strain.max())
-        beyond = f"linear, but {largest:.0%} strain" if largest > LINEAR_UP_TO else "linear"
+        beyond = beyond_linear(largest) or "linear"
         if self._subject.finite is None:
             return beyond
         if answer is None:

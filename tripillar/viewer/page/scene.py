@@ -39,9 +39,10 @@ TITLES = {name: quantity.title for name, quantity in QUANTITIES.items()} | {RESI
 MIN_CHANGE = 1.0  #: [%], smallest end of the colour bar of resistances
 SLICES = 8  #: of a pillar along its axis
 DIVISIONS, LEVELS = 6, 3  #: of the cell's side and of its height: coarse enough to be quick
-AMBIENT = 0.3  #: light on pillars from everywhere
+AMBIENT = {False: 0.3, True: 0.5}  #: light on pillars from everywhere, more on a dark ground
+HAZE = {False: 0.18, True: 0.05}  #: opacity of the slab, which on a dark ground veils the pillars
 MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
-BACKGROUND = {False: "#ffffff", True: "#323b45"}  #: by whether it is dark; not so dark that dark pillars are lost
+BACKGROUND = {False: "#ffffff", True: "#1f262d"}  #: by whether it is dark, as the page has it
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
 SLAB, EDGE, CHOSEN = "#8fb0cc", "#6b8299", "#ff8c00"
 PAD_COLOURS = shades(("#93a1ad", "#d64541"))  #: of the pads' outlines, grey where unloaded
@@ -150,6 +151,8 @@ class ArrayScene:
         self.mark.points = self._outline(chosen)
         self.plotter.set_background(BACKGROUND[is_dark])
         self._letters.prop.color = LETTERS[is_dark]
+        self._slab.prop.opacity = HAZE[is_dark]
+        self._actor.prop.ambient, self._actor.prop.diffuse = AMBIENT[is_dark], 1.0 - AMBIENT[is_dark]
         if colour == RESISTANCE:
             values = 100.0 * change[:, self._owner].ravel()
             most = max(float(np.abs(values).max()), MIN_CHANGE)
@@ -201,11 +204,9 @@ class ArrayScene:
         plotter.add_light(pv.Light(light_type="headlight"))  # each further light, half as much again
         self.pillars["shown"] = np.zeros(self.pillars.n_points, np.float32)
         self._pads["strength"] = np.zeros(self._pads.n_points, np.float32)
-        plotter.add_mesh(self._faces, color=SLAB, opacity=0.18)
+        self._slab = plotter.add_mesh(self._faces, color=SLAB, opacity=HAZE[False])
         plotter.add_mesh(self._edges, color=EDGE, line_width=2)
-        self._actor = plotter.add_mesh(
-            self.pillars, scalars="shown", show_scalar_bar=False, ambient=AMBIENT, diffuse=1.0 - AMBIENT
-        )
+        self._actor = plotter.add_mesh(self.pillars, scalars="shown", show_scalar_bar=False)
         plotter.add_mesh(
             self._pads, scalars="strength", cmap=self.pads_bar.colours, clim=(self.pads_bar.low, self.pads_bar.high),
             line_width=2, show_scalar_bar=False, lighting=False,

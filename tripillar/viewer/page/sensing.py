@@ -29,7 +29,7 @@ from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray, pillar_volumes
-from hardware.readout.forces import ScanForces
+from hardware.readout.forces import Forces
 from hardware.session import live
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
@@ -83,7 +83,7 @@ class SensorModel:
         reading = self._reading(traction_mpa, applied_n, ohm, self.decouple(ohm), strain)
         return replace(reading, is_linear=finite_mm is None)
 
-    def follow(self, scan: ScanForces) -> Reading:
+    def follow(self, scan: Forces) -> Reading:
         """Reading of a sensor's scan; strains are those under the forces found, since nobody knows what acts."""
         traction_mpa = tractions(scan.force_n, self.response.design)
         _, strain = self._deformed(traction_mpa)
@@ -151,7 +151,7 @@ class SensorFeed:
 
     def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
         self.port, self.model = port, model
-        self.scan: ScanForces | None = None
+        self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
         self.ended = False  #: a recording has been played to its end
         self.listeners: set[Callable[[], None]] = set()
@@ -198,7 +198,7 @@ class SensorFeed:
         except TriPillarError as error:  # the file is gone, perhaps
             self.trouble = str(error)
 
-    def _newest(self) -> ScanForces | None:
+    def _newest(self) -> Forces | None:
         """The newest scan, decoupled; None if none has come since the last look."""
         scan = None
         while (later := self._scanner.get(timeout=0.0)) is not None:
@@ -208,7 +208,7 @@ class SensorFeed:
             return None
         found = self._sensor.forces(scan)
         self._saturated = int(found.saturated.sum())
-        self._explained = found.is_explained
+        self._explained = not found.unexplained
         self._faults = "".join(f", {fault}" for fault in found.faults)
         return replace(found, force_n=with_all_axes(found.force_n, self.model.component.axes))
 

@@ -3,6 +3,7 @@
 import asyncio
 import hmac
 import ipaddress
+import logging
 import re
 import secrets
 import signal
@@ -16,6 +17,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from aiohttp import WSCloseCode, web
+from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
 from geometry.errors import TriPillarError
@@ -41,6 +43,10 @@ HEADERS = {
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self' ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+#: requests that are no HTTP are refused with 400, and are no error of ours to be printed
+logging.getLogger("aiohttp.server").addFilter(
+    lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
 )
 HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:@/]+))(?::[0-9]+)?")
 

@@ -1,0 +1,175 @@
+"""The pool of workers with tasks that take 5 ms: killed, stuck, too large, interrupted; all processes are real."""
+
+import json
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from geometry import pool as pools
+from geometry.errors import DesignError
+from geometry.pool import WorkerLost, in_parallel, open_pool
+from geometry.storage.journal import Journal
+from tests.geometry.fake_job import TASKS, go_on, register, square, threads
+
+ROOT = Path(__file__).parents[2]
+SQUARES = {number: number**2 for number in range(TASKS)}
+
+
+def workers_of(process: psutil.Process) -> list[psutil.Process]:
+    found = []
+    for child in process.children(recursive=True):
+        with suppress(psutil.Error):  # it ends meanwhile
+            found += [child] if "LokyProcess" in " ".join(child.cmdline()) else []
+    return found
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="ends processes by signals")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_run_that_is_ended_goes_on_and_makes_only_what_is_missing(tmp_path, number):
+    """Killed with its workers at work, or by Ctrl-C as a terminal sends it; then one part is damaged, one torn."""
+    command = [sys.executable, "-m", "tests.geometry.fake_job", str(tmp_path)]
+    with subprocess.Popen(
+        command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it
+    ) as run:  # fmt: skip
+        while len(Journal(tmp_path).keys()) < 20:
+            assert run.poll() is None
+            time.sleep(0.002)
+        workers = workers_of(psutil.Process(run.pid))
+        begun = time.monotonic()
+        (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)
+        said = run.communicate(timeout=30)[1]
+    assert len(workers) == 2
+    assert not psutil.wait_procs(workers, timeout=30)[1]
+    assert time.monotonic() - begun < 2 + 10 * (os.getloadavg()[0] > os.cpu_count())
+    if number == signal.SIGINT:
+        assert (said, run.returncode) == ("tripillar: interrupted.\n", 130)
+    kept = Journal(tmp_path).keys()
+    assert 20 <= len(kept) < TASKS
+    (tmp_path / f"{kept[0]}.json").write_text(json.dumps({"square": -1, "sha256": "0" * 64}))
+    (tmp_path / f"{kept[1]}.json").write_text('{"squ')
+    assert go_on(tmp_path) == (SQUARES, TASKS - len(kept) + 2)
+    assert go_on(tmp_path) == (SQUARES, 0)
+
+
+def test_killed_workers_are_replaced_and_nobody_else_reaches_them(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    found, me = {}, psutil.Process()
+    with open_pool(2, log=tmp_path / "log") as pool:
+        for task, made in pool.done(square, range(TASKS), ahead=2):
+            found[task] = made
+            workers = workers_of(me)
+            for worker in workers if len(found) == 5 else workers[:1] if len(found) == 50 else ():
+                worker.kill()
+            if len(found) == 100:
+                for process in (me, *workers):
+                    assert [c for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN] == []
+                    sockets = [c for c in process.net_connections("unix") if c.type == socket.SOCK_STREAM]
+                    assert process == me or not any(each.laddr for each in sockets)
+    assert found == SQUARES
+    assert not workers_of(me)
+    assert not list(tmp_path.glob(".scratch*"))
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ("exits", "its worker ended by EXIT(3), the last of 2"),
+        ("killed", "its worker ended by SIGKILL, the last of 3"),
+        ("hangs", "its worker took more than 1 s, the last of 2"),
+        ("grows", "its worker took more than 0.4 GiB, the last of 2"),
+    ],
+)
+def test_a_task_that_ends_every_worker_fails_and_the_others_go_on(tmp_path, monkeypatch, bad, reason):
+    for name, value in {"TRIES": 2, "KILLS": 3, "LIMIT_S": 1.0, "MEMORY_BYTES": int(0.4 * 2**30)}.items():
+        monkeypatch.setattr(pools, name, value)
+    with open_pool(2, log=tmp_path / "log") as pool:
+        found = dict(pool.done(square, range(6), bad))
+    failed = found.pop(3)
+    assert isinstance(failed, WorkerLost)
+    assert str(failed) == reason
+    assert found == {number: number**2 for number in range(6) if number != 3}
+
+
+def test_errors_are_results_but_a_full_disk_ends_all(tmp_path):
+    with open_pool(1, log=tmp_path / "log") as pool:
+        assert repr(dict(pool.done(square, [3, 4], "raises"))) == "{3: KeyError('no such key'), 4: 16}"
+        with pytest.raises(OSError, match="No space left"):
+            list(pool.done(square, range(5), "disk"))
+
+
+def test_a_worker_computes_on_one_thread_and_one_task_needs_no_worker(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    assert in_parallel([(threads, 0), (threads, 1)], lambda number: None) == [{1}, {1}]
+    assert in_parallel([(os.getpid,)], lambda number: None) == [os.getpid()]
+    with pytest.raises(KeyError, match="no such key"):
+        in_parallel([(square, 3, "raises"), (square, 4)], lambda number: None)
+
+
+def test_a_job_that_does_not_get_on_says_so(monkeypatch, caplog):
+    monkeypatch.setattr(pools, "QUIET_S", 0.05)
+    with caplog.at_level(logging.WARNING, "tripillar"), open_pool(tasks=1) as pool:
+        list(pool.done(time.sleep, [0.12]))
+    assert caplog.messages[0] == "none has ended for 0 s: 1 are in work; this process is at it."
+
+
+def test_one_process_at_a_time_uses_a_journal(tmp_path):
+    journal = Journal(tmp_path)
+    with journal.alone(), pytest.raises(DesignError, match="used by another process"), journal.alone():
+        pass
+
+
+@pytest.mark.filterwarnings("ignore")  # of dask's own
+def test_workers_of_a_scheduler_are_killed_and_a_bad_task_is_given_up(monkeypatch):
+    """Dask gives a task up with the first worker that it loses, as it is told to here."""
+    dask = pytest.importorskip("dask")
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(pools, "GIVEN_UP", 2)
+    found = {}
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+        open_pool(scheduler=cluster.scheduler_address) as pool,
+    ):
+        for task, made in pool.done(square, range(60), "exits"):
+            found[task] = made
+            if len(found) == 20:
+                os.kill(cluster.workers[0].pid, signal.SIGKILL)
+    failed = found.pop(3)
+    assert isinstance(failed, WorkerLost)
+    assert str(failed).endswith("the last of 2")
+    assert found == {number: number**2 for number in range(60) if number != 3}
+
+
+def test_a_scheduler_that_is_not_there_is_refused(monkeypatch):
+    monkeypatch.setattr(pools, "CONNECT_S", 1)
+    with (
+        pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"),
+        open_pool(scheduler="tcp://127.0.0.1:9"),
+    ):
+        pass
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into Linux's shared memory")
+def test_nothing_of_the_workers_is_left_in_shared_memory():
+    """Where Intel's OpenMP registers each process that loads it, until that ends by itself."""
+    places = in_parallel([(register,), (register,)], lambda number: None)
+    assert not any(Path(place).exists() for place in places)
+
+
+def test_results_are_those_of_this_process_to_the_last_bit():
+    matrix = np.random.default_rng(0).normal(size=(50, 50))
+    there, _ = in_parallel([(np.linalg.inv, matrix), (np.linalg.inv, matrix)], lambda number: None)
+    assert np.array_equal(there, np.linalg.inv(matrix))
