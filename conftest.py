@@ -1,5 +1,6 @@
 """Fixtures of every test: a cache of its own or one shared by all, folders that are filled once, and Ctrl-C."""
 
+import itertools
 import os
 import re
 import signal
@@ -18,6 +19,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # the workers inherit the first pro
     _scratch = tempfile.TemporaryDirectory(prefix="tripillar-tests-")
     os.environ["TRIPILLAR_TESTS"] = _scratch.name
     os.environ["TRIPILLAR_CACHE"] = f"{_scratch.name}/cache"  # of fixtures that live longer than one test
+NUMBERS = itertools.count()
 SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a session, in whatever process they run
 LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
 #: what tests name that Windows cannot run: pseudo-terminals, the firmware, signals and files of POSIX, the laboratory
@@ -46,14 +48,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(autouse=True)
-def own_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give each test a cache of its own, so that no test finds what another has left there; examples share theirs."""
+def own_cache(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give each test a cache of its own, so that no test finds what another has left there; examples share theirs.
+
+    Only its name is made: most tests keep nothing there, and thousands of folders take a minute.
+    """
     is_example = isinstance(request.node, pytest.DoctestItem)
-    monkeypatch.setenv("TRIPILLAR_CACHE", str((SHARED if is_example else tmp_path) / "cache"))
+    cache = SHARED / ("cache" if is_example else f"cache-{os.getpid()}-{next(NUMBERS)}")
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(cache))
+    return cache
 
 
 @pytest.fixture
-def shared_cache(own_cache: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def shared_cache(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a test reuse what others have solved; not for tests that change how it is solved, or look into the cache."""
     monkeypatch.setenv("TRIPILLAR_CACHE", str(SHARED / "cache"))
 

@@ -87,6 +87,7 @@ SWAPS = [
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [29.5, 15.0, 10.0]", "inclusion 1 reaches from [9, 13.5, 0] to [30.5"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 10.5]", "outside the block [0, 0, 0] to [30, 30, 10]"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 0.0]", "top_mm=[20.0, 15.0, 0.0] must lie above base"),
+    ("[[load]]", BLOCK[BLOCK.index("[[inclusion]]") : BLOCK.index("[[load]]") + 8], "inclusions 1 and 2 overlap"),
     ("tolerance = 2e-3", "tolerance = 0", "tolerance=0 must be a number above 0 and below 1"),
     ("tolerance = 2e-3", "tolerance = 1", "tolerance=1 must be"),
     ("tolerance = 2e-3", "tolerance = '1e-3'", "tolerance='1e-3' must be"),

@@ -41,13 +41,22 @@ def inner_points(field):
     return np.einsum("pa,pai->pi", share / share.sum(axis=1)[:, None], own)
 
 
-def test_points_are_found_where_they_are(disordered_cube):
-    """A displacement that is the place itself is given back, and its slopes: exact on straight-sided elements."""
-    for field in fields(disordered_cube, lambda points: points):
-        points = inner_points(field)
-        assert np.allclose(field.displacement_at(points), points, rtol=0, atol=1e-12)
-        for axis, rows in enumerate(field.slopes(points)):
-            assert np.allclose(rows @ field.displacement_mm, np.eye(3)[axis], atol=1e-12)
+def test_quadratic_fields_are_given_back_at_points_with_their_slopes(disordered_cube):
+    """Exact on straight-sided elements, inside, at corners and on faces."""
+
+    def quadratic(points):
+        x, y, z = points.T
+        return np.stack([x * y, z**2 - x, y * z + 1], axis=-1)
+
+    for field in fields(disordered_cube, quadratic):
+        points = np.vstack([inner_points(field), field.points_mm[::97]])
+        x, y, z = points.T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        slopes = np.array([[y, -one, zero], [x, zero, z], [zero, 2 * z, y]]).transpose(
+            0, 2, 1
+        )  # axis, point, component
+        assert np.allclose(field.displacement_at(points), quadratic(points), rtol=0, atol=1e-10)
+        assert np.allclose([rows @ field.displacement_mm for rows in field.slopes(points)], slopes, atol=1e-10)
 
 
 def test_a_point_far_from_all_centres_is_found_too():

@@ -94,16 +94,15 @@ def test_the_cache_key_depends_on_what_shapes_the_mesh_alone():
     assert len({mesh_cache_key(*each) for each in others}) == len(others)
 
 
-def test_a_mesh_is_found_again_and_leaves_no_trace(tmp_path, monkeypatch, capfd):
+def test_a_mesh_is_found_again_and_leaves_no_trace(tmp_path, own_cache, monkeypatch, capfd):
     """The mesher by itself prints, and drops a file where it stands."""
-    here, cache = tmp_path / "here", tmp_path / "cache"
-    here.mkdir()
+    here = tmp_path
     monkeypatch.chdir(here)
     first, path, _ = sensor_mesh(ONE, COARSE)
     again, same_path, cached = sensor_mesh(ONE, COARSE)
     assert (same_path, cached, path.name) == (path, True, f"mesh-{first.cache_key}.vtu")
     assert (again.content_hash, again.cache_key) == (first.content_hash, first.cache_key)
-    assert (list(here.iterdir()), list(cache.iterdir()), Path.cwd()) == ([], [path], here)
+    assert (list(here.iterdir()), list(own_cache.iterdir()), Path.cwd()) == ([], [path], here)
     assert capfd.readouterr().out == ""
 
 

@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 from dataset.imperfections import Imperfections
 from decoupler.data.load_table import read_pairs
 from hardware.boards.simavr_board import find_tools
+from hardware.boards.simulated import suited_kind
 from hardware.link.frames import Info
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.recording import read_recording
@@ -27,7 +28,7 @@ from tests.hardware.boards import recording_from_resistances
 from tests.house import House
 
 MODEL = "model.safetensors"
-WHOLE_SECOND = "--seconds", "1"
+BRIEFLY = "--seconds", "0.5"
 PATIENT_S = 60.0  #: for a process to end, on a busy machine
 
 
@@ -88,14 +89,13 @@ def test_info_says_what_the_board_is(house, port):
     expected = {"rows": 1, "cols": 2, "bits": 12, "scan_mode": "ZERO_POTENTIAL", "serial": 7, "sense_ohm": 4700}
     assert {name: told[name] for name in expected} == expected
     assert "serial      7" in house.tripillar("info", port).stdout
-
-
-def test_ports_can_be_listed(house):
     assert isinstance(house.result("ports")["ports"], list)
 
 
 def test_live_gives_the_forces_that_act(house, port):
     """Over a whole period each axis' largest and least force are the script's, but for 12 bits and the net's error."""
+    drawn = house.tripillar("live", port, "--model", MODEL, "--seconds", "0.3")
+    assert all(said in drawn.stdout for said in ("frames/s", "0 lost"))
     done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
@@ -129,26 +129,19 @@ def test_live_shows_every_scan_to_viewers_and_says_who_can_see_it(house, port):
         assert said in house.refusal("live", port, "--model", MODEL, *words)
 
 
-def test_live_draws_for_people(house, port):
-    done = house.tripillar("live", port, "--model", MODEL, *WHOLE_SECOND)
-    assert done.returncode == 0, done.stderr
-    assert "frames/s" in done.stdout
-    assert "0 lost" in done.stdout
-
-
 def test_record_and_replay(house, port):
     name = "press.frames"
-    told = house.result("record", port, "-o", name, "--model", MODEL, *WHOLE_SECOND, "-q")
+    told = house.result("record", port, "-o", name, "--model", MODEL, *BRIEFLY, "-q")
     recording = read_recording(house.folder / name)
-    assert told["scans"] == len(recording.sequence) > 30  # of 150; a busy board skips some
+    assert told["scans"] == len(recording.sequence) > 15  # of 75; a busy board skips some
     assert set(recording.made_from) == {"model_recipe", "design_hash"}
     replayed = house.result("replay", name, "--model", MODEL)
     assert replayed["frames"] == told["scans"]
     quick = house.tripillar("replay", name, "--model", MODEL, "--speed", "10", "--json").stdout.splitlines()
     live = np.array([json.loads(line)["force_n"] for line in quick])
     assert live == pytest.approx(np.array(replayed["force_n"]), abs=1e-2)  # printed to 1e-4; corrected scan by scan
-    assert "exists" in house.refusal("record", port, "-o", name, *WHOLE_SECOND)
-    more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *WHOLE_SECOND, "-q")
+    assert "exists" in house.refusal("record", port, "-o", name, *BRIEFLY)
+    more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *BRIEFLY, "-q")
     both = read_recording(house.folder / name)
     assert len(both.sequence) == both.statistics.ok == told["scans"] + more["scans"]
     assert both.statistics.bad_crc == both.statistics.lost == 0
@@ -194,7 +187,7 @@ def test_a_recording_that_is_ended_is_kept(house, port, end):
 def test_tare_takes_out_a_drift_of_the_rubber(house, drifted):
     """Every pillar 10 % up in resistance: without a tare forces are far off; with it they are not."""
     errors = {}
-    at_rest = house.result("tare", drifted, "-o", "tare.json", *WHOLE_SECOND)
+    at_rest = house.result("tare", drifted, "-o", "tare.json", *BRIEFLY)
     assert np.array(at_rest["rest_ohm"]).shape == (1, 2, 3)
     for name, flags in {"as it is": [], "tared": ["--calibration", "tare.json"]}.items():
         lines = house.tripillar("live", drifted, "--model", MODEL, "--json", "--seconds", "0.2", *flags).stdout
@@ -204,8 +197,8 @@ def test_tare_takes_out_a_drift_of_the_rubber(house, drifted):
 
 def test_played_at_a_pace_or_all_at_once_a_recording_gives_the_same(house, drifted):
     """Its own calibration counts both ways."""
-    house.result("tare", drifted, "-o", "own.json", *WHOLE_SECOND)
-    house.result("record", drifted, "-o", "own.frames", "--calibration", "own.json", *WHOLE_SECOND, "-q")
+    house.result("tare", drifted, "-o", "own.json", *BRIEFLY)
+    house.result("record", drifted, "-o", "own.frames", "--calibration", "own.json", *BRIEFLY, "-q")
     at_once = np.array(house.result("replay", "own.frames", "--model", MODEL)["force_n"])
     lines = house.tripillar("replay", "own.frames", "--model", MODEL, "--speed", "20", "--json").stdout.splitlines()
     assert np.abs(at_once).max() < 5  # nothing acts, and the tare says so
@@ -310,17 +303,17 @@ def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
     """The script presses and slides every 2 s; the calibration that is to be tared stays as it was."""
     (house.folder / "kept.json").write_text(SensorCalibration.as_designed(1, 2).to_json())
     before = (house.folder / "kept.json").read_bytes()
-    said = house.refusal("tare", port, "--calibration", "kept.json", "-o", "kept.json", *WHOLE_SECOND)
+    said = house.refusal("tare", port, "--calibration", "kept.json", "-o", "kept.json", *BRIEFLY)
     assert "the sensor moves: pillar " in said
     assert "--force" in said
     assert (house.folder / "kept.json").read_bytes() == before
-    house.result("tare", port, "--calibration", "kept.json", "-o", "kept.json", "--force", *WHOLE_SECOND)
+    house.result("tare", port, "--calibration", "kept.json", "-o", "kept.json", "--force", *BRIEFLY)
     assert read_calibration(house.folder / "kept.json").rest_ohm is not None
 
 
 def test_bench_measures_the_link(house, port):
     for _ in range(5):  # until the machine does not stand still at the second's begin or end
-        told = house.result("bench", port, "--model", MODEL, *WHOLE_SECOND)
+        told = house.result("bench", port, "--model", MODEL, "--seconds", "1")
         if told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2):
             break
     assert told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2)  # two clocks
@@ -340,18 +333,12 @@ def test_bench_measures_a_recording_at_its_rate(house):
 
 
 @pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
-def test_a_board_that_no_chip_can_be_is_pythons(house):
-    """And a chip that is asked for says why it cannot."""
-    with simulating(house, "--rate", "3000") as port:
-        assert house.result("info", port)["firmware"] == "0.0.0"
-    done = house.tripillar("simulate", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
-    assert done.returncode == 2
-    assert "the firmware does not build: " in done.stderr
-    assert "RATE: 1 to what the scan time allows" in done.stderr
-
-
-@pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
 def test_the_firmware_is_simulated_where_it_can_be(house):
+    """Else frames are Python's; a chip that is asked for says why it cannot."""
     with simulating(house) as port:
         assert house.result("info", port)["firmware"] == "1.1.0"
-        assert house.result("bench", port, *WHOLE_SECOND)["statistics"]["lost"] == 0
+    kind, why = suited_kind(Info(rows=1, cols=2, bits=10, rate_hz=3000))
+    assert (kind, "the firmware does not build: " in why) == ("python", True)
+    done = house.tripillar("simulate", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
+    assert done.returncode == 2
+    assert "RATE: 1 to what the scan time allows" in done.stderr

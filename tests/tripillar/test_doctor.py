@@ -11,16 +11,12 @@ from tests.house import House
 from tripillar.doctor import known_answers, surroundings
 from tripillar.doctor.known_answers import KNOWN
 
-
-def ask(*words, folder, **environment):
-    house = House(folder)
-    house.environment |= environment
-    return house.process("doctor", "--json", "--quiet", *words)
+DOCTOR = ("doctor", "--json", "--quiet")
 
 
 def test_a_sound_machine_is_found_sound(tmp_path):
     """What runs these tests has all that is needed; every known answer comes out."""
-    done = ask(folder=tmp_path)
+    done = House(tmp_path).tripillar(*DOCTOR)
     told = json.loads(done.stdout)
     states = {check["name"]: check["state"] for check in told["checks"]}
     assert [name for name, state in states.items() if state == "wrong"] == []
@@ -67,7 +63,9 @@ def test_a_port_without_permission_names_the_group(monkeypatch):
 
 def test_a_failure_ends_with_code_1(tmp_path):
     """VTK is told to use a window system that there is not: nothing can be drawn."""
-    done = ask("--no-compute", folder=tmp_path, VTK_DEFAULT_OPENGL_WINDOW="vtkNoSuchWindow", DISPLAY="")
+    house = House(tmp_path)
+    house.environment |= {"VTK_DEFAULT_OPENGL_WINDOW": "vtkNoSuchWindow", "DISPLAY": ""}
+    done = house.tripillar(*DOCTOR, "--no-compute")
     wrong = [check["name"] for check in json.loads(done.stdout)["checks"] if check["state"] == "wrong"]
     assert (wrong, done.returncode) == (["pictures"], 1)
 
@@ -84,7 +82,9 @@ def test_a_package_of_others_in_the_place_of_ours_is_named(tmp_path):
     other = tmp_path / "dataset" / "__init__.py"
     other.parent.mkdir()
     other.touch()
-    done = ask(folder=tmp_path, PYTHONPATH=str(tmp_path))
+    house = House(tmp_path)
+    house.environment |= {"PYTHONPATH": str(tmp_path)}
+    done = house.process(*DOCTOR)
     (line,) = done.stderr.splitlines()
     assert (done.returncode, done.stdout) == (2, "")
     assert line.startswith(f"tripillar: 'dataset' comes from {other}, not from TriPillar")

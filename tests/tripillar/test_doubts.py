@@ -9,6 +9,7 @@ import xarray as xr
 from decoupler.model.model_file import read_model
 from geometry.storage.netcdf import write_netcdf
 from tests.house import House
+from tests.studies.one_process import one_after_another
 
 DESIGN = 'extends = "paper"\n[array]\nrows = 2\ncols = 2\n'
 
@@ -117,8 +118,9 @@ def test_more_pairs_than_there_are_is_a_mistake(command, tmp_path):
 
 
 @pytest.mark.parametrize("words", [("train", "--out", "fz.safetensors"), ("crossval", "--folds", "2")], ids=str)
-def test_a_component_that_others_disturb_is_named(command, words):
+def test_a_component_that_others_disturb_is_named(command, words, monkeypatch):
     """It is no mistake: the net is trained, and the line says what to do."""
+    monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
     code, _, said = command(*words, "--data", "train.nc", "--component", "fz", "--hidden", "2", "-q")
     assert code == 0
     assert "train.nc: forces along x and y act as well and move the same pillars" in said

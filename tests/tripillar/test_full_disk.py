@@ -100,9 +100,12 @@ def said_by(words):
 
 
 @pytest.fixture(autouse=True)
-def few_frames(monkeypatch):
-    monkeypatch.setattr(saving, "FRAMES", 2)
-    monkeypatch.setattr(saving, "HELD", 1)
+def quick_pictures(monkeypatch):
+    """Of a coarse cell, and of films two frames."""
+    for name, value in {"FRAMES": 2, "HELD": 1}.items():
+        monkeypatch.setattr(saving, name, value)
+    for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
+        monkeypatch.setattr(f"fem.array.meshed.{name}", value)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -16,27 +16,13 @@ from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.cli.app import app
 
 FILES = {
-    "text.toml": "[array]\nrows = 'six'\n",
     "broken.toml": "[array\n",
     "unknown.toml": "[array]\nrowz = 3\n",
-    "half.toml": "[array]\nrows = 1.5\n",
-    "huge.toml": "[array]\nrows = 100000\n",
-    "nan.toml": "[array]\npitch_mm = nan\n",
-    "thick.toml": "[unit]\npillar_width_mm = 20\n",
     "tight.toml": "[array]\npitch_mm = 3\n",
     "sphere.toml": "[body]\nkind = 'sphere'\n",
     "idle.toml": "[body]\nkind = 'block'\nsize_mm = [9, 9, 9]\n[material]\nyoung_mpa = 1\npoisson = 0.3\n",
-    "soft.toml": "[pillar_material]\npoisson = 0.5\n",
     "pillar.toml": PILLAR,
     "block.toml": BLOCK,
-    "outside.toml": BLOCK.replace("size_mm = [10.0, 10.0]", "size_mm = [31.0, 10.0]"),
-    "long.toml": BLOCK.replace("top_mm = [20.0", "top_mm = [29.5"),
-    "twice.toml": BLOCK + BLOCK[BLOCK.index("[[inclusion]]") : BLOCK.index("[[load]]")],
-    "air.toml": BLOCK.replace("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0, 11.0]"),
-    "empty.toml": BLOCK.replace("size_mm = [10.0, 10.0]", "size_mm = [0.0, 10.0]"),
-    "word.toml": BLOCK.replace("young_mpa = 6.1", "young_mpa = 'soft'"),
-    "exact.toml": BLOCK.replace("tolerance = 2e-3", "tolerance = 0"),
-    "solver.toml": BLOCK.replace("[solve]", "[solver]"),
     "key.toml": "[[vary]]\nkey = 'pitch'\n",
     "vary.toml": "[vary]\nkey = 'array.pitch_mm'\n",
     "small.toml": SMALL,
@@ -62,57 +48,36 @@ design --out dir -> dir is a folder: give the name of a file in it
 design --out small.toml/under/a/file.toml -> small.toml
 cad -> Missing option '--out'
 cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
-cad --out cad --design text.toml -> rows='six' must be a whole number
-cad --out cad --design half.toml -> rows=1.5 must be a whole number
-cad --out cad --design huge.toml -> must be at most 255 each
-cad --out cad --design nan.toml -> pitch_mm=nan must be a finite number
-cad --out cad --design thick.toml -> widen the span or thin the pillars
 cad --out cad --design tight.toml -> raise pitch_mm to at least 12.83
 cad --out cad --design broken.toml -> broken.toml: not valid TOML
 cad --out cad --design missing.toml -> missing.toml: no such file: write one with 'tripillar design'
 cad --out cad --design dir -> dir: a folder, not a file
 cad --out cad --design data.nc -> data.nc: not a text file
-cad --out cad --design soft.toml -> poisson=0.5 must be from 0 to below 0.5
 mesh --quiet=3 -> '--quiet' does not take a value
 solve -> Missing argument 'scene'
 solve missing.toml -> missing.toml: no such file
 solve dir -> dir: a folder, not a file
 solve small.toml -> the table [body] is missing
 solve sphere.toml -> kind='sphere' is unknown; it must be one of block, pillar, unit, array
-solve idle.toml -> add a [[probe]]
+solve idle.toml --json --vtu never.vtu -> add a [[probe]]
 solve idle.toml --tolerance abc -> --tolerance abc must be a number
 solve idle.toml --vtu x.txt -> --vtu x.txt must be a file that ends in .vtu
 solve one.toml two.toml -> unexpected extra argument
-solve outside.toml --json --vtu never.vtu -> outside.toml: load 1 covers
-solve long.toml --json --vtu never.vtu -> long.toml: inclusion 1 reaches from
-solve twice.toml --json --vtu never.vtu -> twice.toml: inclusions 1 and 2 overlap
-solve air.toml --json --vtu never.vtu -> is in the air
-solve empty.toml --json --vtu never.vtu -> must be above 0
-solve word.toml --json --vtu never.vtu -> young_mpa='soft' must be a finite number
-solve exact.toml --json --vtu never.vtu -> tolerance=0 must be
-solve solver.toml --json --vtu never.vtu -> solver.toml: unknown key 'solver'
 solve pillar.toml --tolerance 0 -> tolerance=0 must be a number above 0
-solve pillar.toml --tolerance nan -> tolerance=nan must be a number above 0
 response --out r.nc --method magic -> --method magic must be one of cells, layer
 response --out r.nc --design small.toml --tolerance 0 -> tolerance=0 must be above 0 and below 1
-response --out r.nc --design small.toml --tolerance inf -> tolerance=inf must be above 0 and below 1
-response --out r.nc --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
-response --out dir -> dir is a folder: give the name of a file in it.
 dataset -> Missing option '--protocol'. Choose from: independent-fz, independent-fx
 dataset --protocol magic --samples 5 -o x.nc -> --protocol magic must be one of independent-fz,
 dataset --protocol contact --samples 1.5 -o x.nc -> --samples 1.5 must be a whole number
-dataset --protocol contact --samples 0 -o x.nc -> samples=0 must be from 1 to 1000000000
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1000000000
 dataset --protocol contact --samples 5 -o small.toml --design small.toml -> small.toml is read by this command
 dataset --protocol contact --samples 5 -o x.nc --seed -1 -> seed=-1 must be from 0
 dataset --protocol contact --samples 5 -o x.nc --cap 0 -> the paper uses 0.2 and 0.3
-dataset --protocol contact --samples 5 -o x.nc --cap 2 -> cap=2 must be
 dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> offset_ohm=-3 must be
 dataset --protocol contact --samples 5 -o x.nc --drift=-0.01 -> drift=-0.01 must be from 0 to 0.5
 dataset --protocol contact --samples 5 -o x.nc --drift-tilt 0.6 -> drift_tilt=0.6 must be from 0 to 0.5
 dataset --protocol contact --samples 5 -o x.nc --drift-pillar nan -> drift_pillar=nan must be a finite number
 dataset --protocol contact --samples 5 -o x.nc --specimen=-1 -> specimen=-1 must be
-dataset --protocol contact --samples 5 -o dir -> dir is a folder: give the name of a file in it.
 dataset --protocol contact --samples 5 -o dir.zarr -> dir.zarr is a folder that holds something else
 dataset --protocol contact --samples 5 -o file.zarr -> file.zarr is a file: give the name of a folder to be made
 dataset --protocol contact --samples 5 -o x.nc --dtype float32 -> --dtype float32 belongs to zarr directories
@@ -127,7 +92,6 @@ dataset --protocol contact --samples 5 -o x.nc --noise 5 -> noise=5 must be from
 dataset --protocol contact --samples 5 -o x.nc --bits 40 -> bits=40 must be a whole number from 4 to 24
 dataset --protocol contact --samples 5 -o x.nc --gain-spread 1 -> 0.2 is ± 20 %
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0 -> write row,col,pillar, such as 0,3,z
-dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,0,z -> its rows are 0 to 5, its columns 0 to 5
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0,6,z -> an array of 6 × 6 units has no pillar 0,6,z
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0,3,w -> (0, 3, 'w')
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
@@ -135,12 +99,9 @@ dataset --protocol contact --samples 5 -o x.nc --dead-col=-1 -> dead_cols=(-1,) 
 dataset --protocol contact --samples 5 -o x.nc --switch-ohm 70 -> belong to --crossbar: give it, too
 dataset --protocol contact --samples 5 -o x.nc --crossbar divider --sense-ohm 0 -> sense_ohm=0 must be from 1
 train -> Missing option
-train --data missing.nc --component fz -o dir -> dir is a folder: give the name of a file in it.
 train --data missing.nc --component fz -o m.safetensors -> missing.nc: no such file
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 train --data nan.nc --component fz -o m.safetensors -> resistance_ohm is nan at sample 7, row 0, col 1, pillar z
-train --data dir --component fz -o m.safetensors -> dir: a folder
-train --data text.nc --component fz -o m.safetensors -> text.nc: truncated or not NetCDF
 train --data data.nc --component fq -o m.safetensors -> --component fq must be one of fz, fx, fy, all
 train --data data.nc --component fz -o data.nc -> data.nc is read by this command: give another name
 train --data data.nc --component fz -o m.safetensors --hidden 0 -> hidden=0 must be a whole number from 1 up
@@ -149,39 +110,24 @@ train --data data.nc --component fz -o m.safetensors --iterations -1 -> --iterat
 train --data data.nc --component fz -o m.safetensors --hidden 9999 -> hidden=9999 must be at most 1000
 train --data data.nc --component fz -o m.safetensors --design missing.toml -> missing.toml: no such file
 evaluate --model missing --data data.nc -> missing: no such file: give a file made by 'tripillar train'
-evaluate --model dir --data data.nc -> dir: a folder: give a file made by 'tripillar train'
 evaluate --model empty --data data.nc -> empty: truncated or no safetensors file
-evaluate --model data.nc --data data.nc -> data.nc: truncated or no safetensors file
-evaluate --model model.safetensors --data empty.nc -> empty.nc: truncated or not NetCDF
-evaluate --model model.safetensors --data missing.nc -> missing.nc: no such file
-evaluate --model model.safetensors --data dir -> dir: a folder
 evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, data 17
 crossval --data data.nc --component all --folds 1 -> folds=1 must be from 2 to 2
-crossval --data data.nc --component all --folds 60 -> folds=60 must be from 2 to 2
 crossval --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
 identify --data missing.nc -o x.safetensors -> missing.nc: no such file
 identify --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1
-identify -o dir --next 1 -> dir is a folder: give the name of a file in it.
 fine-tune --model model.safetensors -o x.safetensors -> fine-tune is gone: write tripillar identify --data
-export --model missing -o dir -> dir is a folder: give the name of a file in it.
 export --model model.safetensors -o model.txt -> must end in .onnx or .h
 export --model model.safetensors -o m.h --precision half -> --precision half must be one of float, double
 run --until never -> --until never must be one of dataset, table
-run --design missing.toml -> missing.toml: no such file
 run --design unknown.toml --out never -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
-run --design tight.toml --out never -> is smaller than the unit
-run --design soft.toml --out never -> poisson=0.5 must be from 0 to below 0.5
-run --design broken.toml --out never -> broken.toml: not valid TOML
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
-view --save x.txt -> must end in .png
 view missing.toml --save x.png -> missing.toml: no such file: give a scene or a design
 view data.nc --save x.png -> data.nc: not a text file
 view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
-view small.toml --save x.png --pressure a -> --pressure a must be a number
 view --save x.png --pressure nan -> --pressure nan must be above 0
 view small.toml --save x.png --pressure 1 1 -> at most 6 different values
 view small.toml --save x.png --scale big -> --scale big must be true, auto, or a number
-view small.toml --save x.png --scale 0 -> --scale 0 must be true, auto, or a number above 0
 view --save x.png --pressure 1 two -> two: no such file
 view --save x.png --colour red -> --colour red must be one of
 view --save x.png --camera back -> --camera back must be one of
@@ -204,8 +150,8 @@ optimize key.toml -> key.toml: [[vary]] 1: unknown key 'pitch'
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 optimize small.toml --trials 0 -> --trials 0 must be at least 1
-doctor extra -> unexpected extra argument(s) (extra). See '
 ports extra -> unexpected extra argument(s) (extra). See '
+doctor extra -> unexpected extra argument(s) (extra). See '
 info -> Missing argument 'PORT'
 info '' -> no port was named
 info missing -> missing: no such port; there are
@@ -217,7 +163,6 @@ info socket://localhost:x -> give socket://HOST:PORT of a running server
 info socket://x -> socket://x: no host and port number: give socket://HOST:PORT
 info /dev/null -> no serial port
 info text.txt --timeout 0 -> --timeout 0 must be above 0 and at most 3600 s
-info text.txt --timeout inf -> --timeout inf must be above 0 and at most 3600 s
 info text.txt --baud fast -> --baud fast must be a whole number
 live text.txt --model missing -> missing: no such file
 live text.txt --model data.nc -> no safetensors file
@@ -225,12 +170,8 @@ live text.txt --model model.safetensors --seconds 0 -> --seconds 0 must be above
 live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 bench missing -> missing: no such port
-bench missing --seconds nan -> --seconds nan must be above 0
 record missing -o y.nc --seconds -1 -> --seconds -1 must be above 0 s
-record missing -o dir -> dir is a folder: give the name of a file in it.
-record foo://x -o y.frames -> there are no ports of the kind foo://
 record missing -o y.nc -> record to y.frames, then 'tripillar convert' makes y.nc of it
-record missing -o y.txt -> must be a file that ends in .frames
 convert missing.frames -o y.nc -> missing.frames: no such file: give a recording
 convert text.txt -o y.nc -> text.txt: no valid frame in 6 bytes
 convert text.txt -o y.txt -> must be a file that ends in .nc, .mcap or .csv
@@ -238,17 +179,14 @@ convert text.nc -o text.nc -> text.nc is read by this command
 replay missing.nc --model model.safetensors -> missing.nc: no such file: give a recording
 replay missing.nc --model missing --out x.csv -> must be a file that ends in .nc or .mcap
 replay text.txt --model model.safetensors -> no valid frame in 6 bytes
-replay text.txt --model dir -> dir: a folder
 replay text.txt --model model.safetensors --out x.csv -> must be a file that ends in .nc or .mcap
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
 replay text.txt --model model.safetensors --speed 1 --out x.nc -> --speed only shows forces
 replay text.txt --model model.safetensors --speed 1 --no-crosstalk -> --speed only shows forces
 replay small.toml --model model.safetensors -> small.toml
 replay text.nc --model model.safetensors --out text.nc -> text.nc is read by this command
-tare missing -o dir -> dir is a folder: give the name of a file in it
 tare missing -o text.json -> the file exists: build on it by --calibration
 tare missing -o x.json --calibration small.toml -> small.toml is no calibration
-tare missing -o x.json --seconds nan -> --seconds nan must be above 0 s
 calibrate text.txt -o x.json -> give either --loads FILE or --weights
 calibrate text.txt -o x.json --weights --loads columns.csv -> give either --loads FILE or --weights
 calibrate text.txt -o x.json --weights -> a recording needs --loads FILE
@@ -256,9 +194,7 @@ calibrate text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be ab
 simulate --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
 simulate --rate 0 -> --rate 0 must be a whole number from 1 to 65535
 simulate --bits 99 -> bits=99 must be a whole number from 8 to 16
-simulate --mode divider --bits 40 -> bits=40 must be
 simulate --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
-simulate --pressure=-1 -> peak_mpa=-1 must be from 0, at rest, to 10
 simulate --board python -q --design small.toml --link small.toml -> exists and is no link
 simulate --period 0 -> --period 0 must be from 0.1 to 600 s
 simulate --sense-ohm 0 -> --sense-ohm 0 must be a whole number from 1

@@ -15,6 +15,7 @@ from dataset import read_samples
 from hardware import Info
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
+from tests.studies.one_process import one_after_another
 
 
 @pytest.fixture(scope="module")
@@ -106,13 +107,14 @@ def test_dataset_train_evaluate_one_by_one(house):
     assert "fz" in house.tripillar("evaluate", "--model", "all.safetensors", "--data", "three.nc").stdout
 
 
-def test_crossval_and_identify(house):
+def test_crossval_and_identify(house, monkeypatch):
     """Pillars differ by 20 %: 20 pairs give a decoder, where a model of the sensor as designed misses by far."""
     for name, *more in (("nominal", "--seed", "1"), ("own", "--seed", "2", "--gain-spread", "0.2", "--specimen", "7")):
         house.result(
             "dataset", "--protocol", "independent-fz", "--samples", "80", "--noise", "0.001", *more,
             "--out", f"{name}.nc", "--design", "small.toml", "--quiet",
         )  # fmt: skip
+    monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
     asked = ["--data", "nominal.nc", "--component", "fz", "--hidden", "4", "--quiet"]
     tested = house.result("crossval", *asked, "--folds", "4", "--seed", "3")
     assert len(tested["folds"]) == 4

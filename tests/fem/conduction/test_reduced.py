@@ -1,15 +1,13 @@
-"""Reduced conduction held against whole solves; gradients between nodes."""
+"""Reduced conduction held against whole solves."""
 
 from functools import partial
 
 import numpy as np
 import pytest
 
-from fem.boxes.boxes import Boxes
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, pillars_per_mm, unit_conductances
 from fem.conduction.reduced import reduced_conduction
-from fem.finite.samples import gradients
 from geometry.design import Unit
 
 
@@ -42,14 +40,3 @@ def test_a_few_potentials_and_points_give_the_resistances_of_all(monkeypatch):
         change = read(whole.conductances(partial(squeezed, share=share))) / read(whole.conductances())
         assert np.abs(change - 1).max() > 0.05
         assert read(found) / read(at_rest) == pytest.approx(change, rel=1e-3)
-
-
-def test_gradients_of_quadratic_displacements_are_exact():
-    grid = Boxes.between([np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]), np.array([0.0, 0.5, 2.0])])
-    X, Y, Z = grid.points_mm.T
-    u = np.stack([X * Y, Z**2 - X, X * Y * Z], axis=-1)
-    points = np.random.default_rng(0).uniform(0, 2, (7, 3))
-    x, y, z = points.T
-    zero, one = np.zeros(7), np.ones(7)
-    exact = np.stack([[y, x, zero], [-one, zero, 2 * z], [y * z, x * z, x * y]]).transpose(2, 0, 1)
-    assert gradients(grid.slopes(points), np.stack([u, 2 * u])) == pytest.approx(np.stack([exact, 2 * exact]))

@@ -210,6 +210,11 @@ def test_every_table_of_the_report_is_whole(computed):
 
 
 def test_the_command_writes_the_whole_report_and_again_nothing(response, computed, tmp_path, capsys, monkeypatch):
+    # how finely figure 7 is solved and drawn, and how small files are, is not on trial
+    coarse = {"array.meshed.GRID_LEVEL": 1, "array.meshed.GRID_DEGREE": 4, "pictures.deformation.HIGH_PX": 440}
+    for name, value in (coarse | {"pictures.deformation.WIDE_PX": {1: (496, 688)}}).items():
+        monkeypatch.setattr(f"fem.{name}", value)
+    monkeypatch.setattr("studies.charts.save_small", lambda image, path: image.convert("RGB").save(path))
     monkeypatch.setattr(command, "respond", lambda design, bars: (None, response))
     monkeypatch.setattr(command, "Experiments", lambda: SMALL)
     monkeypatch.setattr(command, "Asked", lambda: FEW)
