@@ -3,7 +3,8 @@
 In: labelled samples. Out: a `Decoupler` (ohms in, newtons out), its errors, and one safetensors file. In the order of
 the data: `data` takes columns of resistances and forces from samples, `inverse` turns the array's response around,
 `model` is the trained network and its file, `training` trains it, `twin` identifies one sensor from pairs, `evaluation`
-says how large errors are, `export` writes a model for other programs. `train` loads torch when it is asked for; nothing else does.
+says how large errors are, `export` writes a model for other programs. `train` loads torch when it is asked for; nothing
+else does.
 """
 
 from importlib import import_module
