@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
 from hardware.link.scanner import Scanner
@@ -286,6 +287,7 @@ class LiveSensor:
         return forces
 
 
+@one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
     recording: Recording,
     model: "Decoupler",
