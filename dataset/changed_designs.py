@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from dataset.finite_strain import METHOD, require_finite
 from dataset.resistance import pillar_lengths
@@ -15,6 +14,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
+from geometry.threads import one_blas_thread
 from geometry.tolerances import value_of
 
 VERSION = 4  #: raise when the same designs give other answers
@@ -59,7 +59,7 @@ class ChangedDesigns:
         by_parameters = np.tensordot(change, self.sensitivities.influence_mm_per_n, axes=1)
         k = design.n_units
         influence = (self.response.influence_mm_per_n + by_parameters).reshape(k, 2, 3, k, 3)
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             typical = design if other.unit == design.unit else other  # errors alike cancel in differences
             found = SampleSolver(other, influence, typical=typical).displacements(self.force_n)
         lengths = pillar_lengths(found.displacement_mm, other.unit)

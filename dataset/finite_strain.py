@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
@@ -23,6 +22,7 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
+from geometry.threads import one_blas_thread
 
 METHOD = 8  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
@@ -96,7 +96,7 @@ class GroupSolver:
         def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
             seeds = [[settings.seed, number * GROUP + int(sample), attempt, _STREAM] for sample in waiting]
             traction = np.concatenate([protocol.draw(np.random.default_rng(seed), 1, design) for seed in seeds])
-            with threadpool_limits(1, "blas"):
+            with one_blas_thread():
                 found = self._solver.displacements(traction * design.pad.size_mm**2)
             over = largest_strains(found.displacement_mm, design.unit) > settings.cap
             unsolved[waiting] += ~over & ~found.settled

@@ -14,7 +14,6 @@ from typing import Any, cast
 
 import numpy as np
 import psutil
-from threadpoolctl import threadpool_limits
 
 from dataset.imperfections import Imperfections
 from dataset.indentation import VERSION, indented
@@ -28,6 +27,7 @@ from geometry.design import SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, pillar_volumes
 from geometry.storage.files import digest
+from geometry.threads import one_blas_thread
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
@@ -129,7 +129,7 @@ def simulate_part(
 
     redrawn = 0
     # a block's matrix product is too small for two BLAS threads to share; two blocks side by side are not
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(threads) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
         for kept, again in pool.map(fill, range(0, n, BLOCK)):
             redrawn += again
             progress(kept)

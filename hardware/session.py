@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.layout import FloatArray
+from geometry.threads import one_blas_thread
 from hardware.link.frames import Statistics
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
@@ -75,7 +75,7 @@ def connect(
         if known is None and recording.calibration:
             known = SensorCalibration.from_json(recording.calibration, f"the calibration in {port}")
     # one scan's matrices are too small for two BLAS threads to share
-    with threadpool_limits(1, "blas"), Scanner(source, **settings) as scanner:
+    with one_blas_thread(), Scanner(source, **settings) as scanner:
         info = scanner.info
         known = known or SensorCalibration.as_designed(info.rows, info.cols)
         known.require_for(info, str(calibration or port))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.special import stdtrit
-from threadpoolctl import threadpool_limits
 
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
@@ -27,6 +26,7 @@ from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Posterior, infer, predicted, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -155,7 +155,7 @@ def identify(
         share = 0.3
         near = NearDesigns(at_strain, response, sensitivities)
         expected = expected.at_strain(at_strain.forward, near.by_parameters(lambda part: progress(0.5 * part)))
-    with threadpool_limits(1, "blas"):  # products are too small for two threads to share
+    with one_blas_thread():  # products are too small for two threads to share
         found = infer(
             expected,
             readings,

@@ -10,7 +10,6 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from threadpoolctl import threadpool_limits
 
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Component, force_columns
@@ -22,6 +21,7 @@ from decoupler.twin.linearised import Shown
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
+from geometry.threads import one_blas_thread
 
 MIN_NOISE = 1e-5  #: of readings to come, relative
 USUAL = 24  #: usual loads over which the expected error is taken
@@ -217,7 +217,7 @@ def next_loads(
             known = known.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
         possible = [load for load in possible if load.name not in measured.names]
     candidates = [as_columns(load, everything) for load in possible]
-    with threadpool_limits(1, "blas"):  # products are too small for two threads to share
+    with one_blas_thread():  # products are too small for two threads to share
         numbers, errors = choose(known, candidates, force_columns(usual_n, everything), count)
     return tuple(
         NextLoad(load=possible[number].name, error_before=errors[k], error=errors[k + 1])
