@@ -24,9 +24,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from geometry.storage.files import replacing, write_json
-from studies.bench.harness import measured_on
 from studies.gates.parts import PARTS
 from studies.gates.rows import Row, in_own_process, verdict
+from studies.tables import measured_on
 from tripillar.terminal.console import say
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.tables import show
