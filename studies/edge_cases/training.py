@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from resource import RUSAGE_SELF, getrusage
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -26,7 +25,6 @@ from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from geometry.pool import in_parallel
 from studies.edge_cases.trials import Judged, Trial
 
 SAMPLES = 400
@@ -35,9 +33,7 @@ NOISE = 1e-3
 RIDGED = 1e-6  #: relative; what the ridge of 1e-9 a sample may cost of a mean squared error of 1e-4 or more
 ROUNDED = 1e-6  #: of a few iterations: 1e-16 amplified by matrices that the ridge holds to a condition of 1e10
 FLAT = 1e-6  #: of the first slope; a cost tells points apart to √ε = 1e-8 only, two digits are for flat directions
-SEEDS = 20
 DECADE = 10.0  #: times the median; another minimum costs some of it, a training that diverged costs many
-MANY = 100_000
 
 
 class Kind(NamedTuple):
@@ -156,21 +152,6 @@ def ten_samples_stated(kind: Kind) -> Judged:
     return Judged(error=error, allowed=DECADE, against="its own deviations")
 
 
-def many_samples(kind: Kind) -> Judged:
-    """One sample a hundredfold, 36 inputs: the same training as once, in a process of its own whose memory is read."""
-    few, _ = repeated(kind, 1)
-    many, peak_mib = in_parallel([(repeated, kind, 100)], lambda _: None)[0]
-    return Judged(error=abs(many / few - 1.0), allowed=ROUNDED, against="each sample once", note=f"{peak_mib:.0f} MiB")
-
-
-def repeated(kind: Kind, times: int) -> tuple[float, float]:
-    """Error after two iterations on samples repeated, and the largest memory of this process so far [MiB]."""
-    few = samples(n=MANY // 100, rows=6)
-    data = few[np.tile(np.arange(len(few.force_n)), times)]
-    _, mse = trained(kind, data, hidden=17, max_iterations=2, held_out=0.0)
-    return mse, getrusage(RUSAGE_SELF).ru_maxrss / 1024
-
-
 def scaled_targets(kind: Kind, scale: float, iterations: int) -> Judged:
     """Forces `scale` times as large: predictions `scale` times as large. A power of two rounds alike: to the bit."""
     data = samples()
@@ -230,32 +211,6 @@ def refused(kind: Kind, ohm: float) -> Judged:
         if isinstance(error, SampleError):
             raise
     return Judged(error=np.inf, allowed=0.0, against="SampleError")
-
-
-def seeds(kind: Kind) -> Judged:
-    """The worst of several random starts, over the median."""
-    errors = [trained(kind, samples(), seed=seed)[1] for seed in range(SEEDS)]
-    spread = max(errors) / float(np.median(errors))
-    return Judged(error=spread, allowed=DECADE, against=f"median of {SEEDS} seeds")
-
-
-def noisy(kind: Kind) -> Judged:
-    """Readings that are a tenth off: the net fits them as well as a linear map."""
-    data = samples(noise=0.1)
-    return no_worse(trained(kind, data)[1], linear_mse(data), LINEAR)
-
-
-def noisy_ahead() -> Judged:
-    """The same on new samples, for variable projection, which holds samples out in order not to fit the noise.
-
-    Allowed: three deviations of the squared error of the 40 × 9 values it judges by, √(2/360) of it each.
-    """
-    data, new = samples(noise=0.1), samples(seed=2, noise=0.1)
-    model, _ = trained(Kind("varpro", "skip"), data)
-    assert model.least_squares is not None
-    linear_n = model.least_squares.forces(new.resistance_ohm)[..., 0] - new.force_n[..., 2]
-    error = evaluate(model, new)["fz"].rmse_n ** 2 / float(np.mean(linear_n**2))
-    return Judged(error=error, allowed=1.0 + 3.0 * np.sqrt(2.0 / 360.0), against=f"{LINEAR}, new samples")
 
 
 def dead_wire(kind: Kind) -> Judged:
@@ -353,10 +308,7 @@ def training_trials() -> list[Trial]:
     }
     second_order: dict[str, Callable[[Kind], Judged]] = {
         "saturated start, {}": saturated,
-        "20 seeds, {}": seeds,
-        "noise 10 %, {}": noisy,
         "slope at the end, {}": gradient_at_the_end,
-        "100,000 samples, {}": many_samples,
     }
     runs: dict[str, Callable[[], Judged]] = {
         label.format(kind): partial(run, kind)
@@ -364,7 +316,6 @@ def training_trials() -> list[Trial]:
         for kind in kinds
         for label, run in table.items()
     }
-    runs["noise 10 %, varpro skip, new samples"] = noisy_ahead
     runs |= {f"no resistance, {ohm:g} Ω": partial(refused, SECOND_ORDER[0], ohm) for ohm in (np.nan, np.inf, 0.0, -1.0)}
     runs["dead column wire, joint, from the response"] = partial(joint, 12.0, dead_cols=(2,))
     runs |= {f"other response, pad {pad_mm:g} mm": partial(joint, pad_mm) for pad_mm in (10.0, 8.0, 4.0)}
