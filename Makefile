@@ -40,9 +40,7 @@ paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing besi
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.finite --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.inference --out $(OUT)/bench/inference.json
 	$(BIN)/python -m studies.bench.virtual --out $(OUT)/bench/virtual.json
 	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json

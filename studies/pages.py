@@ -47,7 +47,7 @@ def train_table(found: Numbers) -> str:
         for label, (name, said) in zip(labels, SHOWN.items(), strict=True):
             entry = entries[name]
             errors = [_percent_of(entry[kind]) for kind in ("errors", "as_read", "as_made", "identified")]
-            at_rest = "" if entry["at_rest_n"] is None else f"{entry['at_rest_n']:.2g}"
+            at_rest = "" if entry["at_rest_n"] is None else newtons(entry["at_rest_n"])
             said = said.format(floor=percent(one["plain_floor"]["rel_err"]))
             rows.append([label, said, *errors[:2], at_rest, *errors[2:]])
     return markdown(("data", "decoupler", "exact", "0.1 %, 12 bits", "at rest [N]", "as made", "identified"), rows, 2)
@@ -60,7 +60,7 @@ def touches_table(found: Numbers) -> str:
     rows = []
     for name, said in TOUCHED.items():
         pairs = zip(touches[name]["exact_n"], touches[name]["read_n"], strict=True)
-        rows.append([said, *(f"{exact:.2g} / {read:.2g}" for exact, read in pairs)])
+        rows.append([said, *(f"{newtons(exact)} / {newtons(read)}" for exact, read in pairs)])
     return markdown(("", "0.1 N", "1 N", "5 N", "20 N"), rows, 1)
 
 
@@ -71,8 +71,8 @@ def truths_table(found: Numbers) -> str:
         if row["pairs"] in PAIRS:
             labels = ["", ""] if row["pairs"] else [row["truth"], f"{row['protocol']}, {row['size']}"]
             shares = [_slashed((100 * share for share in row[name]), ".0f") for name in ("within_68", "within_95")]
-            errors = [_slashed(row[name], ".3g") for name in ("error_pct", "limit_pct")]
-            rows.append([*labels, str(row["pairs"] or "none"), *errors, *shares])
+            limit = "" if row["pairs"] else _slashed(row["limit_pct"], ".3g")  # the same after any number of pairs
+            rows.append([*labels, str(row["pairs"] or "none"), _slashed(row["error_pct"], ".3g"), limit, *shares])
     return markdown(("truth", "loads", "pairs", "error", "Bayes limit", "within 68 %", "within 95 %"), rows, 7)
 
 
@@ -88,7 +88,7 @@ def readings_table(found: Numbers) -> str:
             shares = [sorted(round(100 * row["coverage"][k]) for row in ours) for k in (0, 1)]
             spans = [f"{low}" if low == high else f"{low} to {high}" for low, *_, high in shares]
             errors = [_slashed((row[name] for row in ours), ".3f") for name in ("error_pct", "limit_pct")]
-            rows.append([case, *errors, *spans, _slashed((row["error_pct"] for row in root), ".1f")])
+            rows.append([case.replace("%", " %"), *errors, *spans, _slashed((row["error_pct"] for row in root), ".1f")])
     return markdown(("readings", "error", "limit", "within 68 %", "within 95 %", "net on √R"), rows, 6)
 
 
@@ -156,17 +156,27 @@ def fill(
 def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], n_texts: int) -> str:
     """A table whose first columns are texts, the others numbers to the right."""
     rules = ["---"] * n_texts + ["---:"] * (len(headers) - n_texts)
-    return "\n".join(f"| {' | '.join(row)} |".replace("|  |", "| |") for row in (headers, rules, *rows))
+    return "\n".join(re.sub(r"\|  (?=\|)", "| ", f"| {' | '.join(row)} |") for row in (headers, rules, *rows))
 
 
 def percent(fraction: float) -> str:
-    """Three digits from 10 % on, else two decimals, as the paper prints.
+    """Two decimals below 10 %, as the paper prints; then three digits.
 
     >>> percent(0.0198), percent(0.1153), percent(3.04)
     ('1.98 %', '11.5 %', '304 %')
     """
     value = 100 * fraction
-    return f"{value:.2f} %" if value < 10 else f"{value:.1f} %" if value < 50 else f"{value:.0f} %"
+    return f"{value:.2f} %" if value < 10 else f"{value:.1f} %" if value < 30 else f"{value:.0f} %"
+
+
+def newtons(value: float) -> str:
+    """Two digits, down to a thousandth of a newton.
+
+    >>> [newtons(value) for value in (0.0, 0.0026, 0.114, 9.04, 337.2)]
+    ['0', '0.003', '0.11', '9.0', '337']
+    """
+    decimals = 0 if value >= 10 or value == 0 else 1 if value >= 1 else 2 if value >= 0.1 else 3
+    return f"{value:.{decimals}f}"
 
 
 def _percent_of(errors: Numbers) -> str:

@@ -75,7 +75,7 @@ def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error,
     with pytest.raises(SystemExit) as ended:
         app(["--out", str(tmp_path), "--only", "one"])
     assert ended.value.code == status
-    stored = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))
+    (stored,) = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))["tables"].values()
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]
     assert "a twin" in capsys.readouterr().out
 
@@ -84,4 +84,5 @@ def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error,
 def test_every_trial_of_the_table_is_right_or_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))  # which the command sets anew, and this gives back
     command.judge_all(out=tmp_path)
-    assert len(json.loads((tmp_path / "edge-cases.json").read_text())) == len(all_trials())
+    (stored,) = json.loads((tmp_path / "edge-cases.json").read_text())["tables"].values()
+    assert len(stored) == len(all_trials())
