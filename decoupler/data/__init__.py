@@ -1,1 +1,1 @@
-"""Columns of resistances and forces (`columns`), samples that repeat one another (`repeats`), loads to be expected."""
+"""Samples as columns of resistances and forces (`columns`), a draw of too many (`enough`), pairs, loads to be expected."""

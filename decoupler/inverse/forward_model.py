@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import MIN_NOISE, Component, rowwise
+from decoupler.data.columns import MIN_NOISE, Columns, Component, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
@@ -84,35 +84,26 @@ class ForwardModel:
             offset_ohm=np.zeros(n_units * len(pillars)),
         )
 
-    def calibrated(
-        self, measured_ohm: FloatArray, force_n: FloatArray, noise: float, readable: NDArray[np.bool_]
-    ) -> Self:
-        """The model with the most probable gain and offset of each readable pillar (n_pillars,).
-
-        Parameters
-        ----------
-        measured_ohm : array, shape (n, n_pillars)
-        force_n : array, shape (n, n_forces)
-        noise : float
-            Standard deviation of the readings, relative.
+    def calibrated(self, data: Columns) -> Self:
+        """The model with the most probable gain and offset of each readable pillar.
 
         Notes
         -----
         Bayes' rule with normal errors and normal priors about gain 1 and offset 0, so a single pair sets the gain, and
         an offset is believed only as far as a pillar's resistance has varied.
         """
-        modelled_ohm = self.resistances(force_n)
+        modelled_ohm = self.resistances(data.force_n)
         size = modelled_ohm.mean(axis=0)
-        weight = (max(noise, MIN_NOISE) * size) ** -2.0
-        misfit = measured_ohm - modelled_ohm
+        weight = (max(data.errors.noise, MIN_NOISE) * size) ** -2.0
+        misfit = data.resistance_ohm - modelled_ohm
         # normal equations of (gain − 1, offset), 2 × 2 a pillar
         a = weight * (modelled_ohm**2).sum(axis=0) + GAIN_SPREAD**-2
         b = weight * modelled_ohm.sum(axis=0)
         d = weight * len(misfit) + (OFFSET_SPREAD * size) ** -2.0
         p, q = weight * (modelled_ohm * misfit).sum(axis=0), weight * misfit.sum(axis=0)
         determinant = a * d - b * b
-        gain = np.where(readable, 1.0 + (d * p - b * q) / determinant, 1.0)
-        offset_ohm = np.where(readable, (a * q - b * p) / determinant, 0.0)
+        gain = np.where(data.readable, 1.0 + (d * p - b * q) / determinant, 1.0)
+        offset_ohm = np.where(data.readable, (a * q - b * p) / determinant, 0.0)
         return replace(self, ohm_per_mm2=gain * self.ohm_per_mm2, offset_ohm=offset_ohm)
 
     @property

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import (
+    Columns,
     Component,
     Resting,
     Scaling,
@@ -61,6 +62,38 @@ class Decoupler:
     ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
+
+    @classmethod
+    def untrained(
+        cls, data: Columns, network: NetworkConfig, design: SensorDesign | None, inverse: ModelInverse | None = None
+    ) -> Self:
+        """A decoupler with scaling and features for samples like these; a hidden layer of no nodes, outputs its inputs.
+
+        Its weights are for the inputs of the inverse, where there is one; else they have no shape yet.
+        """
+        output_scaling = Scaling.fitted(data.force_n)
+        if inverse is not None:
+            n_in, input_scaling = data.force_n.shape[1], output_scaling
+            resting = Resting.read_with(inverse.forward.at_rest_ohm(), data.errors.bits)
+        else:
+            n_in, resting = data.resistance_ohm.shape[1], None
+            root = network.feature == "root"
+            input_scaling = Scaling.fitted(np.sqrt(data.resistance_ohm) if root else data.resistance_ohm)
+        return cls(
+            component=data.component,
+            rows=data.shape[0],
+            cols=data.shape[1],
+            network=network,
+            input_scaling=input_scaling,
+            output_scaling=output_scaling,
+            hidden_weights=np.empty((0, n_in + 1)),
+            output_weights=np.eye(data.force_n.shape[1], n_in + 1),
+            design=design,
+            inverse=inverse,
+            resting=resting,
+            dead=data.dead if data.dead is not None and data.dead.any() else None,
+            usual=UsualLoads.of(data),
+        )
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit.
