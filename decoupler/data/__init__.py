@@ -1,1 +1,1 @@
-"""Samples as columns of resistances and forces, a draw of too many samples, measured pairs, and loads to be expected."""
+"""Samples as columns of resistances and forces, a draw of too many of them, measured pairs, and loads to be expected."""
