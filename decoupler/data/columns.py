@@ -4,9 +4,10 @@
 """
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +184,11 @@ def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
     return np.array([numbers.setdefault(sample.tobytes(), len(numbers)) for sample in force_n], dtype=np.int64)
 
 
+def namespace(values: FloatArray) -> Any:
+    """The module whose functions take these values: numpy, or torch of tensors (see `model.in_torch`)."""
+    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
+
+
 def in_blocks(samples: FloatArray) -> FloatArray:
     """Samples (n, k) with the last one repeated until they fill whole blocks."""
     missing = -len(samples) % ROWS_AT_ONCE
@@ -192,8 +198,11 @@ def in_blocks(samples: FloatArray) -> FloatArray:
 def rowwise(samples: FloatArray, matrix: FloatArray) -> FloatArray:
     """``samples @ matrix``, (n, k) and (k, m) -> (n, m), the same bits for a sample alone and in any batch.
 
-    One product of all would round by the size of the batch. Blocks of always the same size do not.
+    One product of all would round by the size of the batch. Blocks of always the same size do not. Tensors of torch are
+    multiplied as they come.
     """
+    if not isinstance(samples, np.ndarray):
+        return samples @ matrix
     n, k = samples.shape
     if n % ROWS_AT_ONCE:
         return rowwise(in_blocks(samples), matrix)[:n]
@@ -220,9 +229,11 @@ class Resting:
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with those that may be at rest there, where most of a sample's may."""
         shares = SENSE_OHM / (columns_ohm + SENSE_OHM)
-        alike = np.abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
-        resting = np.count_nonzero(alike, axis=1) > MIN_RESTING * columns_ohm.shape[1]
-        return np.where(alike & resting[:, None], self.rest_ohm, columns_ohm) if resting.any() else columns_ohm
+        alike = abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
+        resting = alike.sum(axis=1) > MIN_RESTING * columns_ohm.shape[1]
+        if not resting.any():
+            return columns_ohm
+        return namespace(columns_ohm).where(alike & resting[:, None], self.rest_ohm, columns_ohm)
 
     @cached_property
     def _rest_share(self) -> FloatArray:
@@ -262,7 +273,8 @@ class Scaling:
     @cached_property
     def factor(self) -> FloatArray:
         """Factors that scale differences, (n_columns,); 0 for a constant column."""
-        return np.divide(1.0, self.half_range, out=np.zeros_like(self.half_range), where=self.half_range > 0)
+        varies = self.half_range > 0
+        return varies / namespace(varies).where(varies, self.half_range, 1.0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:
         return scaled * self.half_range + self.centre

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import MIN_NOISE, Columns, Component, rowwise
+from decoupler.data.columns import MIN_NOISE, Columns, Component, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
@@ -106,6 +106,11 @@ class ForwardModel:
         offset_ohm = np.where(data.readable, (a * q - b * p) / determinant, 0.0)
         return replace(self, ohm_per_mm2=gain * self.ohm_per_mm2, offset_ohm=offset_ohm)
 
+    def with_own_influences(self) -> Self:
+        """The same, each pillar with an influence of its own."""
+        influence = self.by_component.transpose(2, 1, 0).reshape(self.n_forces, -1)
+        return replace(self, influence=np.ascontiguousarray(influence), top=np.arange(self.n_pillars))
+
     @property
     def n_pillars(self) -> int:
         return len(self.top)
@@ -178,11 +183,11 @@ class ForwardModel:
 
     def _norms(self, vectors: FloatArray) -> FloatArray:
         """|v| of vectors (n, n_components, n_pillars), shape (n, n_pillars); 0 where the sum of squares is negative."""
+        xp = namespace(vectors)
         if self.sign is None:
-            squares = np.einsum("nip,nip->np", vectors, vectors)
-        else:
-            squares = np.maximum(np.einsum("ip,nip,nip->np", self.sign, vectors, vectors), 0.0)
-        return np.sqrt(squares, out=squares)
+            return xp.sqrt(xp.einsum("nip,nip->np", vectors, vectors))
+        squares = xp.einsum("ip,nip,nip->np", self.sign, vectors, vectors)
+        return xp.sqrt(xp.where(squares > 0.0, squares, 0.0))
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
@@ -190,7 +195,8 @@ class ForwardModel:
 
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
-        return np.sqrt(np.maximum(resistance_ohm - self.offset_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
+        xp, whole_ohm = namespace(resistance_ohm), resistance_ohm - self.offset_ohm
+        return xp.sqrt(xp.where(whole_ohm > MIN_WHOLE_OHM, whole_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
 
     def at_rest_ohm(self) -> FloatArray:
         """Resistance of each pillar without any force, (n_pillars,) [Ω]."""
@@ -264,10 +270,9 @@ class ModelInverse:
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
         lengths = self.forward.lengths_of(resistance_ohm)
-        forces = rowwise(lengths - self.centre_mm, self.correctors[0])
-        forces += self.centre_n
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
         for corrector in self.correctors[1:]:
-            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
+            forces = forces + rowwise(lengths - self.forward.lengths(forces), corrector)
         return forces
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from decoupler.data.columns import (
     Resting,
     Scaling,
     in_blocks,
+    namespace,
     pillar_columns,
     readable_columns,
     rowwise,
@@ -391,13 +392,12 @@ class Decoupler:
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:
         """Inputs of the output layer for resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
-        inputs = self.inputs(columns_ohm)
-        X = np.ones((len(inputs), inputs.shape[1] + 1))
-        X[:, :-1] = inputs
+        xp, inputs = namespace(columns_ohm), self.inputs(columns_ohm)
+        X = xp.concat([inputs, xp.ones_like(inputs[:, :1])], axis=1)
         if not self.network.hidden:
             return X
-        hidden = np.tanh(rowwise(X, self.hidden_weights.T))
-        return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
+        hidden = xp.tanh(rowwise(X, self.hidden_weights.T))
+        return xp.concat([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
 
     def inputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Inputs of the hidden layer for resistances, each (n, n_in): the feature, scaled."""
@@ -405,7 +405,8 @@ class Decoupler:
             columns_ohm = self.resting.settled(columns_ohm)
         if self.inverse is not None:
             return self.input_scaling.scale(self.inverse.forces(columns_ohm))
-        return self.input_scaling.scale(np.sqrt(columns_ohm) if self.network.feature == "root" else columns_ohm)
+        root = self.network.feature == "root"
+        return self.input_scaling.scale(namespace(columns_ohm).sqrt(columns_ohm) if root else columns_ohm)
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""
