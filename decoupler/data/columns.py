@@ -184,7 +184,7 @@ def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
     return np.array([numbers.setdefault(sample.tobytes(), len(numbers)) for sample in force_n], dtype=np.int64)
 
 
-def namespace(values: FloatArray) -> Any:
+def namespace(values: Any) -> Any:
     """The module whose functions take these values: numpy, or torch of tensors (see `model.in_torch`)."""
     return np if isinstance(values, np.ndarray) else sys.modules["torch"]
 

@@ -1,7 +1,7 @@
 """Parts of a decoupler in torch: the same computation on tensors, with derivatives. Loads torch."""
 
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -11,10 +11,8 @@ from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 
-Part = TypeVar("Part")
 
-
-def in_torch(part: Part, like: Tensor) -> Part:
+def in_torch(part: Any, like: Tensor) -> Any:
     """A decoupler, its forward model or another part with tensors in the place of real arrays.
 
     Parameters
@@ -29,21 +27,19 @@ def in_torch(part: Part, like: Tensor) -> Part:
     DesignError
         If it is a model that learned from samples at finite strain.
     """
-    given: Any = part
-    if isinstance(given, ForwardModel):
-        given = given.with_own_influences()
-    if isinstance(given, Decoupler):
-        if given.posterior is not None:
+    if isinstance(part, ForwardModel):
+        part = part.with_own_influences()
+    if isinstance(part, Decoupler):
+        if part.posterior is not None:
             raise DesignError(
                 "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
             )
-        given = replace(given, uncertainty=None, usual=None, ensemble=None, least_squares=None)
+        part = replace(part, uncertainty=None, usual=None, ensemble=None, least_squares=None)
     changed: dict[str, Any] = {}
-    for spec in fields(given):
-        value = getattr(given, spec.name)
+    for spec in fields(part):
+        value = getattr(part, spec.name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
             changed[spec.name] = like.new_tensor(value)
         elif is_dataclass(value) and not isinstance(value, SensorDesign | type):
             changed[spec.name] = in_torch(value, like)
-    found: Part = replace(given, **changed)
-    return found
+    return replace(part, **changed)

@@ -6,7 +6,7 @@ Every tensor has the environments first: e sensors of one design live side by si
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -147,7 +147,7 @@ class VirtualSensor:
                     f"the {name} has {other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}: "
                     f"take one of this design."
                 )
-        self._decoder = None if model is None else in_torch(model, self._like)
+        self._decoder: Any = None if model is None else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
@@ -333,7 +333,7 @@ class _TorchTwin:
             raise DesignError(
                 f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
             )
-        self.forward = in_torch(decoder.inverse.forward, like)
+        self.forward: Any = in_torch(decoder.inverse.forward, like)
         held = decoder.ensemble
         self.members = len(held)
         self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
