@@ -185,7 +185,7 @@ def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
 
 
 def namespace(values: Any) -> Any:
-    """The module whose functions take these values: numpy, or torch of tensors (see `model.in_torch`)."""
+    """The module whose functions take these values: numpy, or torch of tensors (see `model.tensors`)."""
     return np if isinstance(values, np.ndarray) else sys.modules["torch"]
 
 

@@ -17,8 +17,8 @@ from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.in_torch import in_torch
 from decoupler.model.model_file import read_model
+from decoupler.model.tensors import in_torch
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign

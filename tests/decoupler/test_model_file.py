@@ -131,7 +131,7 @@ def test_recipe_follows_all_that_matters():
         (lambda header, arrays: header.update(made_from=3), "its header makes no sense"),
         (
             lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1e9),
-            "half-width of a scan is not finite",
+            "its arrays do not belong together",
         ),
         (lambda header, arrays: arrays.pop("input_scaling.centre"), "centre"),
         (
