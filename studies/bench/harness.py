@@ -205,7 +205,9 @@ def draw_records(title: str, records: Sequence[Record], judged: str, path: Path)
         else:
             points = [(one.seconds, one.errors[judged]) for one in mine]
             axes.plot(*zip(*points, strict=True), label=name, marker=marker, **style)
-    axes.set(xscale="log", yscale="log", xlabel="run time, imports left out [s]", ylabel=judged, title=title)
+    axes.set(xscale="log", yscale="log", xlabel="run time, imports left out [s]", ylabel=judged)
+    axes.xaxis.set_minor_formatter("")
+    figure.suptitle(title, fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, title="lower left is better", title_fontsize=9)
     finish(figure, path)
 

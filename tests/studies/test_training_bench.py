@@ -5,8 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from decoupler.data.usual_loads import LIGHT
 from decoupler.model.settings import NetworkConfig
-from decoupler.training.light import LIGHT
 from studies.bench import optimisers
 from studies.bench.harness import named
 from studies.bench.optimisers import Ended, Problem, Scaled, Trace
