@@ -96,7 +96,7 @@ def sweep(
     from geometry.pool import open_pool
     from geometry.storage.journal import Journal
     from tripillar.sweep.rows import write_parquet
-    from tripillar.sweep.run import judge_all, kept_rows
+    from tripillar.sweep.run import are_cached, judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of
     from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
 
@@ -107,7 +107,8 @@ def sweep(
     missing = [sample for sample in samples if sample.cache_key not in found]
     if missing:
         log = out / f"{file.stem}-workers.log"
-        with stoppable(journal), progress_bars(verbosity) as bars, open_pool(count, scheduler, log) as pool:
+        tasks = 0 if are_cached(missing, asked.judging) else None
+        with stoppable(journal), progress_bars(verbosity) as bars, open_pool(count, scheduler, log, tasks) as pool:
             found |= judge_all(missing, asked.judging, pool, journal, shown(bars, "designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [out / f"{file.stem}.parquet"]
