@@ -45,7 +45,7 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
 
-edge-cases: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
+edge-cases: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.edge_cases --out $(OUT)/edge-cases
 
 robustness: $(READY)  ## what worse sensors cost, and what measured pairs buy back

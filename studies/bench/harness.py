@@ -64,7 +64,6 @@ class Record(Found):
     setting: Any
     failure: str = ""
     seconds: float = float("nan")  #: run time, or processor time if that was asked for; imports left out
-    spread: float = 1.0  #: slowest over fastest run
     peak_mib: float = float("nan")  #: resident memory, of the largest run
 
     def seconds_to(self, judged: str, error: float) -> float | None:
@@ -93,14 +92,13 @@ class Settings:
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer settings are not tried
     by_processor: bool = False  #: judge by processor time, on one thread: for a machine that others use too
-    enough: float = 0.0  #: finer settings are not tried either once the worst error is below this
     own_cache: bool = True  #: every run begins with an empty cache
 
 
 def run_contenders(
     module: str, name: str, case: Any, contenders: Iterable[Contender], settings: Settings
 ) -> list[Record]:
-    """Measure every contender that is installed, coarse to fine until it is accurate enough or too slow.
+    """Measure every contender that is installed, coarse to fine until it fails or is too slow.
 
     `name` stands for the case in the table; `case` and the settings of contenders are handed on as JSON.
     """
@@ -113,7 +111,7 @@ def run_contenders(
             record = _measured(module, name, case, one, setting, settings)
             found.append(record)
             say(described(record))
-            if record.failure or max(record.errors.values(), default=np.inf) < settings.enough:
+            if record.failure:
                 break
     return found
 
@@ -134,7 +132,6 @@ def _measured(module: str, name: str, case: Any, one: Contender, setting: Any, s
     return Record(
         **labels,
         seconds=median(times),
-        spread=max(times) / max(min(times), 1e-9),
         peak_mib=max(run["peak_mib"] for run in runs),
         **{one.name: middle[one.name] for one in fields(Found)},
     )

@@ -1,7 +1,7 @@
-"""``python -m studies.edge_cases``: scenes and trainings at the edge of what can be done, and the verdict on each.
+"""``python -m studies.edge_cases``: scenes at the edge of what can be solved, and the verdict on each.
 
 Every trial either gets an answer that something independent of it confirms (a closed form, a scaled twin, another
-element, a tighter solve, a linear map), or is refused with a reason. An answer further off than its tolerance or its
+element, a tighter solve), or is refused with a reason. An answer further off than its tolerance or its
 own estimate allows is WRONG, and makes the exit status 1.
 """
 
@@ -14,16 +14,10 @@ from typing import Annotated
 import typer
 
 from studies.edge_cases.scenes import scene_trials
-from studies.edge_cases.training import training_trials
-from studies.edge_cases.trials import Trial, tried
+from studies.edge_cases.trials import tried
 from studies.tables import report
 from tripillar.terminal.console import say
 from tripillar.terminal.entry import run_alone
-
-
-def all_trials() -> list[Trial]:
-    """Every line of the table."""
-    return scene_trials() + training_trials()
 
 
 def judge_all(
@@ -31,7 +25,7 @@ def judge_all(
     only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
 ) -> None:
     """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
-    trials = all_trials()
+    trials = scene_trials()
     names = list(dict.fromkeys(trial.name for trial in trials))
     for name in only or []:
         if name not in names:
