@@ -108,7 +108,7 @@ class AnySamples:
         return f"{len(self):,} samples of {rows} × {cols} units, {protocol}"
 
     def described(self) -> dict[str, str]:
-        """What is held, by variable, and what is known of it, by attribute, in words."""
+        """Variables that are held and attributes that are known, by name, in words."""
         held = {}
         for name in self.variables:
             dims, notes, _ = VARIABLES[name]
