@@ -31,8 +31,9 @@ def stored(data, tmp_path_factory):
     return read_samples(path)
 
 
-def test_tables_give_back_every_bit_and_parquet_what_it_means(data, stored, tmp_path):
-    """A column a number: of each kind one is looked up by its name, and all by their dictionary."""
+def test_tables_give_back_every_bit_and_parquet_what_it_means(data, stored, tmp_path, monkeypatch):
+    """A column a number: of each kind one is looked up by its name, and all by what their fields say; in blocks."""
+    monkeypatch.setattr("dataset.table.ROWS_AT_ONCE", 16)
     for samples, dtype in ((data, "double"), (stored, "float")):
         counts = []
         write_table(samples, tmp_path / "a.parquet", counts.append)
