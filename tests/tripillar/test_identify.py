@@ -17,7 +17,7 @@ from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
 from tripillar.face import identifying
-from tripillar.face.checks import Caller
+from tripillar.face.caller import Caller
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)

@@ -7,7 +7,7 @@ code 2. A command's job is loaded when it is named, its stage when it runs: help
 import sys
 from importlib import import_module, metadata
 
-from cyclopts import App, Group, Parameter
+from cyclopts import App, Group
 
 from geometry.errors import DesignError
 from tripillar.cli.door import command_of
@@ -61,7 +61,6 @@ def app_of(*names: str) -> App:
         version_flags="--version",
         group_parameters=Group("Options", sort_key=1),
         group_arguments=Group("Arguments", sort_key=0),
-        default_parameter=Parameter(negative=()),
         exit_on_error=False,
         print_error=False,
     )

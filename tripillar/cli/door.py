@@ -24,14 +24,17 @@ from docstring_parser import parse
 from geometry.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown
 from tripillar.face.inputs import require_above_0
-from tripillar.terminal.entry import say
+from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
 
 Job = Callable[..., Any]
 #: options that every command has
 COMMON = {
     "json": Annotated[
-        bool, Parameter(show_default=False, help="Print the result as one JSON object on stdout; of live one a line.")
+        bool,
+        Parameter(
+            negative=(), show_default=False, help="Print the result as one JSON object on stdout; of live one a line."
+        ),
     ],
     "verbosity": Annotated[
         bool | None,
@@ -76,8 +79,7 @@ class Typed(Caller):
     def end(self) -> int:
         """Name every file written, last of all, on stderr; gives the exit code."""
         for _, _, files, _ in self.answers:
-            for path in files:
-                print(path, file=sys.stderr)
+            wrote(files)
         return max((code for *_, code in self.answers), default=0)
 
 
@@ -93,12 +95,13 @@ def command_of(job: Job) -> Callable[..., int]:
         default = given.default
         if default is given.empty and any(mark.required is False for mark in marks):
             default = absent[given.name] = None
-        name = next((mark.name[0] for mark in marks if mark.name), flag_of(given.name))
+        name = next((tuple(mark.name)[0] for mark in marks if mark.name), flag_of(given.name))
         flags[given.name] = given.name if is_argument else name
         names = () if is_argument else ("--out", "-o") if name == "--out" else (name,)
         shown = not (default is None or default in ((), math.inf) or isinstance(default, bool))
         own = Parameter(
             name=names or None,
+            negative=(),
             help=told.get(given.name),
             show_default=shown,
             converter=whole if hint in WHOLE else None,
@@ -113,6 +116,7 @@ def command_of(job: Job) -> Callable[..., int]:
         )
     serves = inspect.isgeneratorfunction(inspect.unwrap(job))
     common = ({"seconds": SECONDS} if serves else {}) | COMMON
+    flags |= {name: flag_of(name) for name in common}
     defaults = {"seconds": math.inf, "json": False, "verbosity": None}
     parameters += [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint)

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from cyclopts import App, Group
+from cyclopts.help import create_parameter_help_panel
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -33,6 +35,12 @@ class Columns:
     def render_description(self, console: Console, options: Any, description: Any) -> None:
         """Print what the command does."""
         console.print(description, "", sep="\n", markup=False, highlight=False)
+
+
+def options_of(app: App, name: str) -> list[Any]:
+    """What help says of the arguments and options of a command."""
+    arguments = app[name].assemble_argument_collection(parse_docstring=True)
+    return create_parameter_help_panel(Group("Options"), arguments, "plaintext").entries
 
 
 def labels(entry: Any) -> tuple[str, ...]:

@@ -261,7 +261,7 @@ def record(
     >>> from tempfile import mkdtemp
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> with tp.board(design) as port:
+    >>> with tp.board(design, chip="python") as port:
     ...     scans = tp.record(port, Path(mkdtemp()) / "press.frames", 0.2)
     >>> scans > 0
     True
@@ -358,7 +358,7 @@ def replay(
     >>> from tempfile import mkdtemp
     >>> design, file = tp.SensorDesign(), Path(mkdtemp()) / "press.frames"
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> with tp.board(design) as port:
+    >>> with tp.board(design, chip="python") as port:
     ...     scans = tp.record(port, file, 0.2)
     >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
     >>> tp.replay(file, model).force_n.shape == (scans, 1, 2, 3)
@@ -504,7 +504,7 @@ def tare(
 def board(
     design: SensorLike | None = None,
     *,
-    kind: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
+    chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
     link: File | None = None,
     scene: SceneLike | None = None,
     pressure_mpa: float | None = None,
@@ -531,7 +531,7 @@ def board(
     ----------
     design : SensorDesign, ArrayResponse or path, optional
         Design file (TOML); default: the paper's sensor.
-    kind : str
+    chip : str
         Board to be: the firmware on a simulated chip, or the same frames from Python.
     link : path, optional
         Link of this name to the port, to be kept while it runs.
@@ -581,7 +581,7 @@ def board(
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
     >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
-    >>> with tp.board(design, kind="python") as port, tp.live(port, model) as scans:
+    >>> with tp.board(design, chip="python") as port, tp.live(port, model) as scans:
     ...     scan = next(iter(scans))
     >>> scan.force_n.shape, scan.deviation_n.shape
     ((1, 2, 3), (1, 2, 3))
@@ -607,7 +607,7 @@ def board(
     motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
-    suited, why = suited_kind(told) if kind == "auto" else (kind, "")
+    suited, why = suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
     counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
     if written is not None:

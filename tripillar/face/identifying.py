@@ -192,7 +192,8 @@ def identify(
         raise DesignError(f"noise={noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
     sensor, tolerances = _sensor(data, design, tolerances)
     electronics = _electronics(calibration, switch_ohm, line_ohm)
-    name, serial, read = name_of(data or port, "samples"), 0, None
+    name, serial = name_of(data or port, "samples"), 0
+    read: AnySamples | Pairs | None = None
     if port is not None:
         settings = {"baud": baud, "timeout": timeout}
         beside = None if out is None or as_designed or Path(port).is_file() else out.with_suffix(".csv")

@@ -132,7 +132,7 @@ def train(
     True
     """
     caller = caller or Caller()
-    sources = list(data) if isinstance(data, list | tuple) else [data]
+    sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     require_there(*sources, what=DATA)
     out = to_write("out", out, ".safetensors", read=(*sources, design))
     stated = None if design is None else design_of(design)

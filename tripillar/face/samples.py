@@ -158,7 +158,7 @@ def dataset(
     places = tuple(map(_place, dead_pillars))
     require_counts(workers=workers)
     require_pool(workers, scheduler)
-    from dataset import DatasetSettings, read_samples
+    from dataset import DatasetSettings, in_memory, read_samples
     from dataset.protocols import INDENT, pad_protocol
     from dataset.samples import require_dtype
     from dataset.simulation import require_memory
@@ -215,7 +215,7 @@ def dataset(
     result |= {} if twin is None else {"twin": twin.decoder_hash}
     line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
     line += f"; {story['kept']} samples are of earlier runs" if story.get("kept") else ""
-    if finite and (errors := made.error_estimate) is not None:
+    if finite and (errors := in_memory(made).error_estimate) is not None:
         result |= {"strain": "finite", "unsolved": story["unsolved"], "error_estimate": float(errors.mean())}
         line += (
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
@@ -243,7 +243,7 @@ def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, TwinFile | None
     if isinstance(source, ArrayResponse):
         return source.design, None, source
     require_type("design", source, TwinFile, "give a design, a response or what decoupler.twin.read_twin gave")
-    return source.design, source, None
+    return source.design, source, None  # type: ignore[union-attr]
 
 
 def _place(text: "str | Place") -> "Place":

@@ -4,7 +4,7 @@ import io
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -21,6 +21,12 @@ def say(note: str) -> None:
     """A message on stderr, if there is one."""
     if note:
         print(note, file=sys.stderr)
+
+
+def wrote(files: Iterable[Path]) -> None:
+    """Name every file written, last of all, on stderr."""
+    for path in files:
+        print(path, file=sys.stderr)
 
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
@@ -85,7 +91,9 @@ def _in_one_line(error: Any) -> str:
     if isinstance(error, cyclopts.MissingArgumentError) and argument is not None:
         typed = argument.name if error.keyword is None else error.keyword
         message = (
-            f"{typed} is missing: {argument.parameter.help}" if error.keyword is None else f"{typed} needs a value."
+            f"{typed} is missing: {(argument.parameter.help or '').partition(';')[0].rstrip('.')}."
+            if error.keyword is None
+            else f"{typed} needs a value."
         )
     elif isinstance(error, cyclopts.CoercionError) and argument is not None and token is not None:
         kind = error.target_type
