@@ -2,6 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from tripillar.cli.app import COMMANDS, app_of
 from tripillar.cli.help import labels, meaning, options_of
@@ -20,9 +21,7 @@ def reference() -> str:
     """The whole page, Markdown."""
     app = app_of()
     names = [name for commands in COMMANDS.values() for name in commands]
-    told = {
-        name: [f"- `{', '.join(labels(each))}`: {meaning(each)}" for each in options_of(app, name)] for name in names
-    }
+    told = {name: [shown(each) for each in options_of(app, name)] for name in names}
     counts = Counter(line for lines in told.values() for line in lines)
     common = [line for line, count in counts.items() if count >= COMMON]
     blocks = [TITLE, "\n".join(["- `--version`: Print the version and exit.", *common])]
@@ -34,6 +33,11 @@ def reference() -> str:
             blocks += [f"### {name}", app[name].help.strip(), "\n".join(own)]
             blocks.append(f"Also {', '.join(f'`{flag}`' for flag in also)}.")
     return "\n\n".join(block for block in blocks if block) + "\n"
+
+
+def shown(option: Any) -> str:
+    """A line for an argument or option: how it is typed, what it means, its default."""
+    return f"- `{', '.join(labels(option))}`: {meaning(option)}"
 
 
 if __name__ == "__main__":

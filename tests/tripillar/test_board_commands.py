@@ -255,7 +255,8 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
             table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
     (house.folder / "loads.csv").write_text("\n".join(table))
     told = house.result(
-        "identify", "--as-designed", "--port", "known.frames", "--loads", "loads.csv", "--design", "small.toml", "-o", "gains.json",
+        "identify", "--as-designed", "--port", "known.frames", "--loads", "loads.csv", "--design", "small.toml",
+        "-o", "gains.json",
         "--noise", "0.0005", "-q",
     )  # fmt: skip
     assert told["loads"] == 12

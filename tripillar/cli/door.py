@@ -95,7 +95,7 @@ def command_of(job: Job) -> Callable[..., int]:
         default = given.default
         if default is given.empty and any(mark.required is False for mark in marks):
             default = absent[given.name] = None
-        name = next((tuple(mark.name)[0] for mark in marks if mark.name), flag_of(given.name))
+        name = next((next(iter(mark.name)) for mark in marks if mark.name), flag_of(given.name))
         flags[given.name] = given.name if is_argument else name
         names = () if is_argument else ("--out", "-o") if name == "--out" else (name,)
         shown = not (default is None or default in ((), math.inf) or isinstance(default, bool))
