@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from tripillar.face.exporting import write
     from tripillar.face.identifying import identify
     from tripillar.face.learning import evaluate, train
-    from tripillar.face.pressing import press
     from tripillar.face.samples import dataset
     from tripillar.face.viewing import view
 
@@ -74,7 +73,6 @@ _NAMES_BY_HOME = {
     "hardware.session": ["live"],
     "hardware.virtual.sensor": ["VirtualSensor"],
     "tripillar.face.bodies": ["response", "solve"],
-    "tripillar.face.pressing": ["press"],
     "tripillar.face.viewing": ["view"],
     "tripillar.face.samples": ["dataset"],
     "tripillar.face.learning": ["train", "evaluate"],
@@ -93,7 +91,6 @@ __all__ = [
     "evaluate",
     "identify",
     "live",
-    "press",
     "read_design",
     "read_model",
     "read_samples",

@@ -60,7 +60,7 @@ def test_importing_it_is_instant_and_loads_nothing_heavy():
 def test_what_is_no_part_of_it_cannot_be_written(tmp_path):
     with pytest.raises(tp.TriPillarError, match="a dict cannot be written"):
         tp.write({}, tmp_path / "x")
-    with pytest.raises(tp.TriPillarError, match=r"data is of type dict, expected Samples"):
+    with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
         tp.train({})
 
 

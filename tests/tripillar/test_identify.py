@@ -95,15 +95,15 @@ def test_a_data_set_without_a_design_decides_alone(house):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ((), "give --data FILE or --port PORT; --next alone says where to begin"),
-        (("--data", "pairs.csv"), "give --out FILE for the model, or --next"),
+        ((), "give --data or --port; --next alone says where to begin"),
+        (("--data", "pairs.csv"), "give --out for the model, or --next"),
         (("--data", "pairs.csv", "--port", "x", "-o", "m.safetensors"), "give --data or --port, not both"),
         (("--data", "pairs.csv", "--loads", "loads.csv", "-o", "m.safetensors"), "--loads and --keep go with --port"),
         (("-o", "m.safetensors", "--next", "1"), "--out needs pairs"),
         (("--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
         (("--data", "pairs.csv", "-o", "m.safetensors", "--pairs", "5"), "--pairs 5 must be at most 4"),
         (("--data", "pairs.csv", "--next", "-1"), "--next -1 must be from 0 to 100"),
-        (("--data", "pairs.csv", "-o", "pairs.csv"), "is read by this command"),
+        (("--data", "pairs.csv", "-o", "sensor.safetensors", "--twin", "sensor.toml"), "is read by this command"),
         (("--data", "pairs.csv", "-o", "m.safetensors", "--have", "pad:5kg"), "--have goes with --next"),
         (("--next", "1", "--have", "pad:5lb"), "'pad:5lb' is no load that one can have: write kind:size such as"),
         (("--next", "1", "--have", "plate:20kg,"), "'' is no load that one can have"),

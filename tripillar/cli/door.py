@@ -63,11 +63,11 @@ class Typed(Caller):
         """Print lines on how the job is done, where they are in nobody's way."""
         print(*lines, sep="\n", file=sys.stderr if self.as_json else sys.stdout)
 
-    def show(self) -> None:
-        """Print the answer."""
+    def show(self, indent: int | None = 2) -> None:
+        """Print the answer; without an indent JSON is one line."""
         for result, text, _, _ in self.answers:
             if self.as_json:
-                print(json.dumps(result(), indent=2), flush=True)
+                print(json.dumps(result(), indent=indent), flush=True)
             elif callable(text):
                 from tripillar.terminal.tables import show
 
@@ -136,7 +136,7 @@ def command_of(job: Job) -> Callable[..., int]:
                 with job(*arguments, **absent | options, caller=typed):
                     with bars:
                         pass
-                    typed.show()
+                    typed.show(indent=None)
                     wait(seconds)
             else:
                 with bars:

@@ -178,6 +178,8 @@ def identify(
     caller = caller or Caller()
     given = (data, loads, design, finite, model)
     _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
+    if have is not None and not next_loads:
+        raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
     require_above_0(seconds=seconds, timeout=timeout)
     out = to_write("out", out, ".json" if as_designed else ".safetensors", read=given)
     twin = to_write("twin", twin, ".toml", read=(*given, out))
@@ -392,7 +394,7 @@ def _identified(
         )
     if sensor is None and (usual is not None or finite is not None or next_loads):
         asked = "usual loads" if usual is not None else "finite strain" if finite is not None else "next loads"
-        raise DesignError(f"{asked} are those of a design: give the design.")
+        raise DesignError(f"{asked} are those of a design: give design= too.")
     usual = usual or ("contact" if isinstance(pairs, Pairs) and sensor is not None else None)
     if sensor is not None and next_loads:
         _possible(sensor, next_loads, have)  # a list that makes no sense is refused before anything takes time
