@@ -17,14 +17,13 @@ from decoupler import (
     train,
     write_model,
 )
-from decoupler.data.columns import force_columns, pillar_columns
+from decoupler.data.columns import Columns, force_columns, pillar_columns
 from decoupler.export.c_header import compiled_forces, header_text
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.limits import exact_inverse
-from decoupler.inverse.sample_checks import explaining
-from decoupler.training.suited import suited_feature
+from decoupler.training.suited import explaining, suited_feature
 from fem.array.response import ArrayResponse, ConductedPillars
 from geometry.layout import PILLAR_TOP, pillar_ends
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -37,7 +36,8 @@ DATA = labelled(SENSOR, "xyz", n_samples=300, seed=0)
 TRAIN, TEST = split(DATA, 200)
 FORWARD = ForwardModel.of(RESPONSE, ALL)
 READABLE = np.ones(FORWARD.n_pillars, dtype=bool)
-COLUMNS, FORCES = pillar_columns(DATA.resistance_ohm, ALL), force_columns(DATA.force_n, ALL)
+TRAINING = Columns.of(DATA, ALL)
+COLUMNS, FORCES = TRAINING.resistance_ohm, TRAINING.force_n
 
 
 @pytest.mark.parametrize(("name", "axes"), [("fx", "x"), ("fy", "y"), ("fz", "z"), ("all", "xyz")])
@@ -115,16 +115,16 @@ def test_the_feature_needs_a_response_that_explains_the_data():
     with pytest.raises(SampleError, match="needs the array's response"):
         train(TRAIN, "all", NetworkConfig(feature="inverse"), TrainingConfig())
     with pytest.raises(SampleError, match="the response is of 12 pillars, the samples of 18"):
-        explaining(response(sensor(2, 2)), ALL, COLUMNS, FORCES, READABLE)
+        explaining(response(sensor(2, 2)), TRAINING)
     shuffled = np.random.default_rng(0).permutation(FORCES)  # resistances of other loads
     with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
-        explaining(RESPONSE, ALL, COLUMNS, shuffled, READABLE)
+        explaining(RESPONSE, replace(TRAINING, force_n=shuffled))
 
 
 def test_another_resistivity_or_gains_are_explained_and_a_softer_body_is_not():
     """Ohms ten times as many say the same of the forces; a body half as stiff does not."""
     gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, COLUMNS.shape[1])
-    explaining(RESPONSE, ALL, gains * COLUMNS, FORCES, READABLE)
+    explaining(RESPONSE, replace(TRAINING, resistance_ohm=gains * COLUMNS))
     other = replace(DATA, resistance_ohm=DATA.resistance_ohm * gains.reshape(2, 3, 3))
     model = train(other, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
     own = train(DATA, "all", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=RESPONSE)
@@ -132,7 +132,7 @@ def test_another_resistivity_or_gains_are_explained_and_a_softer_body_is_not():
         assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs
     softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)
     with pytest.raises(SampleError, match=r"explains .* of the resistances' variance"):
-        explaining(softer, ALL, COLUMNS, FORCES, READABLE)
+        explaining(softer, TRAINING)
 
 
 def test_the_suited_feature():

@@ -130,15 +130,15 @@ def test_recipe_follows_all_that_matters():
         (lambda header, arrays: header.update(bits=99), "bits=99 must be a whole number from 4 to 24"),
         (lambda header, arrays: header.update(made_from=3), "its header makes no sense"),
         (
-            lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1.0),
-            "uncertainty.misfit_n2 holds -1, must not be below 0",
+            lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1e9),
+            "its arrays do not belong together",
         ),
         (lambda header, arrays: arrays.pop("input_scaling.centre"), "centre"),
         (
             lambda header, arrays: arrays.update({"output_scaling.centre": np.ones(3)}),
-            "centre is float64 of shape",
+            "its arrays do not belong together",
         ),
-        (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is .* not finite"),
+        (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is not finite"),
     ],
 )
 def test_file_that_contradicts_itself_is_refused(decoupler, tmp_path, change, message):

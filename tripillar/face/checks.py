@@ -1,10 +1,9 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
 from dataset import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
-from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.decoupler import Decoupler
@@ -42,7 +41,7 @@ def mention(data: Samples, name: str, component: Component, forward: ForwardMode
     left_out = disturbance(data, component, forward)
     if left_out is not None:
         caller.say(f"{name}: {left_out}")
-    repeated = len(data.force_n) - len(distinct(data, component).force_n)
+    repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
         caller.say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
 
