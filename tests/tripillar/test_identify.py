@@ -17,7 +17,7 @@ from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
 from tripillar.face import identifying
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -168,7 +168,8 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     assert by_command["excess"] == twin.posterior.excess
     monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
     many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
-    assert identifying.identify(many, DESIGN, caller=Caller(say=said.append)).n_pairs == 7
+    with called_by(Caller(say=said.append)):
+        assert identifying.identify(many, DESIGN).n_pairs == 7
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
 
 

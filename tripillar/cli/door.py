@@ -2,7 +2,7 @@
 
 Positional-only parameters are arguments, all others flags: `depth_mm` is --depth, its unit is in the help. What a
 docstring says of a parameter is its help. Refusals name parameters as Python has them, `hidden=0`, and are spelled as
-typed here, `--hidden 0`. The parameter `caller` becomes --json and -v or -q; who calls gets the answer printed.
+typed here, `--hidden 0`. With --json, -v or -q it says how the answer and progress are printed.
 """
 
 import inspect
@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -22,7 +23,7 @@ from cyclopts import Parameter, Token
 from docstring_parser import parse
 
 from geometry.errors import DesignError, TriPillarError
-from tripillar.face.caller import Caller, Shown
+from tripillar.face.caller import Caller, Shown, called_by
 from tripillar.face.inputs import require_above_0
 from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
@@ -89,7 +90,7 @@ def command_of(job: Job) -> Callable[..., int]:
     absent: dict[str, Any] = {}  # of what Python must be given and a command need not
     for given in inspect.signature(job).parameters.values():
         hint, marks = hoisted(given.annotation)
-        if given.name == "caller" or given.kind is given.VAR_KEYWORD or any(mark.parse is False for mark in marks):
+        if given.kind is given.VAR_KEYWORD or any(mark.parse is False for mark in marks):
             continue
         is_argument = given.kind is given.POSITIONAL_ONLY
         default = given.default
@@ -127,20 +128,18 @@ def command_of(job: Job) -> Callable[..., int]:
         as_json, verbosity = options.pop("json", False), options.pop("verbosity", None)
         seconds = options.pop("seconds", math.inf) if serves else math.inf
         bars = Bars(quiet=verbosity is False, verbose=verbosity is True)
-        typed = Typed(
-            say=lambda note: say(spelled(note, flags)), bars=bars, as_json=as_json, is_typed=True,
-        )  # fmt: skip
-        with refusals(flags):
+        typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=as_json, is_typed=True)
+        with refusals(flags), called_by(typed):
             if serves:
                 require_above_0(seconds=seconds)
-                with job(*arguments, **absent | options, caller=typed):
+                with job(*arguments, **absent | options):
                     with bars:
                         pass
                     typed.show(indent=None)
                     wait(seconds)
             else:
                 with bars:
-                    job(*arguments, **absent | options, caller=typed)
+                    job(*arguments, **absent | options)
                 typed.show()
         return typed.end()
 
@@ -163,12 +162,16 @@ def flag_of(name: str) -> str:
 
 
 def meanings(job: Job) -> dict[str, str]:
-    """What the docstring says of each parameter; "As of `train`" is what is said there."""
+    """What the docstring says of each parameter; "As of `train`", or of `learning.train`, is what is said there."""
     found: dict[str, str] = {}
     for each in parse(inspect.getdoc(job) or "").params:
         text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
-        elsewhere = re.match(r"As of '(\w+)'", text)
-        others = meanings(getattr(inspect.getmodule(job), elsewhere[1])) if elsewhere else {}
+        elsewhere = re.match(r"As of '(\w+\.)?(\w+)'", text)
+        others: dict[str, str] = {}
+        if elsewhere:
+            home = inspect.getmodule(job)
+            module = home if elsewhere[1] is None else import_module(f"tripillar.face.{elsewhere[1].rstrip('.')}")
+            others = meanings(getattr(module, elsewhere[2]))
         for name in each.arg_name.split(", "):
             found[name] = others.get(name, text)
     return found

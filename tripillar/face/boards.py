@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.exporting import damage
 from tripillar.face.inputs import (
     DesignLike,
@@ -52,7 +52,6 @@ def info(
     calibration: File | None = None,
     baud: int = BAUD,
     timeout: float = TIMEOUT_S,
-    caller: "Caller | None" = None,
 ) -> dict[str, Any]:
     """List the serial ports of this machine; or ask a board what it is: size, rate, circuit, firmware.
 
@@ -73,15 +72,13 @@ def info(
         Speed of the serial port [bit/s].
     timeout : float
         Time to wait for the board's answer [s].
-    caller : Caller, optional
-        Takes notes and the answer; default: Python's warnings.
 
     Returns
     -------
     dict
         What was found, as JSON has it.
     """
-    caller = caller or Caller()
+    caller = current()
     require_above_0(timeout=timeout, **({} if seconds is None else {"seconds": seconds}))
     require_there(model, what=MODEL)
     if seconds is None and (model is not None or calibration is not None):
@@ -138,7 +135,6 @@ def watch(
     rerun_at: str | None = None,
     rrd: File | None = None,
     describe: bool = False,
-    caller: "Caller | None" = None,
 ) -> None:
     """Show the forces on a sensor as they come: heat map, shear, net load, rate, losses.
 
@@ -151,16 +147,14 @@ def watch(
         Serial port, socket://host:port, or a recording.
     model : Decoupler or path
         Model file.
-    calibration : path, optional
-        Calibration file of this sensor; default: as designed, switches of 25 Ω.
+    calibration
+        As of `info`.
     seconds : float
         Seconds after which to stop; default: on Ctrl-C.
     rate_hz : int, optional
         Number of scans a second to ask the board for; default: its own.
-    baud : int
-        Speed of the serial port [bit/s].
-    timeout : float
-        Time to wait for the board's answer [s].
+    baud, timeout
+        As of `info`.
     foxglove : bool
         Serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone.
     foxglove_at : str, optional
@@ -177,10 +171,8 @@ def watch(
         File (.rrd) to write as well: what Rerun is shown.
     describe : bool
         Print first a line that describes the sensor, with JSON.
-    caller : Caller, optional
-        Takes notes, and says whether programs read the forces.
     """
-    caller = caller or Caller()
+    caller = current()
     require_there(model, what=MODEL)
     if rate_hz is not None and Path(port).is_file():
         raise DesignError("a recording has the rate that it was made at: leave rate_hz= out.")
@@ -221,7 +213,6 @@ def record(
     append: bool = False,
     baud: int = BAUD,
     timeout: float = TIMEOUT_S,
-    caller: "Caller | None" = None,
 ) -> int:
     """Record what a board sends, raw, as it comes; a killed recording loses one scan.
 
@@ -241,12 +232,8 @@ def record(
         Calibration file of this sensor, kept with the scans; default: as designed, switches of 25 Ω.
     append : bool
         Continue the recording, of the same board.
-    baud : int
-        Speed of the serial port [bit/s].
-    timeout : float
-        Time to wait for the board's answer [s].
-    caller : Caller, optional
-        Takes progress and the answer.
+    baud, timeout
+        As of `info`.
 
     Returns
     -------
@@ -266,7 +253,7 @@ def record(
     >>> scans > 0
     True
     """
-    caller, path = caller or Caller(), Path(out)
+    caller, path = current(), Path(out)
     require_above_0(seconds=seconds, timeout=timeout)
     require_there(model, what=MODEL)
     if path.suffix in (".nc", ".mcap", ".csv"):
@@ -320,7 +307,6 @@ def replay(
     out: File | None = None,
     ros2: bool = False,
     crosstalk: Annotated[bool, Parameter(negative="--no-crosstalk")] = True,
-    caller: "Caller | None" = None,
 ) -> "Forces | None":
     """Turn a recording into forces, or watch it again.
 
@@ -340,8 +326,6 @@ def replay(
         Write messages of ROS 2 into the .mcap file, in place of JSON.
     crosstalk : bool
         Correct the crossbar's crosstalk.
-    caller : Caller, optional
-        Takes notes and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -364,7 +348,7 @@ def replay(
     >>> tp.replay(file, model).force_n.shape == (scans, 1, 2, 3)
     True
     """
-    caller, source = caller or Caller(), Path(recording)
+    caller, source = current(), Path(recording)
     file = to_write("out", out, ".nc", ".mcap", read=(source, model, calibration))
     if ros2 and (file is None or file.suffix != ".mcap"):
         raise DesignError("ros2=True says what is in an MCAP file: add out=FILE.mcap, or leave ros2=True out.")
@@ -438,7 +422,6 @@ def tare(
     baud: int = BAUD,
     timeout: float = TIMEOUT_S,
     force: bool = False,
-    caller: "Caller | None" = None,
 ) -> "SensorCalibration":
     """Zero a sensor: take what it shows now, with nothing on it, as its rest.
 
@@ -458,21 +441,17 @@ def tare(
         Resistance of a wire to the pillars [Ω]; default: 0.
     seconds : float
         Time to average over [s].
-    baud : int
-        Speed of the serial port [bit/s].
-    timeout : float
-        Time to wait for the board's answer [s].
+    baud, timeout
+        As of `info`.
     force : bool
         Write the file even if the readings cannot be what they should be.
-    caller : Caller, optional
-        Takes the answer.
 
     Returns
     -------
     SensorCalibration
         What was known of the sensor, and its rest.
     """
-    caller, path = caller or Caller(), to_write("out", out)
+    caller, path = current(), to_write("out", out)
     assert path is not None
     require_above_0(seconds=seconds, timeout=timeout)
     if path.exists() and (calibration is None or path.resolve() != Path(calibration).resolve()):
@@ -521,7 +500,6 @@ def board(
     specimen: int = 0,
     serial: int = 0,
     truth: File | None = None,
-    caller: "Caller | None" = None,
 ) -> Iterator[str]:
     """Simulate a board: a port that sends what a real one would.
 
@@ -548,26 +526,18 @@ def board(
         Number of scans a second.
     sense_ohm : int, optional
         Sense or feedback resistor [Ω]; default: one that suits 10 kΩ.
-    switch_ohm : float, optional
-        Resistance of a closed switch [Ω]; default: 25.
-    line_ohm : float, optional
-        Resistance of a wire to the pillars [Ω]; default: 0.
+    switch_ohm, line_ohm
+        As of `tare`.
     noise : float
         Standard deviation of a reading, as a fraction of full scale.
     bits : int
         Bits of the converter; chips have 10.
-    gain_spread : float
-        Spread of the pillars' gains: each is uniform in 1 ± this.
-    offset_ohm : float
-        Standard deviation of the pillars' offsets [Ω].
-    specimen : int
-        Seed of gains and offsets.
+    gain_spread, offset_ohm, specimen
+        As of `samples.dataset`.
     serial : int
         Serial number of the board.
     truth : path, optional
         NetCDF file to write: the true forces of one period.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Yields
     ------
@@ -586,7 +556,7 @@ def board(
     >>> scan.force_n.shape, scan.deviation_n.shape
     ((1, 2, 3), (1, 2, 3))
     """
-    caller = caller or Caller()
+    caller = current()
     written = to_write("truth", truth, ".nc")
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from geometry.design import Array, SensorDesign
 from geometry.design_file import design_to_toml, write_design
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, require_there, to_fill, to_write
 
 if TYPE_CHECKING:
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from fem.scene.solution import Solution
 
 
-def design(
-    *, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols, caller: "Caller | None" = None
-) -> SensorDesign:
+def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols) -> SensorDesign:
     """Write a design file: the paper's sensor, every number with its meaning.
 
     Parameters
@@ -30,15 +28,13 @@ def design(
         Number of units along y.
     cols : int
         Number of units along x.
-    caller : Caller, optional
-        Takes the answer.
 
     Examples
     --------
     >>> design(rows=2, cols=3).n_units
     6
     """
-    caller, path = caller or Caller(), to_write("out", out)
+    caller, path = current(), to_write("out", out)
     sensor = SensorDesign(array=Array(rows=rows, cols=cols))
     if path is not None:
         write_design(sensor, path)
@@ -52,7 +48,6 @@ def cad(
     *,
     out: File,
     mesh: bool = False,
-    caller: "Caller | None" = None,
 ) -> list[Path]:
     """Draw the sensor's solids and its casting mould as STEP and STL files.
 
@@ -66,15 +61,13 @@ def cad(
         Folder for STEP and STL files.
     mesh : bool
         Mesh the whole array with tetrahedra, too, and judge their shape; kept in the cache, it is written as mesh.vtu.
-    caller : Caller, optional
-        Takes progress and the answer.
 
     Returns
     -------
     list of Path
         Files that were written.
     """
-    caller, folder = caller or Caller(), to_fill(out)
+    caller, folder = current(), to_fill(out)
     sensor = design_of(design)
     from geometry.mould import write_cad
 
@@ -100,7 +93,6 @@ def solve(
     explain: bool = False,
     tolerance: float | None = None,
     vtu: File | None = None,
-    caller: "Caller | None" = None,
 ) -> "Solution":
     """Solve a scene: a block, pillar, unit or array under loads, to a tolerance.
 
@@ -114,8 +106,6 @@ def solve(
         Relative error wanted of the probes; default: the scene's.
     vtu : path, optional
         VTU file for the displacement of the whole body.
-    caller : Caller, optional
-        Takes notes and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -138,7 +128,7 @@ def solve(
     >>> round(float(tp.solve(scene_from_dict(scene)).probes["top"][2]), 6)
     -2.0
     """
-    caller, path = caller or Caller(), to_write("vtu", vtu, ".vtu", read=(scene,))
+    caller, path = current(), to_write("vtu", vtu, ".vtu", read=(scene,))
     require_there(scene, what="a scene file; see docs/scenes.md")
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
@@ -174,7 +164,6 @@ def response(
     out: Annotated[File | None, Parameter(required=True)] = None,
     tolerance: float | None = None,
     method: Literal["cells", "layer"] = "cells",
-    caller: "Caller | None" = None,
 ) -> "ArrayResponse":
     """Compute how far a newton on each pad moves each electrode.
 
@@ -190,8 +179,6 @@ def response(
         Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.
     method : str
         Method: copies of one condensed cell, or an approximate closed form.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -208,7 +195,7 @@ def response(
     >>> tp.response(design).influence_mm_per_n.shape
     (1, 2, 2, 3, 1, 2, 3)
     """
-    caller, path = caller or Caller(), to_write("out", out, read=(design,))
+    caller, path = current(), to_write("out", out, read=(design,))
     sensor = design_of(design)
     from fem.array.response import write_response
     from fem.array.solving import ResponseSettings

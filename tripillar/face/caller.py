@@ -1,7 +1,9 @@
 """Who calls a job: Python, whose warnings take the notes, or the command line, which prints what the job answers."""
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,3 +37,21 @@ class Caller:
 
     def tell(self, *lines: str) -> None:
         """Take lines on how the job is done, at once."""
+
+
+_current: ContextVar[Caller | None] = ContextVar("caller", default=None)
+
+
+def current() -> Caller:
+    """Who calls: Python, unless `called_by` says otherwise."""
+    return _current.get() or Caller()
+
+
+@contextmanager
+def called_by(caller: Caller) -> Iterator[None]:
+    """Give notes, progress and answers of the jobs within the with block to a caller."""
+    before = _current.set(caller)
+    try:
+        yield
+    finally:
+        _current.reset(before)

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.errors import ArgumentError, DesignError
 from geometry.storage.files import write_bytes
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import File, ModelLike, model_of, require_there, to_write
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ def export(
     out: File | None = None,
     precision: Literal["float", "double"] | None = None,
     licence: Annotated[str | None, Parameter(name="--license")] = None,
-    caller: "Caller | None" = None,
 ) -> Path:
     """Write a model, a data set or a recording for other programs: ONNX or C, Parquet or CSV, NetCDF or MCAP.
 
@@ -54,15 +53,13 @@ def export(
         Precision of a model's numbers; default: double in .onnx, float in .h.
     licence : str, optional
         Licence of a data set for its card, such as cc-by-4.0.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
     Path
         The file that was written.
     """
-    caller = caller or Caller()
+    caller = current()
     if (data is None) == (model is None):
         raise DesignError("give a data set, a recording or model=FILE, one of them.")
     require_there(model, what="a model file of 'tripillar train'")

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
 from geometry.errors import DesignError, FileFormatError, require_type
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -76,7 +76,6 @@ def identify(
     baud: int = 1_000_000,
     timeout: float = 4.0,
     force: bool = False,
-    caller: "Caller | None" = None,
 ) -> "Twin | SensorCalibration | tuple[NextLoad, ...]":
     """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
 
@@ -106,10 +105,8 @@ def identify(
         Take the design as exact, and find gain and offset of each pillar alone; one load should be none at all.
     calibration : path, optional
         Calibration file to take switches and wires from; gains and tare are made anew.
-    switch_ohm : float, optional
-        Resistance of a closed switch [Ω]; default: 25.
-    line_ohm : float, optional
-        Resistance of a wire to the pillars [Ω]; default: 0.
+    switch_ohm, line_ohm
+        As of `boards.tare`.
     noise : float, optional
         Relative noise of a resistance, as designed; default: as measured.
     pairs : int, optional
@@ -129,14 +126,10 @@ def identify(
         a kitchen has, see docs/decoder.md.
     seconds : float
         Time to average over under each load [s].
-    baud : int
-        Speed of the serial port [bit/s].
-    timeout : float
-        Time to wait for the board's answer [s].
+    baud, timeout
+        As of `boards.info`.
     force : bool
         Go on although the pairs look wrong; the decoder remembers why they did.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -175,7 +168,7 @@ def identify(
     >>> sorted(path.name for path in folder.iterdir())
     ['own.safetensors', 'own.toml']
     """
-    caller = caller or Caller()
+    caller = current()
     given = (data, loads, design, finite, model)
     _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
     if have is not None and not next_loads:
@@ -525,7 +518,7 @@ def next_loads_of(
     if twin is not None and twin.decoder.component.name == "all":
         expected, state = twin.posterior.expected, twin.posterior.state
     else:
-        response, sensitivities = with_derivatives(design, caller or Caller(), tolerances)
+        response, sensitivities = with_derivatives(design, caller or current(), tolerances)
         expected = Expectation.of(response, sensitivities, component_named("all"))
         state = expected.mean()
     return next_loads(expected, state, measured, possible, usual_n, count)

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -62,7 +62,6 @@ def train(
     design: DesignLike | None = None,
     response: Response | None = None,
     force: bool = False,
-    caller: "Caller | None" = None,
     **settings: Any,
 ) -> "Decoupler":
     """Train a network that turns resistances into forces.
@@ -98,8 +97,6 @@ def train(
         Response of the sensor; default: solved with the default tolerance if need be.
     force : bool
         Go on although the data look wrong; a model remembers why they did.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
     **settings
         Further fields of `decoupler.TrainingConfig`, such as patience or held_out.
 
@@ -131,7 +128,7 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
-    caller = caller or Caller()
+    caller = current()
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     require_there(*sources, what=DATA)
     out = to_write("out", out, ".safetensors", read=(*sources, design))
@@ -185,7 +182,6 @@ def evaluate(
     design: DesignLike | None = None,
     response: Response | None = None,
     force: bool = False,
-    caller: "Caller | None" = None,
     **settings: Any,
 ) -> "dict[str, Assessment]":
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
@@ -206,8 +202,6 @@ def evaluate(
         Number of parts to cross-validate, each tested once; the paper uses 10.
     component, net, hidden, trainer, feature, goal_mse, seed, design, response, force, **settings
         As of `train`, with folds.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -236,7 +230,7 @@ def evaluate(
     >>> tested["fz"].errors.rel_err < 0.0261  # the paper's of ten folds of 2000
     True
     """
-    caller = caller or Caller()
+    caller = current()
     require_there(model, what="a model file of 'tripillar train'")
     require_there(data, what=DATA)
     if (model is None) == (folds is None):

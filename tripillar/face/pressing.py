@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller
+from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, design_of, to_write
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ def press(
     friction: float = 0.0,
     out: File | None = None,
     picture: File | None = None,
-    caller: "Caller | None" = None,
 ) -> "Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
@@ -71,15 +70,13 @@ def press(
         NetCDF file: a sample, and maps of the contact.
     picture : path, optional
         PNG file of the contact.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
     Contact
         ``force_n`` of each unit (rows, cols, 3), the net force, its moment and centre, and the contact's area.
     """
-    caller = caller or Caller()
+    caller = current()
     file = to_write("out", out, ".nc", read=(design,))
     drawn = to_write("picture", picture, ".png", read=(design,))
     sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from geometry.layout import PILLARS
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import DesignLike, File, design_of, require_counts, require_pool, to_write
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def dataset(
     scheduler: str | None = None,
     only: str | None = None,
     dtype: Literal["float64", "float32"] = "float64",
-    caller: "Caller | None" = None,
 ) -> "Samples | StoredSamples":
     """Simulate labelled samples: forces on the pads, and the resistances they give.
 
@@ -126,8 +125,6 @@ def dataset(
         Variables to keep, such as resistance,force; default: all.
     dtype : str
         Type of the numbers; float32 in .zarr alone.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
@@ -145,7 +142,7 @@ def dataset(
     >>> len(samples), samples.resistance_ohm.shape
     (50, (50, 1, 2, 3))
     """
-    caller = caller or Caller()
+    caller = current()
     from dataset.leaves import is_zarr, require_zarr_place
 
     if out is not None and is_zarr(Path(out)):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -38,7 +38,6 @@ def run(
     *,
     out: File = Path("out"),
     until: Literal["dataset", "table"] = "table",
-    caller: "Caller | None" = None,
 ) -> "PipelineResult":
     """Run the whole pipeline, from a design to a table of errors.
 
@@ -52,15 +51,13 @@ def run(
         Folder for all files.
     until : str
         Last stage to run.
-    caller : Caller, optional
-        Takes progress and the answer.
 
     Returns
     -------
     PipelineResult
         The stages that ran and the comparisons of the table.
     """
-    caller, folder, sensor = caller or Caller(), to_fill(out), design_of(design)
+    caller, folder, sensor = current(), to_fill(out), design_of(design)
     from tripillar.face.tables import comparison_table, stage_table, touch_table
     from tripillar.pipeline.run import run_pipeline
 
@@ -87,7 +84,6 @@ def sweep(
     train: bool = False,
     retry: bool = False,
     best: int = 8,
-    caller: "Caller | None" = None,
 ) -> "list[Row]":
     """Compare many designs by error, range, crosstalk and cost, or search for the one of least error within bounds.
 
@@ -113,15 +109,13 @@ def sweep(
         Try designs that failed before once more; not in a search.
     best : int
         Number of designs in the printed table.
-    caller : Caller, optional
-        Takes notes, progress and the answer; default: Python's warnings.
 
     Returns
     -------
     list of Row
         The designs with their measures; of a search the best one first.
     """
-    caller, source, folder = caller or Caller(), Path(file), to_fill(out)
+    caller, source, folder = current(), Path(file), to_fill(out)
     require_there(source, what="a sweep file")
     require_counts(workers=workers, best=best, trials=trials)
     require_pool(workers if scheduler is None else None, scheduler)
@@ -203,9 +197,7 @@ def _optimized(
     return best
 
 
-def doctor(
-    *, compute: Annotated[bool, Parameter(negative="--no-compute")] = True, caller: "Caller | None" = None
-) -> "list[Check]":
+def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = True) -> "list[Check]":
     """Check this machine: versions, solver, display, serial ports, known answers.
 
     Ends with code 1 if something is wrong.
@@ -214,15 +206,13 @@ def doctor(
     ----------
     compute : bool
         Compute what has a known answer, too: about 5 s.
-    caller : Caller, optional
-        Takes progress and the answer.
 
     Returns
     -------
     list of Check
         What was looked at, with its state and advice.
     """
-    caller = caller or Caller()
+    caller = current()
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, current
 from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, to_write
 from tripillar.viewer.page.opening import HTTP_PORT, LOOPBACK, PageOptions
 from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, show_deformed
@@ -43,7 +43,6 @@ def view(
     model: File | None = None,
     calibration: File | None = None,
     design: DesignLike | None = None,
-    caller: "Caller | None" = None,
 ) -> dict[str, float]:
     """Show a sensor or a scene deformed: in a window, a file or a web page.
 
@@ -78,8 +77,6 @@ def view(
         Calibration file of that sensor.
     design : SensorDesign or path, optional
         Design file (TOML), in place of the argument.
-    caller : Caller, optional
-        Takes progress and the answer.
 
     Returns
     -------
@@ -97,7 +94,7 @@ def view(
     >>> list(tp.view(design, save=Path(mkdtemp()) / "pressed.vtm", pressure_mpa=2.0))
     ["2 MPa at the indenter's middle"]
     """
-    caller = caller or Caller()
+    caller = current()
     if body is not None and design is not None:
         raise DesignError(f"{body} and design={design} both say what to show: give one of them.")
     shown_as = {
