@@ -32,7 +32,11 @@ collect_ignore = [
     str(path)
     for path in (*sorted(HERE.glob("tests/**/test_*.py")), *sorted(HERE.glob("hardware/boards/*.py")))
     if sys.platform == "win32" and POSIX.search(path.read_text(encoding="utf-8"))
-] + ([str(HERE / "studies"), str(HERE / "tripillar/face/boards.py")] if sys.platform == "win32" else [])
+] + (
+    [str(HERE / "studies"), *(str(HERE / f"tripillar/face/{name}.py") for name in ("boards", "simulating"))]
+    if sys.platform == "win32"
+    else []
+)
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
 

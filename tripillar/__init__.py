@@ -53,12 +53,13 @@ if TYPE_CHECKING:
     from geometry.errors import TriPillarError
     from hardware.session import live
     from hardware.virtual.sensor import VirtualSensor
-    from tripillar.face.boards import board, record, replay
+    from tripillar.face.boards import record, replay
     from tripillar.face.bodies import response, solve
     from tripillar.face.exporting import write
     from tripillar.face.identifying import identify
     from tripillar.face.learning import evaluate, train
     from tripillar.face.samples import dataset
+    from tripillar.face.simulating import board
     from tripillar.face.viewing import view
 
     __version__: str
@@ -77,7 +78,8 @@ _NAMES_BY_HOME = {
     "tripillar.face.samples": ["dataset"],
     "tripillar.face.learning": ["train", "evaluate"],
     "tripillar.face.identifying": ["identify"],
-    "tripillar.face.boards": ["board", "record", "replay"],
+    "tripillar.face.boards": ["record", "replay"],
+    "tripillar.face.simulating": ["board"],
     "tripillar.face.exporting": ["write"],
 }
 _HOMES = {name: home for home, names in _NAMES_BY_HOME.items() for name in names}

@@ -104,7 +104,8 @@ train --data data.nc --component fz -o m.safetensors --hidden 0 -> --hidden 0 mu
 train --data data.nc --component fz -o m.safetensors --goal -1 -> --goal -1 must be 0 or above; the paper uses 1e-5
 train --data data.nc --component fz -o m.safetensors --iterations -1 -> --iterations -1 must be a whole number from 0 up
 train --data data.nc --component fz -o m.safetensors --design missing.toml -> missing.toml: no such file
-train --data semi.csv -o m.safetensors -> semi.csv
+train --data semi.csv -o m.safetensors -> its columns are separated by semicolons
+identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
 evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
 evaluate --model missing --data data.nc -> missing: no such file: give a model file of 'tripillar train'
 evaluate --model empty --data data.nc -> empty: truncated or no safetensors file

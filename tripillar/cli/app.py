@@ -28,8 +28,8 @@ COMMANDS = {
         "run": "studying", "view": "viewing", "sweep": "studying", "doctor": "studying",
     },
     "A sensor on the table": {
-        "info": "boards", "live": "boards:watch", "record": "boards", "replay": "boards", "tare": "boards",
-        "board": "boards",
+        "info": "boards", "live": "boards:watch", "record": "boards", "replay": "boards", "tare": "taring",
+        "board": "simulating",
     },
 }  # fmt: skip
 #: commands that are gone, and what to write instead

@@ -2,6 +2,7 @@
 
 Files are inputs as good as objects (`inputs.py`); notes, progress and answers go to the caller (`caller.py`).
 `bodies.py` designs, draws and solves, `pressing.py` presses shapes, `samples.py` makes samples, `learning.py` trains
-and tests after the checks of `checks.py`, `identifying.py` finds one sensor, `boards.py` reads sensors, `viewing.py`
-shows, `studying.py` sweeps, `exporting.py` writes. Every function loads its stage when it is called.
+and tests after the checks of `checks.py`, `identifying.py` finds one sensor and `taring.py` its zero, `boards.py` reads
+sensors, `simulating.py` is one, `viewing.py` shows, `studying.py` sweeps, `exporting.py` writes. Every function loads
+its stage when it is called.
 """

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 else:
     File = DesignLike = SamplesLike = PairsLike = ModelLike = SceneLike = BodyLike = Path
 
+MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 MAX_S = 3600.0  #: of any time that must end
 
 
@@ -73,10 +74,17 @@ def name_of(source: object, otherwise: str) -> str:
 
 
 def require_there(*sources: object, what: str) -> None:
-    """Refuse a file to read that is not there."""
+    """Refuse a file to read that is not there, and a table whose columns are separated by semicolons."""
     for path in (Path(source) for source in sources if isinstance(source, Path | str)):
         if not path.exists():
             raise FileFormatError(f"{path}: no such file: give {what}.")
+        if path.suffix == ".csv" and path.is_file():
+            with path.open("rb") as file:
+                header = file.readline(MAX_HEADER)
+            if b";" in header and b"," not in header:
+                raise FileFormatError(
+                    f"{path}: its columns are separated by semicolons: separate them by commas, decimals by points."
+                )
 
 
 def to_write(name: str, path: "File | None", *endings: str, read: tuple[object, ...] = ()) -> Path | None:
