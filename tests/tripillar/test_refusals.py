@@ -68,6 +68,10 @@ response --out r.nc --method magic -> --method magic must be one of cells, layer
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
 press --shape sphere --radius 5 -> --depth is missing: Depth of its lowest point
 press --shape sphere --radius 5 --depth 0 -> must be above 0
+press --depth 0.5 --design small.toml --shape sphere -> needs --radius
+press --depth 0.5 --design small.toml --shape none.stl -> no such file
+press --depth 0.5 --design small.toml --shape sphere --radius 5 --at 99,0 -> misses the sensor
+press --depth 0.5 --shape sphere --radius 5 --picture x.jpg -> --picture x.jpg must be a file that ends in .png
 press --shape cube --depth 1 -> --shape cube: must be sphere, cylinder, flat, or a file
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
 press --shape flat --depth 1 --size 1,2,3 -> --size 1,2,3: must be two numbers, such as 7.5,-3
@@ -118,6 +122,11 @@ identify --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least
 identify --data data.nc -> give --out for the model, or --next for the loads to measure
 identify --data data.nc --port p -o x.safetensors -> give --data or --port, not both
 identify -o x.safetensors -> give --data or --port; --next alone says where to begin
+identify -o x.safetensors --next 1 -> --out needs pairs
+identify --data data.nc --loads columns.csv -o x.safetensors -> --loads and --keep go with --port alone
+identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 4: there are no more
+identify --data data.nc --next -1 -> --next -1 must be from 0 to 100
+identify --data data.nc -o x.safetensors --have pad:5kg -> --have goes with --next alone
 identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
 identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
 identify --as-designed --port text.txt -o x.json --loads place.csv --noise 2 -> --noise 2 must be above 0 and below 1

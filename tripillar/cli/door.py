@@ -162,7 +162,7 @@ def flag_of(name: str) -> str:
 
 
 def meanings(job: Job) -> dict[str, str]:
-    """What the docstring says of each parameter; "As of `train`", or of `learning.train`, is what is said there."""
+    """Help of each parameter by the docstring; "As of `train`", or `learning.train`, takes what is said there."""
     found: dict[str, str] = {}
     for each in parse(inspect.getdoc(job) or "").params:
         text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")

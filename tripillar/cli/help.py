@@ -1,4 +1,4 @@
-"""How help is printed: names left, what they mean right of them, every word as it is written."""
+"""Help as it is printed: names left, what they mean right of them, every word as it is written."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ class Columns:
 
 
 def options_of(app: App, name: str) -> list[Any]:
-    """What help says of the arguments and options of a command."""
+    """Arguments and options of a command as its help has them."""
     arguments = app[name].assemble_argument_collection(parse_docstring=True)
     return create_parameter_help_panel(Group("Options"), arguments, "plaintext").entries
 
@@ -51,7 +51,7 @@ def labels(entry: Any) -> tuple[str, ...]:
 
 
 def meaning(entry: Any) -> str:
-    """What an option means, its choices and its default."""
+    """Meaning of an option, its choices and its default."""
     text = str(getattr(entry.description, "primary_renderable", None) or entry.description or "")
     more = [f"one of {', '.join(entry.choices)}"] if entry.choices else []
     more += ["required"] if entry.required else []

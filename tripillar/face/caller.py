@@ -1,4 +1,4 @@
-"""Who calls a job: Python, whose warnings take the notes, or the command line, which prints what the job answers."""
+"""The caller of a job: Python, whose warnings take the notes, or the command line, which prints the answer."""
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -43,7 +43,7 @@ _current: ContextVar[Caller | None] = ContextVar("caller", default=None)
 
 
 def current() -> Caller:
-    """Who calls: Python, unless `called_by` says otherwise."""
+    """The caller: Python, unless `called_by` says otherwise."""
     return _current.get() or Caller()
 
 

@@ -11,7 +11,6 @@ from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
 from geometry.errors import DesignError, require_type
 from tripillar.face.caller import Caller, current
-from tripillar.face.identified import MAX_NEXT, identified, next_loads_of
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -26,6 +25,7 @@ from tripillar.face.inputs import (
     samples_of,
     to_write,
 )
+from tripillar.face.twins import MAX_NEXT, identified, next_loads_of
 
 if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples

@@ -1,4 +1,4 @@
-"""What jobs take: an object or the file that holds it; the command line sees files alone.
+"""Inputs of jobs: an object or the file that holds it; the command line sees files alone.
 
 Mistakes of names are refused here, before a stage is loaded, which takes seconds.
 """

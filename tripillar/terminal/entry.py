@@ -66,7 +66,7 @@ def _run(called: Callable[[], int]) -> int:
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:  # such as "| head": nobody reads any more
             _leave_stdout()
-            return 0
+            return 1
         if error.errno in FULL:
             message = explained(error)
             _leave_stdout()
