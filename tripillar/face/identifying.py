@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -16,6 +16,7 @@ from tripillar.face.inputs import (
     File,
     ModelLike,
     PairsLike,
+    Protocol,
     SamplesLike,
     design_of,
     model_of,
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
     Tolerances = Mapping[str, float]
 else:
     Tolerances = Annotated[None, Parameter(parse=False)]  # of the command line those of the design's file
-
-Protocol = Literal[
-    "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
-    "light-fz", "light-fx", "light",
-]  # fmt: skip
 
 
 def identify(

@@ -6,7 +6,7 @@ Mistakes of names are refused here, before a stage is loaded, which takes second
 import math
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 else:
     File = DesignLike = SamplesLike = PairsLike = ModelLike = SceneLike = BodyLike = Path
 
+Protocol = Literal[
+    "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
+    "light-fz", "light-fx", "light",
+]  # fmt: skip
 MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 MAX_S = 3600.0  #: of any time that must end
 

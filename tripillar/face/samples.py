@@ -11,7 +11,7 @@ from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from geometry.layout import PILLARS
 from tripillar.face.caller import Caller, current
-from tripillar.face.inputs import DesignLike, File, design_of, require_counts, require_pool, to_write
+from tripillar.face.inputs import DesignLike, File, Protocol, design_of, require_counts, require_pool, to_write
 
 if TYPE_CHECKING:
     from dataset import DatasetSettings, Readout, Samples
@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 else:
     SensorLike = Path
 
-Kind = Literal[
-    "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
-    "light-fz", "light-fx", "light", "indent",
-]  # fmt: skip
+Kind = Literal[Protocol, "indent"]
 NEEDED = Parameter(required=True)  # on the command line, where a default would be written to a file unasked
 WIRES = "sense_ohm=, switch_ohm=, line_ohm= and correct=False"
 
