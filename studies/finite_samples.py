@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from dataset.stored import read_samples
 from decoupler.model.model_file import read_model
@@ -16,8 +16,8 @@ from tripillar.terminal.entry import run_alone
 
 
 def decoded(
-    model: Annotated[Path, typer.Option(help="Model file.")],
-    data: Annotated[Path, typer.Option(help="Samples that it decodes, at finite strain.")],
+    model: Annotated[Path, Parameter(help="Model file.")],
+    data: Annotated[Path, Parameter(help="Samples that it decodes, at finite strain.")],
 ) -> None:
     """Print errors fx / fy / fz in % of full scale: rms, median and worst sample; and shares within half-widths."""
     decoder, samples = read_model(model), read_samples(data)[:]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, ForceErrors, LeastSquares, component_errors, component_named, train
@@ -137,8 +137,8 @@ def limits_of(response: ArrayResponse, test: Samples) -> dict[str, float]:
 
 
 def compare_pads(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/pads.json"),
-    samples: Annotated[int, typer.Option(help="Number of training samples.")] = 3000,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/pads.json"),
+    samples: Annotated[int, Parameter(help="Number of training samples.")] = 3000,
 ) -> None:
     """Compare soft and stiff pads: the map from forces to readings, and errors of forces, also by the wrong kind."""
     design = SensorDesign()

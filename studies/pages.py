@@ -10,11 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from cyclopts import Parameter
 
 from geometry.storage.files import write_json, write_text
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = "results.md"
@@ -139,8 +138,8 @@ def filled(page: str, folder: Path) -> str:
 
 
 def fill(
-    out: Annotated[Path | None, typer.Argument(help="Folder of a run, such as out; default: no new numbers.")] = None,
-    docs: Annotated[Path, typer.Option(help="Folder of the pages.")] = DOCS,
+    out: Annotated[Path | None, Parameter(help="Folder of a run, such as out; default: no new numbers.")] = None,
+    docs: Annotated[Path, Parameter(help="Folder of the pages.")] = DOCS,
 ) -> None:
     """Take the numbers that a run wrote, and fill the tables of the pages."""
     files = []

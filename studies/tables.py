@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from geometry.storage.files import write_json
-from tripillar.terminal.console import wrote
+from tripillar.terminal.entry import wrote
 from tripillar.terminal.tables import show
 
 Row = Mapping[str, Any]  #: cells by header

@@ -103,7 +103,7 @@ def identify(
         Of the sensor as designed. Without it the pairs alone decide, and many are needed.
     sensitivities : ResponseSensitivities, optional
         Its derivatives by the parameters that manufacturing leaves unknown. Without them the design is held: gains and
-        offsets alone are found, as by `tripillar calibrate`.
+        offsets alone are found, as by `tripillar identify --as-designed`.
     component : str, optional
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional

@@ -4,8 +4,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
+from geometry.errors import DesignError
 from studies.bench.harness import Record, Settings, draw_records, goal_rows, run_contenders
 from studies.bench.reference import stored_references
 from studies.bench.scenes import FINITE, hard_scenes
@@ -24,12 +25,12 @@ GOALS = (5e-2, 1e-2, 3e-3, 1e-3)  #: errors at which families are compared
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/bench"),
-    scene: Annotated[list[str] | None, typer.Option(help="Scene to run; may be given again.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Word: run contenders whose name holds it.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
-    patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 120.0,
-    threads: Annotated[int, typer.Option(help="Threads of every contender; one is judged by processor time.")] = 1,
+    out: Annotated[Path, Parameter(help="Folder for JSON and pictures.")] = Path("out/bench"),
+    scene: Annotated[list[str] | None, Parameter(help="Scene to run; may be given again.")] = None,
+    only: Annotated[list[str] | None, Parameter(help="Word: run contenders whose name holds it.")] = None,
+    quick: Annotated[bool, Parameter(name="--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
+    patience: Annotated[float, Parameter(help="Seconds after which a run is stopped.")] = 120.0,
+    threads: Annotated[int, Parameter(help="Threads of every contender; one is judged by processor time.")] = 1,
 ) -> None:
     """Measure every contender on every scene; what is not installed is skipped with a word."""
     settings = Settings(threads=threads, patience_s=patience, by_processor=threads == 1)
@@ -40,7 +41,7 @@ def bench(
     tables, pictures = {}, []
     for name in scene or SCENES:
         if name != FINITE and name not in stored_references():
-            raise typer.BadParameter(f"no reference of a scene '{name}'; there are {', '.join(stored_references())}")
+            raise DesignError(f"no reference of a scene '{name}'; there are {', '.join(stored_references())}")
         able = [one for one in chosen if one.covers(scene_named(name))]
         found = run_contenders("studies.bench.solving", name, name, able, settings)
         everything += found

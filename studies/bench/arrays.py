@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
@@ -121,8 +121,8 @@ CONTENDERS = [
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/arrays.json"),
-    only: Annotated[str, typer.Option(help="Cases whose name holds this.")] = "",
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/arrays.json"),
+    only: Annotated[str, Parameter(help="Cases whose name holds this.")] = "",
 ) -> None:
     """Measure every response once, with two threads; the setting is the number of units a side."""
     records, settings = [], Settings(runs=1, patience_s=3600.0)

@@ -23,7 +23,7 @@ import numpy as np
 
 from studies.charts import FAMILIES, SERIES, finish, new_figure
 from tripillar.sweep.memory import peak_mib
-from tripillar.terminal.console import say
+from tripillar.terminal.entry import say
 
 MARKERS = "osD^vP*X<>"
 

@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Annotated
 from unittest import mock
 
-import typer
+from cyclopts import Parameter
 
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow, solve_scene
@@ -73,7 +73,7 @@ def plan_without(saving: str, scene: Scene) -> Plan:
     return plan
 
 
-def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/savings.json")) -> None:
+def bench(out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/savings.json")) -> None:
     """Solve a scene with and without each saving, in this process, after a warm-up."""
     solve_scene(BLOCK)
     rows = []

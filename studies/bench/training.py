@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
@@ -130,9 +130,9 @@ CONTENDERS = [
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and picture.")] = Path("out/bench"),
-    patience: Annotated[float, typer.Option(help="Processor seconds after which a training is stopped.")] = 30.0,
-    only: Annotated[list[str] | None, typer.Option(help="Word: run contenders whose name holds it.")] = None,
+    out: Annotated[Path, Parameter(help="Folder for JSON and picture.")] = Path("out/bench"),
+    patience: Annotated[float, Parameter(help="Processor seconds after which a training is stopped.")] = 30.0,
+    only: Annotated[list[str] | None, Parameter(help="Word: run contenders whose name holds it.")] = None,
 ) -> None:
     """Train a skip net of 17 nodes on pressed pads by every contender; what is not installed is skipped with a word."""
     race = Race(protocol="contact-fz", component="fz", net="skip", hidden=17, samples=2000, patience_s=patience)

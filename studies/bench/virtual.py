@@ -6,7 +6,7 @@ from time import perf_counter
 from typing import Annotated, Any
 
 import torch
-import typer
+from cyclopts import Parameter
 from torch import Tensor
 
 from dataset import DatasetSettings, simulate
@@ -78,8 +78,8 @@ def _median_seconds(work: Any) -> float:
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/virtual.json"),
-    threads: Annotated[int, typer.Option(help="Threads of torch.")] = 1,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/virtual.json"),
+    threads: Annotated[int, Parameter(help="Threads of torch.")] = 1,
 ) -> None:
     """Time every readout in both precisions."""
     array_response(SensorDesign())  # into the cache

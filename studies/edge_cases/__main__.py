@@ -11,25 +11,25 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
+from geometry.errors import DesignError
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import tried
 from studies.tables import report
-from tripillar.terminal.console import say
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, say
 
 
 def judge_all(
-    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/edge-cases"),
-    only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
+    out: Annotated[Path, Parameter(help="Folder for the JSON file.")] = Path("out/edge-cases"),
+    only: Annotated[list[str] | None, Parameter(help="Trials of this name; may be given again.")] = None,
 ) -> None:
     """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
     trials = scene_trials()
     names = list(dict.fromkeys(trial.name for trial in trials))
     for name in only or []:
         if name not in names:
-            raise typer.BadParameter(f"no trial '{name}'; there are {', '.join(names)}")
+            raise DesignError(f"no trial '{name}'; there are {', '.join(names)}")
     findings = []
     with tempfile.TemporaryDirectory(prefix="edge-cases-") as cache:
         os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
@@ -40,7 +40,7 @@ def judge_all(
                 say(f"{found.name}, {found.value}: {found.verdict}, {found.seconds:.1f} s")
     report({"At the edge: error, and what it may be": [asdict(one) for one in findings]}, out / "edge-cases.json")
     if any(one.is_wrong for one in findings):
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

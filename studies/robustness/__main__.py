@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -25,8 +25,7 @@ from studies.robustness.study import (
 from studies.robustness.truths import PROTOCOLS, TRUTHS
 from studies.tables import table_of
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show
 
@@ -36,10 +35,10 @@ CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 
 
 def assess_all(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/robustness"),
-    samples: Annotated[int, typer.Option(help="Training samples.")] = Sizes.train,
-    part: Annotated[list[str] | None, typer.Option(help=f"Part to run: {', '.join(PARTS)}; default: all.")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help="Loads of truths; default: all.")] = None,
+    out: Annotated[Path, Parameter(help="Folder for JSON and pictures.")] = Path("out/robustness"),
+    samples: Annotated[int, Parameter(help="Training samples.")] = Sizes.train,
+    part: Annotated[list[str] | None, Parameter(help=f"Part to run: {', '.join(PARTS)}; default: all.")] = None,
+    protocol: Annotated[list[str] | None, Parameter(help="Loads of truths; default: all.")] = None,
 ) -> None:
     """Train and assess the joint nets on ever worse sensors, and identify sensors that are not the simulator."""
     parts, protocols = part or list(PARTS), protocol or list(PROTOCOLS)
