@@ -155,7 +155,8 @@ def identify(
             share = 0.2
             near = NearDesigns(at_strain, response, sensitivities)
             by_weights = near.by_parameters(lambda part: progress(0.5 * part))
-            first = infer(expected.at_strain(at_strain.forward, by_weights), readings, draws=1)
+            expected = expected.at_strain(at_strain.forward, by_weights)
+            first = infer(expected, readings, draws=1)
             expected = expected.at_strain(near.about_pads(first.values, by_weights), by_weights)
             progress(0.1)
         found = infer(
