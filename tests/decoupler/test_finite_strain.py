@@ -215,12 +215,10 @@ BY_SIZE[N_CURVED] = 0.0  # nothing moves at rest
 
 
 def specimen(size_mm: float, young_mpa: float) -> ForwardModel:
-    """A sensor that follows the made-up law with pads and rubber of its own; pads 0.4 mm wider act as 0.48 mm."""
+    """A sensor that follows the made-up law with pads and rubber of its own."""
     model, stiffer = law(1.0), young_mpa / SENSOR.matrix_material.young_mpa
     assert model.maps is not None
-    wider_mm = size_mm - SENSOR.pad.size_mm
-    wider_mm *= 1.0 + 2.0 * (wider_mm - usual_deviations(SENSOR)["pad.size_mm"])
-    weights = model.maps.weights + wider_mm * BY_SIZE
+    weights = model.maps.weights + (size_mm - SENSOR.pad.size_mm) * BY_SIZE
     weights[:, :3] *= stiffer
     weights[N_CURVED + 1 + np.arange(3), np.arange(3)] += (stiffer - 1.0) * SIZES[:3]
     return replace(model, maps=replace(model.maps, weights=weights))
@@ -239,6 +237,27 @@ class MadeUpDesigns:
         moved = (state_n @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
         squares = model.at_states(state_n)[0].reshape(-1, 2, 3)
         return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
+
+
+def test_pads_that_do_not_add_up_are_met(decoder, monkeypatch):
+    """Where pads' size acts by its square, maps about other pads, changed as far as these, are those of a solve."""
+
+    class Squared(MadeUpDesigns):
+        def answers(self, other):
+            wider_mm = other.pad.size_mm - SENSOR.pad.size_mm
+            return super().answers(replace(other, pad=replace(other.pad, size_mm=SENSOR.pad.size_mm + 3 * wider_mm**2)))
+
+    monkeypatch.setattr(near_designs, "ChangedDesigns", Squared)
+    sensitivities, wider = two_parameters(), replace(SENSOR, pad=replace(SENSOR.pad, size_mm=12.4))
+    near = near_designs.NearDesigns(decoder.posterior, response(SENSOR), sensitivities)
+    by_weights = near.by_parameters()
+    about = near.about_pads({"pad.size_mm": 12.4, "rubber.young_mpa": 1.0}, by_weights)
+    size = sensitivities.parameters.index("pad.size_mm")
+    changed = by_weights[:, size] * 0.4 / sensitivities.deviation[size]
+    met = (about.maps.weights + changed - decoder.posterior.forward.maps.weights)[FEW]
+    solved = near.change(wider)
+    np.testing.assert_allclose(met, solved, rtol=1e-9, atol=1e-12 * np.abs(solved).max())
+    assert np.abs(changed[FEW] - solved).max() > 0.1 * np.abs(solved).max()
 
 
 def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
