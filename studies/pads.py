@@ -10,7 +10,7 @@ import typer
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, ForceErrors, LeastSquares, component_errors, component_named, train
-from decoupler.data.columns import force_columns
+from decoupler.data.columns import Columns, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.settings import NetworkConfig, TrainingConfig
@@ -103,7 +103,7 @@ def error_rows(
             for kind, of_kind in loads.items()
         }
         for kind, response in responses.items():
-            linear = LeastSquares.fitted(data[kind]["train"], JOINT)
+            linear = LeastSquares.fitted(Columns.of(data[kind]["train"], JOINT))
             net = train(
                 data[kind]["train"], JOINT.name, NetworkConfig(feature="inverse"), TrainingConfig(), response=response
             )

@@ -12,12 +12,12 @@ import torch
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, SampleError, component_named, evaluate
 from decoupler.data.columns import Scaling, force_columns, pillar_columns, readable_columns
+from decoupler.data.usual_loads import LIGHT
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.baseline import LINEAR
 from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
 from decoupler.training.damping import Point
 from decoupler.training.levenberg_marquardt import train_lm
-from decoupler.training.light import LIGHT
 from decoupler.training.network import Network, TrainingSet
 from decoupler.training.trainer import train
 from decoupler.training.varpro import RIDGE, train_varpro

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch.func import functional_call, jacrev
 
+from decoupler.data.usual_loads import LIGHT
 from decoupler.model.settings import NetworkConfig
-from decoupler.training.light import LIGHT
 from studies.bench.harness import named
 from studies.bench.training import peers
 from studies.bench.training.contenders import CONTENDERS, KNOWN, LM, MSE, VARPRO, Race, measure, step_difference

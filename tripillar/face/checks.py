@@ -5,10 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from dataset import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
-from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.decoupler import Decoupler
@@ -63,7 +62,7 @@ def mention(data: Samples, component: Component, forward: ForwardModel | None, c
     left_out = disturbance(data, component, forward)
     if left_out is not None:
         caller.say(f"{caller.samples}: {left_out}")
-    repeated = len(data.force_n) - len(distinct(data, component).force_n)
+    repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
         caller.say(f"{caller.samples}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
 

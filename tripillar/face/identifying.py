@@ -148,12 +148,11 @@ def checked_pairs(
     pairs: "Samples | Pairs", response: "ArrayResponse | None", force: bool, caller: "Caller"
 ) -> "tuple[Pairs, dict[str, str]]":
     """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
-    from decoupler.data.columns import component_named
+    from decoupler.data.columns import Columns, component_named
     from decoupler.data.pairs import Pairs
-    from decoupler.data.repeats import distinct
     from decoupler.evaluation.plausibility import doubt
     from decoupler.inverse.forward_model import ForwardModel
-    from decoupler.inverse.sample_checks import without_stuck
+    from decoupler.training.suited import without_stuck
     from decoupler.twin.identification import acting
     from hardware.readout.known_loads import doubt_about
     from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor
@@ -168,7 +167,8 @@ def checked_pairs(
     mention(pairs, component, judge, caller)
     mention_another_sensor(pairs, component, judge, caller)
     own = None if response is None else ForwardModel.of(response, component)
-    return Pairs.of(distinct(without_stuck(pairs, component, own), component)), forced
+    columns = without_stuck(Columns.of(pairs, component), own)
+    return Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced
 
 
 def _contacts(pairs: "Samples") -> str | None:
