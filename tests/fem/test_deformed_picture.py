@@ -7,7 +7,7 @@ import pyvista as pv
 from fem.pictures.arrays import bell_pressure, uniform_pressure
 from fem.pictures.deformation import VIEWS, DeformedPicture, filled_points, look
 from fem.pictures.parts import QUADRILATERAL, Part, pillar_surface, sensor_parts
-from fem.pictures.scenery import QUANTITIES, bar_of
+from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
 from geometry.design import Array, SensorDesign
 from geometry.layout import unit_centres
 
@@ -60,6 +60,14 @@ def test_parts_move_as_the_field_says(pair_field, state, parts):
         assert np.allclose(part.stress_mpa[here], observer.stress_mpa(state)[0, 0])
 
 
+def test_only_loaded_pads_are_shown(pair_field):
+    """Where nothing is loaded all are, as what to load."""
+    for loaded, width_mm in ((1.0, 12.0), (0.0, 27.0)):
+        traction = loaded * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
+        pads = sensor_parts(pair_field, pair_field.state(traction), stress=False)["pads"]
+        assert np.ptp(pads.points_mm[:, 0]) == pytest.approx(width_mm)
+
+
 def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):
     largest = np.linalg.norm(parts["pillars"].displacement_mm, axis=1).max()
     bar = bar_of(QUANTITIES["displacement"], [{k: part.times(0.1) for k, part in parts.items()}, parts])
@@ -89,6 +97,12 @@ def test_points_crowded_at_an_edge_do_not_widen_the_scale():
     )
     assert part.sizes.sum() == pytest.approx(4 * 100.1)
     assert bar_of(QUANTITIES["mises"], [{"body": part}]).high == pytest.approx(1.0)
+
+
+def test_the_key_to_the_pads_ends_at_the_largest_traction(parts):
+    strengths = np.linalg.norm(bell_pressure(DESIGN, 2.0), axis=1)
+    assert pads_bar([parts, {"pads": parts["pads"].times(0.5)}]).high == pytest.approx(strengths.max())
+    assert pads_bar([{"pads": parts["pads"].times(0.0)}]) is None
 
 
 @pytest.mark.parametrize("camera", VIEWS)

@@ -298,6 +298,13 @@ def test_without_pardiso_superlu_solves(monkeypatch):
     assert Factor().solver == solver_name() == "superlu"
 
 
+def test_superlu_s_memory_follows_its_law():
+    """A cube's factor, 12 bytes an entry, is less than foreseen, but not by more than half."""
+    factor = Factor(elastic(0.3, (7, 7, 7)), solver="superlu", definite=True)
+    lu = factor._superlu
+    assert 0.5 < (lu.L.nnz + lu.U.nnz) * 12e-9 / factor.memory_gb < 1
+
+
 def test_mkl_is_found_in_its_package_or_left_to_pypardiso(monkeypatch):
     """Both are one library; by a person's choice, or without the package's list of files, pypardiso searches."""
     pypardiso = pytest.importorskip("pypardiso")

@@ -85,3 +85,12 @@ def test_boxes_bond_plates_as_cells_do(force):
     expected = cell.influence_mm_per_n[0, 0, :, :, 0, 0, :] @ np.array(force)
     assert off(moved(quarter), moved(whole)) < quarter.error_estimate + whole.error_estimate
     assert off(moved(quarter), expected) < quarter.error_estimate + cell.error_estimate
+
+
+def test_forces_and_moments_are_spread_over_the_plate():
+    """Couples on its halves: their sum and their moment about the middle are those stated."""
+    load = StiffLoad(center_mm=(3.0, 1.0), size_mm=(4.0, 2.0), force_n=(1.0, -2.0, 3.0), moment_nmm=(5.0, 7.0, -4.0))
+    forces = np.array([np.prod(one.size_mm) * np.array(one.traction_mpa) for one in load.spread])
+    arms = np.array([(*one.center_mm, 0.0) for one in load.spread]) - (3.0, 1.0, 0.0)
+    assert np.allclose(forces.sum(axis=0), load.force_n)
+    assert np.allclose(np.cross(arms, forces).sum(axis=0), load.moment_nmm)
