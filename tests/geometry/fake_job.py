@@ -15,6 +15,12 @@ from tripillar.terminal import interrupts
 TASKS = 200
 
 
+def sleep_with(memory: bytearray) -> None:
+    """Hold memory for a minute."""
+    sleep(60)
+    assert memory
+
+
 def square(number: int, bad: Mapping[int, str] = MappingProxyType({})) -> int:
     """The square of a number; those in `bad` do what it says."""
     sleep(0.005)
@@ -23,7 +29,7 @@ def square(number: int, bad: Mapping[int, str] = MappingProxyType({})) -> int:
             "exits": lambda: os._exit(3),
             "killed": lambda: os.kill(os.getpid(), signal.SIGKILL),
             "hangs": lambda: sleep(60),
-            "grows": lambda: sleep(60 * bool(bytearray(2**30 // 2))),
+            "grows": lambda: sleep_with(bytearray(2**30 // 2)),
             "disk": lambda: (_ for _ in ()).throw(OSError(28, "No space left on device", "cell.npz")),
             "raises": lambda: {}["no such key"],
         }
