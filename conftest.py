@@ -25,8 +25,8 @@ SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a sessio
 LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
 #: what tests name that Windows cannot run: pseudo-terminals, the firmware, signals and files of POSIX, the laboratory
 POSIX = re.compile(
-    r"\b(VirtualBoard|SimavrBoard|simulated_board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
-    r"|SIGKILL|SIGSTOP|SIGUSR|\"simulate\"|import studies|from studies"
+    r"\b(VirtualBoard|SimavrBoard|tp\.board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
+    r"|SIGKILL|SIGSTOP|SIGUSR|\"board\"|import studies|from studies"
 )
 HERE = Path(__file__).parent
 FLOORS = ("geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies")
@@ -34,7 +34,11 @@ collect_ignore = [
     str(path)
     for path in (*sorted(HERE.glob("tests/**/test_*.py")), *sorted(HERE.glob("hardware/boards/*.py")))
     if sys.platform == "win32" and POSIX.search(path.read_text(encoding="utf-8"))
-] + ([str(HERE / "studies"), str(HERE / "tripillar/face/boards.py")] if sys.platform == "win32" else [])
+] + (
+    [str(HERE / "studies"), *(str(HERE / f"tripillar/face/{name}.py") for name in ("boards", "simulating"))]
+    if sys.platform == "win32"
+    else []
+)
 # every worker would import them to look for examples
 collect_ignore += [
     str(path)

@@ -58,7 +58,7 @@ class Scan(NamedTuple):
 
 def trained(response, samples=2000):
     """A decoder for fingers, from exact samples of 0 to 10 N on up to three pads, and shear of up to 0.7 of that."""
-    light = tp.simulate(response, "light", samples, seed=1)
+    light = tp.dataset(response, "light", samples, seed=1)
     force_n = light.force_n * (3.5, 3.5, 1.0)  # the protocol's friction is up to 0.2
     sensor = tp.VirtualSensor(response.design, environments=len(light), response=response)
     resistance_ohm = sensor.resistances(torch.from_numpy(force_n)).numpy()

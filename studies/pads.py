@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, ForceErrors, LeastSquares, component_errors, component_named, train
@@ -19,8 +19,7 @@ from geometry.design import PAD_KINDS, SensorDesign
 from geometry.storage.files import write_json
 from tripillar.pipeline.run import respond
 from tripillar.sweep.judge import metrics_of
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import plain_table, show
 
@@ -139,8 +138,8 @@ def limits_of(response: ArrayResponse, test: Samples) -> dict[str, float]:
 
 
 def compare_pads(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/pads.json"),
-    samples: Annotated[int, typer.Option(help="Number of training samples.")] = 3000,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/pads.json"),
+    samples: Annotated[int, Parameter(help="Number of training samples.")] = 3000,
 ) -> None:
     """Compare soft and stiff pads: the map from forces to readings, and errors of forces, also by the wrong kind."""
     design = SensorDesign()

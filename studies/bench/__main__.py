@@ -6,8 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
+from geometry.errors import DesignError
 from studies.bench.harness import (
     Record,
     Settings,
@@ -21,8 +22,7 @@ from studies.bench.harness import (
 from studies.bench.reference import stored_references
 from studies.bench.scenes import all_scenes, hard_scenes
 from studies.bench.solving import CONTENDERS, LOADED, WORST
-from tripillar.terminal.console import say, wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, say, wrote
 from tripillar.terminal.tables import show
 
 SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
@@ -32,17 +32,17 @@ OURS = "TriPillar"  #: the family that the others are compared with
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for table, JSON and pictures.")] = Path("out/bench"),
-    scene: Annotated[list[str] | None, typer.Option(help="Scene to run; may be given again.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Pattern: run contenders whose name holds it.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
-    runs: Annotated[int, typer.Option(help="Runs of each, of which the median counts.")] = 3,
-    patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 120.0,
-    threads: Annotated[int, typer.Option(help="Threads of every contender.")] = 2,
+    out: Annotated[Path, Parameter(help="Folder for table, JSON and pictures.")] = Path("out/bench"),
+    scene: Annotated[list[str] | None, Parameter(help="Scene to run; may be given again.")] = None,
+    only: Annotated[list[str] | None, Parameter(help="Pattern: run contenders whose name holds it.")] = None,
+    quick: Annotated[bool, Parameter(name="--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
+    runs: Annotated[int, Parameter(help="Runs of each, of which the median counts.")] = 3,
+    patience: Annotated[float, Parameter(help="Seconds after which a run is stopped.")] = 120.0,
+    threads: Annotated[int, Parameter(help="Threads of every contender.")] = 2,
     by_processor: Annotated[
-        bool, typer.Option("--by-processor", help="Judge by processor time of one thread.")
+        bool, Parameter(name="--by-processor", help="Judge by processor time of one thread.")
     ] = False,
-    enough: Annotated[float, typer.Option(help="Error of the worst probe below which none is refined further.")] = 0.0,
+    enough: Annotated[float, Parameter(help="Error of the worst probe below which none is refined further.")] = 0.0,
 ) -> None:
     """Measure every contender on every scene; what is not installed is skipped with a word."""
     if by_processor:
@@ -56,7 +56,7 @@ def bench(
     pictures = []
     for name in scene or SCENES:
         if name not in scenes:
-            raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
+            raise DesignError(f"no scene '{name}'; there are {', '.join(scenes)}")
         if name not in stored_references():
             say(f"{name}: skipped, no reference yet: run python -m studies.bench.reference {name}")
             continue

@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
@@ -23,8 +23,7 @@ from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squar
 from geometry.mesh import sensor_mesh, suited_settings
 from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
 from studies.bench.reference import stored_references
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.tables import show
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
@@ -122,8 +121,8 @@ CONTENDERS = [
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/arrays.json"),
-    only: Annotated[str, typer.Option(help="Cases whose name holds this.")] = "",
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/arrays.json"),
+    only: Annotated[str, Parameter(help="Cases whose name holds this.")] = "",
 ) -> None:
     """Measure every response once, with two threads; the setting is the number of units a side."""
     records, settings = [], Settings(runs=1, patience_s=3600.0)

@@ -15,7 +15,7 @@ from time import perf_counter, process_time
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from fem.finite.newton import find_equilibrium
 from fem.finite.solving import finite_boxes
@@ -42,8 +42,7 @@ from studies.bench.peers.felupe_peer import felupe_displacements
 from studies.bench.peers.grids import Solved, scene_lines
 from studies.bench.peers.ngsolve_finite import Form, Law, solve_finite_by_ngsolve
 from studies.bench.scenes import loaded
-from tripillar.terminal.console import say, wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, say, wrote
 from tripillar.terminal.tables import show
 
 MODULE, NAME = "studies.bench.finite", "rubber-block"
@@ -170,10 +169,10 @@ def make_references() -> None:
 
 
 def bench_finite(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and picture.")] = Path("out/bench"),
-    runs: Annotated[int, typer.Option(help="Runs of each, of which the median counts.")] = 1,
-    patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 60.0,
-    reference: Annotated[bool, typer.Option("--reference", help="Make the references anew, and no more.")] = False,
+    out: Annotated[Path, Parameter(help="Folder for JSON and picture.")] = Path("out/bench"),
+    runs: Annotated[int, Parameter(help="Runs of each, of which the median counts.")] = 1,
+    patience: Annotated[float, Parameter(help="Seconds after which a run is stopped.")] = 60.0,
+    reference: Annotated[bool, Parameter(name="--reference", help="Make the references anew, and no more.")] = False,
 ) -> None:
     """Measure error and processor time of every contender, on one thread."""
     if reference:

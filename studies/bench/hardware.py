@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -28,8 +28,7 @@ from hardware.readout.forces import ForceReader, LiveSensor
 from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import plain_table, show
 
@@ -149,8 +148,8 @@ def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/hardware.json"),
-    seconds: Annotated[float, typer.Option(help="Time of each live measurement [s].")] = 20.0,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/hardware.json"),
+    seconds: Annotated[float, Parameter(help="Time of each live measurement [s].")] = 20.0,
 ) -> None:
     """Measure crosstalk and its correction, recorded frames to forces, live scans to forces."""
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):

@@ -27,7 +27,7 @@ from rich.table import Table
 from geometry.storage.files import write_json
 from studies.charts import FAMILIES, SERIES, finish, new_figure
 from tripillar.sweep.memory import peak_mib
-from tripillar.terminal.console import say
+from tripillar.terminal.entry import say
 
 MARKERS = "osD^vP*X<>"
 NOT_REACHED = "–"

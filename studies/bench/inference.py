@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
@@ -16,8 +16,7 @@ from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.tables import show
 
 SAMPLES = {"train": (2000, 1), "test": (500, 2)}  #: number and seed
@@ -76,7 +75,7 @@ def median_seconds(model: Decoupler, scans: FloatArray) -> float:
     return median(times)
 
 
-def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/inference.json")) -> None:
+def bench(out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/inference.json")) -> None:
     """Train and time every net on every kind of loads; one scan runs on one thread, a batch on all cores."""
     array_response(SensorDesign())  # into the cache
     settings = Settings(runs=1, patience_s=600.0, own_cache=False)

@@ -5,7 +5,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
 from fem.methods.solving import solve_scene
 from fem.scene.loads import DeadLoad
@@ -14,8 +14,7 @@ from fem.scene.solution import largest_error
 from geometry.storage.files import write_json
 from studies.bench.savings import solved_without
 from studies.bench.scenes import patch_scenes
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.tables import plain_table, show
 
 BLOCK = replace(patch_scenes()["block-normal-0.49"], tolerance=3e-3)
@@ -31,7 +30,7 @@ SHOWN: dict[str, Scene] = {
 }
 
 
-def bench(out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/skips.json")) -> None:
+def bench(out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/skips.json")) -> None:
     """Solve a scene with and without each saving, in this process, after a warm-up."""
     solve_scene(BLOCK)
     rows = []

@@ -6,7 +6,7 @@ from time import perf_counter
 from typing import Annotated, Any
 
 import torch
-import typer
+from cyclopts import Parameter
 from torch import Tensor
 
 from decoupler import train
@@ -17,8 +17,7 @@ from hardware.readout.crossbar import Crossbar
 from hardware.virtual import VirtualSensor
 from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
 from studies.bench.inference import exact_samples
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.tables import show
 
 ENVIRONMENTS, POINTS = 256, 4
@@ -82,8 +81,8 @@ def _median_seconds(work: Any) -> float:
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/virtual.json"),
-    threads: Annotated[int, typer.Option(help="Threads of torch.")] = 1,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/virtual.json"),
+    threads: Annotated[int, Parameter(help="Threads of torch.")] = 1,
 ) -> None:
     """Time every readout in both precisions."""
     array_response(SensorDesign())  # into the cache

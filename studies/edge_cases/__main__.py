@@ -12,16 +12,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 from rich.markup import escape
 from rich.table import Table
 
+from geometry.errors import DesignError
 from geometry.storage.files import write_json
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.training import training_trials
 from studies.edge_cases.trials import Finding, Trial, tried
-from tripillar.terminal.console import say, wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, say, wrote
 from tripillar.terminal.tables import show
 
 
@@ -46,15 +46,15 @@ def edge_table(findings: Iterable[Finding]) -> Table:
 
 
 def judge_all(
-    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("out/edge-cases"),
-    only: Annotated[list[str] | None, typer.Option(help="Trials of this name; may be given again.")] = None,
+    out: Annotated[Path, Parameter(help="Folder for the JSON file.")] = Path("out/edge-cases"),
+    only: Annotated[list[str] | None, Parameter(help="Trials of this name; may be given again.")] = None,
 ) -> None:
     """Try what is hard, tabulate what comes of it; exit status 1 if any answer is wrong."""
     trials = all_trials()
     names = list(dict.fromkeys(trial.name for trial in trials))
     for name in only or []:
         if name not in names:
-            raise typer.BadParameter(f"no trial '{name}'; there are {', '.join(names)}")
+            raise DesignError(f"no trial '{name}'; there are {', '.join(names)}")
     findings = []
     with tempfile.TemporaryDirectory(prefix="edge-cases-") as cache:
         os.environ["TRIPILLAR_CACHE"] = cache  # so that no mesh of yesterday is judged
@@ -67,7 +67,7 @@ def judge_all(
     write_json([asdict(one) for one in findings], out / "edge-cases.json")
     wrote([out / "edge-cases.json"])
     if any(one.is_wrong for one in findings):
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

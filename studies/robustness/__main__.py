@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 from rich.markup import escape
 from rich.table import Table
 
@@ -29,8 +29,7 @@ from studies.robustness.study import (
 )
 from studies.robustness.truths import PROTOCOLS, TRUTHS
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show
 
@@ -40,11 +39,11 @@ CASES = len(NOISES) + len(BITS) + len(dead_cases(1, 1))
 
 
 def assess_all(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/robustness"),
-    samples: Annotated[int, typer.Option(help="Training samples.")] = Sizes.train,
-    part: Annotated[list[str] | None, typer.Option(help=f"Part to run: {', '.join(PARTS)}; default: all.")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help="Loads of truths; default: all.")] = None,
-    page: Annotated[Path | None, typer.Option(help="Page of the docs whose table of truths is replaced.")] = None,
+    out: Annotated[Path, Parameter(help="Folder for JSON and pictures.")] = Path("out/robustness"),
+    samples: Annotated[int, Parameter(help="Training samples.")] = Sizes.train,
+    part: Annotated[list[str] | None, Parameter(help=f"Part to run: {', '.join(PARTS)}; default: all.")] = None,
+    protocol: Annotated[list[str] | None, Parameter(help="Loads of truths; default: all.")] = None,
+    page: Annotated[Path | None, Parameter(help="Page of the docs whose table of truths is replaced.")] = None,
 ) -> None:
     """Train and assess the joint nets on ever worse sensors, and identify sensors that are not the simulator."""
     parts, protocols = part or list(PARTS), protocol or list(PROTOCOLS)

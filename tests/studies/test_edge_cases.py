@@ -1,16 +1,17 @@
 """The study of edge cases tells right from refused from wrong, and its cheap trials come out right."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
-import typer
 
 from fem.factor import SolverError
 from studies.edge_cases import __main__ as command
 from studies.edge_cases.__main__ import all_trials
 from studies.edge_cases.scenes import flattened, signed_volumes
 from studies.edge_cases.trials import Judged, Trial, tried
+from tripillar.terminal.entry import run_alone
 
 CHEAP = {
     "poisson": ["ν = 0, whole top"],
@@ -70,10 +71,9 @@ def test_cheap_trials_come_out_as_they_should():
 @pytest.mark.parametrize(("error", "status"), [(1e-4, 0), (1e-2, 1)])
 def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error, status):
     monkeypatch.setattr(command, "all_trials", lambda: [Trial(name="one", value="1", run=lambda: judged(error))])
-    app = typer.Typer()
-    app.command()(command.judge_all)
+    monkeypatch.setattr(sys, "argv", ["studies.edge_cases", "--out", str(tmp_path), "--only", "one"])
     with pytest.raises(SystemExit) as ended:
-        app(["--out", str(tmp_path), "--only", "one"])
+        run_alone(command.judge_all)
     assert ended.value.code == status
     stored = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]

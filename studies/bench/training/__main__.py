@@ -5,9 +5,10 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
-import typer
+from cyclopts import Parameter
 
 from decoupler.model.settings import Net
+from geometry.errors import DesignError
 from studies.bench.harness import (
     Record,
     Settings,
@@ -19,8 +20,7 @@ from studies.bench.harness import (
     write_records,
 )
 from studies.bench.training.contenders import CONTENDERS, LM, MSE, VARPRO, Race, step_difference
-from tripillar.terminal.console import wrote
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.tables import show
 
 PROTOCOLS = {"contact-fz": "fz", "independent-fx": "fx"}  #: each with the force component it loads
@@ -30,21 +30,21 @@ SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that canno
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for JSON and pictures.")] = Path("out/bench"),
-    hidden: Annotated[int, typer.Option(help="Hidden nodes.")] = 17,
-    samples: Annotated[int, typer.Option(help="Training samples.")] = 2000,
-    patience: Annotated[float, typer.Option(help="Processor seconds after which a training is stopped.")] = 30.0,
-    protocol: Annotated[list[str] | None, typer.Option(help="Protocol to run; may be given again.")] = None,
-    net: Annotated[list[str] | None, typer.Option(help="Net to run, plain or skip; may be given again.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Run contenders whose name holds this word.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="First case only, 5 s each: a look, no record.")] = False,
+    out: Annotated[Path, Parameter(help="Folder for JSON and pictures.")] = Path("out/bench"),
+    hidden: Annotated[int, Parameter(help="Hidden nodes.")] = 17,
+    samples: Annotated[int, Parameter(help="Training samples.")] = 2000,
+    patience: Annotated[float, Parameter(help="Processor seconds after which a training is stopped.")] = 30.0,
+    protocol: Annotated[list[str] | None, Parameter(help="Protocol to run; may be given again.")] = None,
+    net: Annotated[list[str] | None, Parameter(help="Net to run, plain or skip; may be given again.")] = None,
+    only: Annotated[list[str] | None, Parameter(help="Run contenders whose name holds this word.")] = None,
+    quick: Annotated[bool, Parameter(name="--quick", help="First case only, 5 s each: a look, no record.")] = False,
 ) -> None:
     """Train by every contender on every case; what is not installed is skipped with a word."""
     protocols, nets = protocol or ["contact-fz"], net or ["skip", "plain"]
     if quick:
         protocols, nets, patience = protocols[:1], nets[:1], 5.0
     if unknown := [*(set(protocols) - set(PROTOCOLS)), *(set(nets) - set(get_args(Net)))]:
-        raise typer.BadParameter(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
+        raise DesignError(f"no {unknown[0]}; there are {', '.join([*PROTOCOLS, *get_args(Net)])}")
     chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
     settings = Settings(runs=1, threads=1, patience_s=10 * patience + SPARE_S, own_cache=False)
     columns = {"a step": lambda record: record.notes["a step [s]"]}

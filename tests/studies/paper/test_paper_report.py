@@ -221,7 +221,7 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     monkeypatch.setattr(command, "run_experiments", lambda *asked: computed.results)
     monkeypatch.setattr(command, "study_spacing", lambda *asked: computed.spacing)
     out, docs = tmp_path / "paper", tmp_path / "docs"
-    write_report(out=out, docs=docs, verbosity=False, json=True)
+    write_report(out=out, docs=docs, quiet=True, json=True)
     said = capsys.readouterr()
     assert set(json.loads(said.out)) == {"deformation", "spacing", "results"}
     assert len(json.loads(said.out)["results"]["results"]) == len(computed.results.results)
@@ -243,7 +243,7 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.json")}
     for name in ("run_experiments", "study_spacing", "draw_pictures"):
         monkeypatch.setattr(command, name, lambda *asked: None)
-    write_report(out=out, docs=None, verbosity=False, json=False)
+    write_report(out=out, docs=None, quiet=True, json=False)
     assert before == {path.name: path.stat().st_mtime_ns for path in out.glob("*.json")}
     assert "Table 2" in capsys.readouterr().out
 

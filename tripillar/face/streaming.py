@@ -4,38 +4,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from tripillar.terminal.console import require_suffix, say
+from tripillar.face.caller import Caller
+from tripillar.face.inputs import to_write
 
 if TYPE_CHECKING:
     from hardware.readout.description import SensorDescription
     from hardware.streams.addresses import Stream
-
-FoxgloveOption = Annotated[
-    bool, typer.Option("--foxglove", help="Serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone.")
-]
-FoxgloveAtOption = Annotated[
-    str | None,
-    typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
-]
-FoxgloveTokenOption = Annotated[
-    str | None,
-    typer.Option("--foxglove-token", metavar="TOKEN", help="Let in only who opens ws://HOST:PORT/?token=TOKEN."),
-]
-McapOption = Annotated[
-    Path | None, typer.Option("--mcap", help="File (.mcap) to write as well: what Foxglove is shown.")
-]
-RerunOption = Annotated[
-    bool, typer.Option("--rerun", help="Serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone.")
-]
-RerunAtOption = Annotated[
-    str | None,
-    typer.Option("--rerun-at", metavar="HOST:PORT", help="The same on another address; 0.0.0.0 lets everybody in."),
-]
-RrdOption = Annotated[Path | None, typer.Option("--rrd", help="File (.rrd) to write as well: what Rerun is shown.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +29,8 @@ class AskedStreams:
         from hardware.streams import foxglove_stream, rerun_stream
         from hardware.streams.addresses import host_and_port, require_new
 
-        require_suffix("--mcap", self.mcap, ".mcap")
-        require_suffix("--rrd", self.rrd, ".rrd")
+        to_write("mcap", self.mcap, ".mcap")
+        to_write("rrd", self.rrd, ".rrd")
         for path in (self.mcap, self.rrd):
             require_new(path)
         for address, port in ((self.foxglove, foxglove_stream.PORT), (self.rerun, rerun_stream.PORT)):
@@ -62,8 +38,8 @@ class AskedStreams:
                 host_and_port(address, port)
 
     @contextmanager
-    def opened(self, sensor: "SensorDescription") -> Iterator[list["Stream"]]:
-        """The streams, as long as the with block lasts; says on stderr where they are."""
+    def opened(self, sensor: "SensorDescription", caller: Caller) -> Iterator[list["Stream"]]:
+        """The streams, as long as the with block lasts; the caller is told where they are."""
         from hardware.streams import foxglove_stream, rerun_stream
         from hardware.streams.addresses import LOOPBACK, host_and_port, reachable
 
@@ -76,11 +52,11 @@ class AskedStreams:
                 )
                 streams.append(stack.enter_context(served))
                 if self.foxglove:
-                    say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
+                    caller.say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
             if self.rerun is not None or self.rrd is not None:
                 host, port = host_and_port(self.rerun or LOOPBACK, rerun_stream.PORT)
                 shown = rerun_stream.RerunStream(sensor, host if self.rerun else None, port, self.rrd)
                 streams.append(stack.enter_context(shown))
                 if self.rerun:
-                    say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
+                    caller.say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
             yield streams

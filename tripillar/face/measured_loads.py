@@ -88,7 +88,7 @@ def measured_in_recording(
         if not force and (moved := movement(recording.counts[within], crossbar, info.rate_hz)):
             raise FileFormatError(
                 f"{path}: the sensor moves under load '{load.name}', from {load.from_s:g} s to {load.to_s:g} s: "
-                f"{moved}: correct its times, or take it as it is with --force."
+                f"{moved}: correct its times, or take it as it is with force=True."
             )
         taken.append(_read(load, recording.counts[within], crossbar))
     return as_pairs(taken, path), info.serial
@@ -98,7 +98,7 @@ def _require_design(design: SensorDesign, info: Info) -> None:
     if (design.array.rows, design.array.cols) != (info.rows, info.cols):
         raise FileFormatError(
             f"the board has {info.rows} × {info.cols} units, the design {design.array.rows} × {design.array.cols}: "
-            "give --design of this sensor."
+            "give design= of this sensor."
         )
 
 
