@@ -12,6 +12,7 @@ from pathlib import Path
 import filelock
 import pytest
 from hypothesis.configuration import set_hypothesis_home_dir
+from hypothesis.internal.conjecture import providers
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before NumPy loads: the cores belong to pytest's workers
@@ -28,6 +29,7 @@ POSIX = re.compile(
     r"|SIGKILL|SIGSTOP|SIGUSR|\"board\"|import studies|from studies"
 )
 HERE = Path(__file__).parent
+FLOORS = ("geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies")
 collect_ignore = [
     str(path)
     for path in (*sorted(HERE.glob("tests/**/test_*.py")), *sorted(HERE.glob("hardware/boards/*.py")))
@@ -37,6 +39,15 @@ collect_ignore = [
     if sys.platform == "win32"
     else []
 )
+# every worker would import them to look for examples
+collect_ignore += [
+    str(path)
+    for floor in FLOORS
+    for path in (HERE / floor).rglob("*.py")
+    if ">>>" not in path.read_text(encoding="utf-8")
+]
+# in each worker, hypothesis would parse every module of the house for numbers that its examples might be
+providers._get_local_constants = lambda: providers._local_constants
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
 

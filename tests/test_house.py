@@ -53,6 +53,7 @@ def name_of(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
+@cache
 def imports(path: Path) -> set[str]:
     """Modules that a file imports, wherever in it, by their dotted names."""
     names = set()

@@ -160,6 +160,16 @@ def assert_slopes(function, point, slopes, size):
     np.testing.assert_allclose(found.T, slopes, atol=1e-5 * np.abs(slopes).max())
 
 
+def test_misfits_of_forces_count_in_squares():
+    """The variance of squares by what maps miss is that of squares under forces that err by as much."""
+    model, n = law(1.0), 4000
+    forces, expected = model.at_states(STATES[:1])[2], expected_at_strain(model, np.zeros((N_FEATURES, 2, 6)))
+    misfit = np.random.default_rng(5).standard_normal((n, 6)) * np.tile(model.maps.misfit_n, 2)
+    scattered = Shown(expected, expected.mean(), forces + misfit).squares.var(axis=0)
+    missed = Shown(expected, expected.mean(), forces).missed_by_maps[0]
+    np.testing.assert_allclose(missed, scattered + np.tile(model.maps.misfit[3:] ** 2, 2), rtol=0.1)  # 4000 draws: 2 %
+
+
 def test_states_are_found_and_rest_is_rest():
     maps = law(1.0).maps
     assert maps is not None
@@ -227,6 +237,27 @@ class MadeUpDesigns:
         moved = (state_n @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
         squares = model.at_states(state_n)[0].reshape(-1, 2, 3)
         return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
+
+
+def test_pads_that_do_not_add_up_are_met(decoder, monkeypatch):
+    """Where pads' size acts by its square, maps about other pads, changed as far as these, are those of a solve."""
+
+    class Squared(MadeUpDesigns):
+        def answers(self, other):
+            wider_mm = other.pad.size_mm - SENSOR.pad.size_mm
+            return super().answers(replace(other, pad=replace(other.pad, size_mm=SENSOR.pad.size_mm + 3 * wider_mm**2)))
+
+    monkeypatch.setattr(near_designs, "ChangedDesigns", Squared)
+    sensitivities, wider = two_parameters(), replace(SENSOR, pad=replace(SENSOR.pad, size_mm=12.4))
+    near = near_designs.NearDesigns(decoder.posterior, response(SENSOR), sensitivities)
+    by_weights = near.by_parameters()
+    about = near.about_pads({"pad.size_mm": 12.4, "rubber.young_mpa": 1.0}, by_weights)
+    size = sensitivities.parameters.index("pad.size_mm")
+    changed = by_weights[:, size] * 0.4 / sensitivities.deviation[size]
+    met = (about.maps.weights + changed - decoder.posterior.forward.maps.weights)[FEW]
+    solved = near.change(wider)
+    np.testing.assert_allclose(met, solved, rtol=1e-9, atol=1e-12 * np.abs(solved).max())
+    assert np.abs(changed[FEW] - solved).max() > 0.1 * np.abs(solved).max()
 
 
 def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
