@@ -72,7 +72,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     -----
     Every unit of every sample is one equation for each of its forces and pillars, by ridge regression, each feature
     scaled to `SCALES`; the ridge is the one with the least errors had each equation been left out. Where the array is
-    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it: of few samples each counts
+    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it, and few samples count
     twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
     if data.displacement_mm is None:
