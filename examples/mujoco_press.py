@@ -21,6 +21,7 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.fin
 
 import numpy as np
 import torch
+from finger_on_slab import FINGERTIP, DrawingError, finger_on_slab, pad_stiffness, renderer
 
 import tripillar as tp
 from geometry.layout import unit_centres
@@ -28,7 +29,6 @@ from geometry.storage.files import replacing
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Crossbar
 from tripillar.simulators.contacts import ContactReader, stacked
-from tripillar.simulators.press_model import FINGERTIP, DrawingError, finger_on_slab, pad_stiffness, renderer
 
 NOISE, BITS, SENSE_OHM = 0.001, 12, 3300.0  # noise of a resistance, relative; the crossbar's converter and resistors
 SCAN_S = 0.005  # from scan to scan
@@ -40,6 +40,7 @@ PATH = np.array(
 TOUCH_N = 1.0  # normal force from which errors count
 PICTURE_S, FILM_HZ = 3.8, 25  # moment of the picture's upper left; pictures a second
 MOST_N = 17.0  # of the axes
+MM_PER_N, KEY_N = 3.0, (4.0, 2.0)  # of arrows in the scene; forces of the arrows that show the scale, in scene and map
 
 
 class Scan(NamedTuple):
@@ -115,6 +116,7 @@ class Drawing:
         FigureCanvasAgg(self.figure)
         self._scene = self.figure.add_axes((0.01, 0.44, 0.47, 0.55))
         self._scene.set_axis_off()
+        self.figure.text(0.05, 0.455, f"red: decoded forces on the pads; grey arrow: {KEY_N[0]:g} N")
         pads, bar = self.figure.add_axes((0.08, 0.08, 0.26, 0.29)), self.figure.add_axes((0.36, 0.08, 0.012, 0.29))
         x, y = unit_centres(design).T
         half = design.array.pitch_mm / 2
@@ -126,9 +128,10 @@ class Drawing:
             x, y, 0 * x, 0 * y, angles="xy", scale_units="xy", scale=MOST_N / 4 / design.array.pitch_mm, width=0.012,
             color="#1f5fa8",
         )  # fmt: skip
+        pads.quiverkey(self._shear, 0.44, 0.34, KEY_N[1], f"shear {KEY_N[1]:g} N", labelpos="S", coordinates="figure")
         self._centre = pads.plot([], [], "k+", markersize=14, markeredgewidth=2)[0]
         pads.set(xlabel="x [mm]", ylabel="y [mm]", title="decoded pads; + MuJoCo's centre of pressure")
-        self.figure.colorbar(self._fz, cax=bar, label="Fz of a pad [N]; arrows: shear")
+        self.figure.colorbar(self._fz, cax=bar, label="Fz of a pad [N]")
         forces, misses = self.figure.add_axes((0.55, 0.36, 0.43, 0.61)), self.figure.add_axes((0.55, 0.08, 0.43, 0.22))
         self._curves = []
         for axis, colour in zip("xyz", ("#1f5fa8", "#3a9a5b", "#d9701f"), strict=True):
@@ -166,8 +169,6 @@ class Drawing:
 
     def _picture(self, world, data, scan):
         """The scene as MuJoCo draws it; None where it cannot, which is said once."""
-        import mujoco
-
         if self._renderer is None:
             try:
                 self._renderer = renderer(world, 960, 720)
@@ -177,17 +178,26 @@ class Drawing:
         if not self._renderer:
             return None
         self._renderer.update_scene(data)
-        scene, arrow = self._renderer.scene, mujoco.mjtGeom.mjGEOM_ARROW
-        for (x, y), force_n in zip(unit_centres(self.design), scan.decoded_n.reshape(-1, 3), strict=True):
+        height, (x, y) = self.design.unit.height_mm, -np.array(self.design.slab_mm[:2]) / 2.0
+        tops = np.column_stack([unit_centres(self.design), np.full(self.design.n_units, height)])
+        red, grey = (0.85, 0.1, 0.1, 1.0), (0.35, 0.35, 0.35, 1.0)
+        for head_mm, force_n in zip(tops, scan.decoded_n.reshape(-1, 3) * (1, 1, -1), strict=True):
             if np.linalg.norm(force_n) > 0.3:
-                head = np.array([x, y, self.design.unit.height_mm]) / 1000.0
-                tail = head - 0.003 * force_n * (1, 1, -1)
-                red = np.array([0.85, 0.1, 0.1, 1.0], dtype=np.float32)
-                mujoco.mjv_initGeom(scene.geoms[scene.ngeom], arrow, np.zeros(3), np.zeros(3), np.zeros(9), red)
-                beyond = 2.0 * head - tail  # MuJoCo draws half of an arrow
-                mujoco.mjv_connector(scene.geoms[scene.ngeom], arrow, 0.0005, tail, beyond)
-                scene.ngeom += 1
+                self._arrow(head_mm, force_n, red)
+        self._arrow(np.array([x - 3.0, y - 3.0, 0.0]), np.array([0.0, 0.0, -KEY_N[0]]), grey)
         return self._renderer.render()
+
+    def _arrow(self, head_mm, force_n, colour):
+        """Add an arrow to the scene that MuJoCo is about to draw."""
+        import mujoco
+
+        scene = self._renderer.scene
+        head, along = head_mm / 1000.0, force_n * MM_PER_N / 1000.0
+        arrow, zeros = scene.geoms[scene.ngeom], np.zeros(3)
+        mujoco.mjv_initGeom(arrow, mujoco.mjtGeom.mjGEOM_ARROW, zeros, zeros, np.zeros(9), np.array(colour, np.float32))
+        # MuJoCo draws half of an arrow
+        mujoco.mjv_connector(arrow, mujoco.mjtGeom.mjGEOM_ARROW, 0.0005, head - along, head + along)
+        scene.ngeom += 1
 
 
 def main(picture=None, film=None):
