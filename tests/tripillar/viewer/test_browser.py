@@ -94,6 +94,15 @@ CONTRAST = """selectors => selectors.map(selector => {
 })"""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def page_file(tmp_path_factory):
+    """A saved page; it is made before the browser is there, since it needs asyncio."""
+    pytest.importorskip("trame_vtk")
+    path, panels = tmp_path_factory.mktemp("page") / "page.html", panels_of(DESIGN, (1.0, 3.0), "uniform", stress=False)
+    saving.save_html(DeformedPicture(panels, "vertical", 2.0, medium="page"), path, lambda: None)
+    return path
+
+
 @pytest.fixture(scope="module")
 def served(subject):
     """The address of a page without model or sensor."""
@@ -414,27 +423,13 @@ def test_a_board_deforms_the_array_until_ctrl_c(subject, browser, tmp_path):
     assert "1 × 2 units, the design has 6 × 6" in refused
 
 
-@pytest.fixture(scope="module")
-def page_file(tmp_path_factory):
-    pytest.importorskip("trame_vtk")
-    path, panels = tmp_path_factory.mktemp("page") / "page.html", panels_of(DESIGN, (1.0, 3.0), "uniform", stress=False)
-    thread = Thread(  # which may run asyncio
-        target=saving.save_html, args=(DeformedPicture(panels, "vertical", 2.0, medium="page"), path, lambda: None)
-    )
-    thread.start()
-    thread.join()
-    text = path.read_text(encoding="utf-8")
-    assert "default-src 'none'" in text
-    assert text.count("<title>") == 1
-    assert 'name="viewport"' in text
-    assert "favicon" not in text
-    assert not re.search(r"""(src|href)\s*=\s*["'`]?https?:""", text)
-    return path
-
-
 @pytest.mark.parametrize("size", [(900, 450), (390, 844)], ids=["wide", "phone"])
 def test_a_saved_page_shows_the_array_without_a_network(page_file, browser, tmp_path, size):
     """It asks for nothing but itself, and on a phone its pictures stand one below the other, none cut off."""
+    text = page_file.read_text(encoding="utf-8")
+    assert "default-src 'none'" in text
+    assert (text.count("<title>"), text.count('name="viewport"'), text.count("favicon")) == (1, 1, 0)
+    assert not re.search(r"""(src|href)\s*=\s*["'`]?https?:""", text)
     asked, drawn, axis = [], tmp_path / "page.png", 1 if size[0] > size[1] else 0
     with browser.new_context(offline=True, viewport={"width": size[0], "height": size[1]}) as context:
         page = context.new_page()

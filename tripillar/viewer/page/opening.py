@@ -86,16 +86,16 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, net_forces
     from tripillar.viewer.page.server import listening_on, serve
 
-    listening = listening_on(options.host, options.http_port)  # a taken port is refused before anything takes time
-    model = None if options.model is None else read_model(options.model)
-    if model is not None:
-        design = _design_for(model, str(options.model), design)
-    design = design or SensorDesign()
-    is_finite = design.matrix_material.model != "linear"
-    if is_finite:
-        require_finite(design)
     with ExitStack() as stack:
-        stack.enter_context(listening)
+        # a taken port is refused before anything takes time
+        listening = stack.enter_context(listening_on(options.host, options.http_port))
+        model = None if options.model is None else read_model(options.model)
+        if model is not None:
+            design = _design_for(model, str(options.model), design)
+        design = design or SensorDesign()
+        is_finite = design.matrix_material.model != "linear"
+        if is_finite:
+            require_finite(design)
         feed = None
         if options.port is not None and model is not None:
             feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
