@@ -40,7 +40,7 @@ class _Touch:
                     "gymnasium's MujocoEnv."
                 )
         self._readers = [ContactReader(world.model, **slab) for world in self._worlds]
-        self._like = {"dtype": sensor.dtype, "device": sensor.device}
+        self._like: dict[str, Any] = {"dtype": sensor.dtype, "device": sensor.device}
         if observe == "newtons":
             rest_ohm = sensor.resistances(torch.zeros((len(envs), *sensor.shape, 3), **self._like))
             axes = sensor.forces(rest_ohm).shape[-1]  # refuses a sensor without a model

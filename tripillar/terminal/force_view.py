@@ -44,7 +44,8 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
     number = fz if "z" in force else shear
     red, green, blue = colours(np.array([abs(number) / full_scale_n]))[0].tolist()
     ink = "rgb(0,0,0)" if red + green + blue > 380 else "rgb(255,255,255)"
-    return Text(f" {number:6.1f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
+    digits = 1 if abs(number) < 1e4 else 0  # a broken sensor's forces keep to their columns, too
+    return Text(f" {number:6.{digits}f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
 
 
 def live_view(
@@ -116,7 +117,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
 
 
 def notes_on(scan: Forces) -> list[str]:
-    """What is wrong with one scan, a line each: saturated pillars, no known load, broken pillars and wires."""
+    """Lines on one scan's faults: saturated pillars, no known load, broken pillars and wires."""
     notes = []
     if n_saturated := int(scan.saturated.sum()):
         notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")

@@ -83,6 +83,25 @@ def test_a_load_that_rests_is_shown_at_finite_strain_or_refused(subject):
     assert (solved["trouble"], refused["trouble"]) == ("", "no equilibrium")
 
 
+@pytest.mark.parametrize(("force_n", "is_drawn"), [(100.0, True), (1e6, False)])
+def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n, is_drawn):
+    """As a broken wire makes the model find them."""
+    scan = SimpleNamespace(force_n=np.full((1, 2, 3), force_n), resistance_ohm=np.full((1, 2, 3), 1e4))
+    fault = "pillar z of row 0, col 1 open"
+    feed = SimpleNamespace(port="", scan=scan, trouble="", link="", ended=False, faults=[fault], listeners=set())
+    feed.play_again = None
+    page = Page(replace(subject, feed=feed))
+    shown = page.update()
+    moved_mm = np.abs(
+        np.asarray(page.scene.pillars.points) - page.scene._rest_mm[:, : len(page.scene._owner)].reshape(-1, 3)
+    )
+    page.close()
+    assert shown["faults"] == feed.faults
+    assert shown["unit_forces"][2][2] == f"{force_n:.1f}"
+    assert (moved_mm.max() > 0.1) == is_drawn
+    assert ("at rest" in shown["strain_note"]) != is_drawn
+
+
 @pytest.mark.parametrize(("design", "error"), [(SQUARE, 0.003), (SOFT, 0.03)], ids=["paper's", "soft"])
 def test_the_inverse_finds_the_forces(design, error):
     """Relative to the largest force. Of soft rubber, whose pillars the datasets' loads turn over, at the cap."""

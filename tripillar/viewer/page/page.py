@@ -33,6 +33,8 @@ from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
 from tripillar.viewer.sights import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
+MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
+UNDRAWN = "drawn at rest: no pillar bears these forces"
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
 
 
@@ -181,9 +183,11 @@ class Page:
         except TriPillarError as error:
             return {"trouble": str(error)}
         self._reading, self._traction = reading, reading.traction_mpa
+        is_drawn = bool(reading.strain.max() <= MAX_DRAWN)
         legend = self.scene.show(
-            self._traction, reading.change.reshape(-1, 3), controls["colour"], controls["scale"], controls["pad"],
-            controls["dark"], None if answer is None else answer.field,
+            self._traction if is_drawn else 0.0 * self._traction, reading.change.reshape(-1, 3), controls["colour"],
+            controls["scale"], controls["pad"], controls["dark"],
+            answer.field if answer is not None and is_drawn else None,
         )  # fmt: skip
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
@@ -191,7 +195,7 @@ class Page:
             "trouble": "" if answer is None else answer.refusal,
             "legend": [numbers.legend(bar) for bar in (legend, self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
-            "strain_note": self._strain_note(answer, reading),
+            "strain_note": self._strain_note(answer, reading) if is_drawn else UNDRAWN,
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
             "traction_mpa": self._traction.ravel().round(4).tolist(),
         }
