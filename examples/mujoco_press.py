@@ -40,7 +40,8 @@ PATH = np.array(
 TOUCH_N = 1.0  # normal force from which errors count
 PICTURE_S, FILM_HZ = 3.8, 25  # moment of the picture's upper left; pictures a second
 MOST_N = 17.0  # of the axes
-MM_PER_N, KEY_N = 3.0, (4.0, 2.0)  # of arrows in the scene; forces of the arrows that show the scale, in scene and map
+ARROW_MM_PER_N = 3.0  # of forces in the scene
+KEY_N = 2.0  # shear of the arrow that explains the others
 
 
 class Scan(NamedTuple):
@@ -59,7 +60,7 @@ class Scan(NamedTuple):
 
 def trained(response, samples=2000):
     """A decoder for fingers, from exact samples of 0 to 10 N on up to three pads, and shear of up to 0.7 of that."""
-    light = tp.simulate(response, "light", samples, seed=1)
+    light = tp.dataset(response, "light", samples, seed=1)
     force_n = light.force_n * (3.5, 3.5, 1.0)  # the protocol's friction is up to 0.2
     sensor = tp.VirtualSensor(response.design, environments=len(light), response=response)
     resistance_ohm = sensor.resistances(torch.from_numpy(force_n)).numpy()
@@ -116,7 +117,6 @@ class Drawing:
         FigureCanvasAgg(self.figure)
         self._scene = self.figure.add_axes((0.01, 0.44, 0.47, 0.55))
         self._scene.set_axis_off()
-        self.figure.text(0.05, 0.455, f"red: decoded forces on the pads; grey arrow: {KEY_N[0]:g} N")
         pads, bar = self.figure.add_axes((0.08, 0.08, 0.26, 0.29)), self.figure.add_axes((0.36, 0.08, 0.012, 0.29))
         x, y = unit_centres(design).T
         half = design.array.pitch_mm / 2
@@ -128,10 +128,12 @@ class Drawing:
             x, y, 0 * x, 0 * y, angles="xy", scale_units="xy", scale=MOST_N / 4 / design.array.pitch_mm, width=0.012,
             color="#1f5fa8",
         )  # fmt: skip
-        pads.quiverkey(self._shear, 0.44, 0.34, KEY_N[1], f"shear {KEY_N[1]:g} N", labelpos="S", coordinates="figure")
         self._centre = pads.plot([], [], "k+", markersize=14, markeredgewidth=2)[0]
         pads.set(xlabel="x [mm]", ylabel="y [mm]", title="decoded pads; + MuJoCo's centre of pressure")
+        pads.quiverkey(self._shear, 0.03, 0.03, KEY_N, f"shear of {KEY_N:g} N", labelpos="E", coordinates="figure")
         self.figure.colorbar(self._fz, cax=bar, label="Fz of a pad [N]")
+        side_n = design.slab_mm[0] / ARROW_MM_PER_N
+        self.figure.text(0.05, 0.975, f"red: decoded force on a pad; as long as the sensor: {side_n:.2g} N", va="top")
         forces, misses = self.figure.add_axes((0.55, 0.36, 0.43, 0.61)), self.figure.add_axes((0.55, 0.08, 0.43, 0.22))
         self._curves = []
         for axis, colour in zip("xyz", ("#1f5fa8", "#3a9a5b", "#d9701f"), strict=True):
@@ -169,6 +171,8 @@ class Drawing:
 
     def _picture(self, world, data, scan):
         """The scene as MuJoCo draws it; None where it cannot, which is said once."""
+        import mujoco
+
         if self._renderer is None:
             try:
                 self._renderer = renderer(world, 960, 720)
@@ -178,26 +182,17 @@ class Drawing:
         if not self._renderer:
             return None
         self._renderer.update_scene(data)
-        height, (x, y) = self.design.unit.height_mm, -np.array(self.design.slab_mm[:2]) / 2.0
-        tops = np.column_stack([unit_centres(self.design), np.full(self.design.n_units, height)])
-        red, grey = (0.85, 0.1, 0.1, 1.0), (0.35, 0.35, 0.35, 1.0)
-        for head_mm, force_n in zip(tops, scan.decoded_n.reshape(-1, 3) * (1, 1, -1), strict=True):
+        scene, arrow = self._renderer.scene, mujoco.mjtGeom.mjGEOM_ARROW
+        for (x, y), force_n in zip(unit_centres(self.design), scan.decoded_n.reshape(-1, 3), strict=True):
             if np.linalg.norm(force_n) > 0.3:
-                self._arrow(head_mm, force_n, red)
-        self._arrow(np.array([x - 3.0, y - 3.0, 0.0]), np.array([0.0, 0.0, -KEY_N[0]]), grey)
+                head = np.array([x, y, self.design.unit.height_mm]) / 1000.0
+                tail = head - ARROW_MM_PER_N / 1000.0 * force_n * (1, 1, -1)
+                red = np.array([0.85, 0.1, 0.1, 1.0], dtype=np.float32)
+                mujoco.mjv_initGeom(scene.geoms[scene.ngeom], arrow, np.zeros(3), np.zeros(3), np.zeros(9), red)
+                beyond = 2.0 * head - tail  # MuJoCo draws half of an arrow
+                mujoco.mjv_connector(scene.geoms[scene.ngeom], arrow, 0.0005, tail, beyond)
+                scene.ngeom += 1
         return self._renderer.render()
-
-    def _arrow(self, head_mm, force_n, colour):
-        """Add an arrow to the scene that MuJoCo is about to draw."""
-        import mujoco
-
-        scene = self._renderer.scene
-        head, along = head_mm / 1000.0, force_n * MM_PER_N / 1000.0
-        arrow, zeros = scene.geoms[scene.ngeom], np.zeros(3)
-        mujoco.mjv_initGeom(arrow, mujoco.mjtGeom.mjGEOM_ARROW, zeros, zeros, np.zeros(9), np.array(colour, np.float32))
-        # MuJoCo draws half of an arrow
-        mujoco.mjv_connector(arrow, mujoco.mjtGeom.mjGEOM_ARROW, 0.0005, head - along, head + along)
-        scene.ngeom += 1
 
 
 def main(picture=None, film=None):

@@ -134,7 +134,7 @@ def serial_ports() -> Check:
     if refused:
         advice = f"no permission for {', '.join(refused)}: sudo usermod -aG dialout $USER, then log in again."
         return judged("serial ports", ", ".join(found), advice)
-    advice = "" if found else "plug the board in; without one, 'tripillar simulate' is one."
+    advice = "" if found else "plug the board in; without one, 'tripillar board' is one."
     return judged("serial ports", ", ".join(found) or "none", advice, is_optional=True)
 
 

@@ -30,7 +30,7 @@ def response(press_env):
 @pytest.fixture(scope="module")
 def settings(response):
     """What the registered environment is made with: an exact sensor and its decoder."""
-    model = tp.train(tp.simulate(response, "light", 300, seed=1, noise=1e-6), response=response)
+    model = tp.train(tp.dataset(response, "light", 300, seed=1, noise=1e-6), response=response)
     return {"design": response.design, "response": response, "model": model}
 
 
