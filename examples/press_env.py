@@ -1,6 +1,7 @@
 """A Gymnasium environment: press a finger on the sensor with a given force.
 
-Importing this module registers ``tripillar/Press-v0``; ``python examples/press_env.py`` presses twice at random.
+Importing this module registers ``tripillar/Press-v0``; ``python examples/press_env.py`` presses twice,
+slower the nearer it comes to the wanted force.
 """
 
 from typing import Any
@@ -177,9 +178,12 @@ gymnasium.register(
 if __name__ == "__main__":
     env = gymnasium.make(ID, noise=0.001, bits=12)
     for _ in range(2):
-        env.reset()
+        observation, info = env.reset()
         is_over = False
         while not is_over:
-            observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            missing = 1.0 - info["tactile"][2] / observation["target_n"][0]
+            observation, reward, terminated, truncated, info = env.step(
+                np.array([0.0, 0.0, -0.3 * missing], np.float32)
+            )
             is_over = terminated or truncated
         print(f"pressed with {info['tactile'][2]:.1f} N, wanted {observation['target_n'][0]:.1f}: reward {reward:.2f}")

@@ -45,6 +45,18 @@ def test_the_example_runs_to_its_end_with_a_picture_and_a_film(example, shared_c
     assert b"moov" in (tmp_path / "press.mp4").read_bytes()
 
 
+def test_the_environment_presses_with_about_the_wanted_force(press_env, capsys, monkeypatch):
+    """`press_env.py` as a script: twice from no contact, within 5 %; by a closed form of its response."""
+    gymnasium = sys.modules["gymnasium"]
+    gymnasium.registry.pop(press_env.ID)
+    monkeypatch.setattr("tripillar.response", layer_response, raising=False)
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    runpy.run_path(press_env.__file__, run_name="__main__")
+    rewards = re.findall(r"reward (−?-?[\d.]+)", capsys.readouterr().out)
+    assert len(rewards) == 2
+    assert all(float(reward) > -0.05 for reward in rewards)
+
+
 @pytest.mark.skipif(not ctypes.util.find_library("EGL"), reason="EGL is not installed")
 @pytest.mark.parametrize("drawn_by", ["egl", "glfw"])
 def test_a_picture_needs_no_display_where_egl_is(drawn_by):
