@@ -133,7 +133,7 @@ def test_on_the_command_line(tmp_path):
     assert result["precision"] == "float"
     assert (tmp_path / result["file"]).exists()
     for words, says in (
-        (("--model", "model.safetensors", "--out", "model.pt"), "must end in .onnx or .h"),
+        (("--model", "model.safetensors", "--out", "model.pt"), "must be a file that ends in .onnx or .h"),
         (("--model", "none.safetensors", "--out", "other.h"), "no such file"),
         (("--model", "model.onnx", "--out", "other.h"), "no safetensors file"),
     ):
