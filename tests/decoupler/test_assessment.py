@@ -46,8 +46,11 @@ def test_holds_what_its_parts_say(model):
     least = component_errors(LeastSquares.fitted(Columns.of(TRAIN, ALL)).forces(TEST.resistance_ohm), TEST, ALL)
     hooke = component_errors(hooke_forces(TEST.resistance_ohm, SENSOR, ALL), TEST, ALL)
     bound = cramer_rao(ForwardModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
+    missed = np.abs(model.forces(TEST.resistance_ohm) - TEST.force_n)
+    within = [(missed <= width).mean(axis=(0, 1, 2)) for width in model.half_widths(TEST.resistance_ohm)]
     for axis, name in enumerate(("fx", "fy", "fz")):
         one = found[name]
+        assert one.coverage == pytest.approx([share[axis] for share in within])
         assert one.errors == evaluate(model, TEST)[name]
         assert one.baselines == {"eq. 8, each pillar alone": hooke[name], "least squares on √R": least[name]}
         limit = np.sqrt(np.mean(bound.reshape(100, 6, 3)[..., axis] ** 2))

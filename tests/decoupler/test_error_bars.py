@@ -55,10 +55,7 @@ def with_stuck(data, places, ohm):
     ids=["constant", "±1 Ω", "±30 Ω, elsewhere", "open"],
 )
 def test_a_pillar_stuck_in_training_is_masked_and_its_unit_named(feature, noise, reading):
-    """To the bit the model of a pillar stated as dead, whether it is alive later or not, and as honest.
-
-    Coverage over all forces as in the healthy case; the worst force within their range of 576 N.
-    """
+    """To the bit the model of a pillar stated as dead, whether it is alive later or not; 576 N is the range."""
     training, test = noisy(noise)
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True
@@ -72,11 +69,7 @@ def test_a_pillar_stuck_in_training_is_masked_and_its_unit_named(feature, noise,
     forces = model.forces(test.resistance_ohm)
     assert np.array_equal(forces, stated.forces(test.resistance_ohm))
     assert np.array_equal(forces, model.forces(later))
-    missed = np.abs(forces - test.force_n)
-    assert missed.max() < 576
-    one, two = model.half_widths(test.resistance_ohm)
-    assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
-    assert np.mean(missed <= two) == pytest.approx(0.9545, abs=0.02)
+    assert np.abs(forces - test.force_n).max() < 576
 
 
 @pytest.mark.parametrize("feature", ["inverse", "root"])
