@@ -1,7 +1,5 @@
 """An assessment: the model's errors beside limit and baselines, each as its own module gives it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from decoupler.evaluation.assessment import as_plain
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import hooke_forces
-from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, split
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
@@ -28,12 +26,7 @@ NOISE = 2e-3
 ALL = component_named("all")
 
 
-def noisy(data):
-    errors = np.random.default_rng(1).standard_normal(data.resistance_ohm.shape)
-    return replace(data, resistance_ohm=data.resistance_ohm * (1 + NOISE * errors), noise=NOISE)
-
-
-TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0)), 600)
+TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0), NOISE), 600)
 
 
 @pytest.fixture(scope="module")
