@@ -16,12 +16,11 @@ from decoupler.inverse.limits import cramer_rao
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.design import PAD_KINDS, SensorDesign
-from geometry.storage.files import write_json
+from studies.tables import report
 from tripillar.pipeline.run import respond
 from tripillar.sweep.judge import metrics_of
-from tripillar.terminal.entry import run_alone, wrote
+from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.tables import plain_table, show
 
 PROTOCOLS = ("contact", "three-axis")
 NOISE, BITS, CAP = 0.001, 12, 0.3
@@ -156,14 +155,10 @@ def compare_pads(
         errors = [
             row for protocol in PROTOCOLS for row in error_rows(responses, protocol, counts, lambda s: advance(1, s))
         ]
-    show(plain_table("Map from forces to readings, by pad", [
-        {"kind": row.kind, "size_mm": row.size_mm} | row.metrics for row in maps
-    ]))  # fmt: skip
-    show(plain_table("Errors of forces", [
-        {name: value for name, value in asdict(row).items() if name != "errors"} | asdict(row.errors) for row in errors
-    ]))  # fmt: skip
-    write_json({"maps": [asdict(row) for row in maps], "errors": [asdict(row) for row in errors]}, out)
-    wrote([out])
+    plain = [asdict(row) for row in errors]
+    rows = [{name: value for name, value in row.items() if name != "errors"} | row["errors"] for row in plain]
+    pads = [{"kind": row.kind, "size_mm": row.size_mm} | row.metrics for row in maps]
+    report({"Map from forces to readings, by pad": pads, "Errors of forces": rows}, out)
 
 
 if __name__ == "__main__":

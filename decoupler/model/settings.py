@@ -13,6 +13,8 @@ MAX_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then 
 Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Trainer = Literal["varpro", "lm", "momentum"]
 
+#: functions of `decoupler.training` that train all weights at once
+METHODS = {"lm": "levenberg_marquardt:train_lm", "momentum": "momentum:train_momentum"}
 _TRAINERS_OWN = {
     "varpro": {"goal_mse": 1e-7, "max_iterations": 200, "patience": 10},
     "lm": {"goal_mse": 1e-5, "max_iterations": 200, "patience": 10},  # the paper's goal

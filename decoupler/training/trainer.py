@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +18,10 @@ from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelIn
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key
-from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
+from decoupler.model.settings import METHODS, NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
-from decoupler.training.levenberg_marquardt import train_lm
-from decoupler.training.momentum import train_momentum
 from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import explaining, suited_training, without_stuck
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
@@ -155,8 +154,9 @@ def fitted_network(
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
-            train_all = train_lm if training.trainer == "lm" else train_momentum
-            point, outcome = train_all(samples, hidden, output, training, progress)
+            home, _, name = METHODS[training.trainer].partition(":")
+            method = getattr(import_module(f"decoupler.training.{home}"), name)
+            point, outcome = method(samples, hidden, output, training, progress)
     # in the order of a file's, since products round by it
     hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
     if known:

@@ -21,10 +21,10 @@ from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
-from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
+from studies.bench.harness import Contender, Found, Settings, run_contenders
 from studies.bench.reference import stored_references
-from tripillar.terminal.entry import run_alone, wrote
-from tripillar.terminal.tables import show
+from studies.tables import measured_on, report
+from tripillar.terminal.entry import run_alone
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
 REFERRED = (6, SAME)  #: units a side and modulus of the response that has references
@@ -129,9 +129,8 @@ def bench(
     for case in (SAME, SOFT):
         chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
         records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings)
-    show(record_table("Array responses by units a side, everything included, nothing cached", records))
-    write_records(records, measured_on(("numpy", "scipy", "scikit-fem")), out)
-    wrote([out])
+    title = "Array responses by units a side, everything included, nothing cached"
+    report({title: [one.cells for one in records]}, out, measured_on(("numpy", "scipy", "scikit-fem")))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from geometry.storage.files import write_json
 from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
 from hardware.boards.virtual_board import VirtualBoard, a_frame
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
@@ -27,10 +26,10 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.forces import ForceReader, LiveSensor
 from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
+from studies.tables import measured_on, report
 from tripillar.pipeline.run import respond
-from tripillar.terminal.entry import run_alone, wrote
+from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.tables import plain_table, show
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
@@ -168,10 +167,7 @@ def bench(
             "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in ScanMode],
             "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
         }
-    for name, rows in found.items():
-        show(plain_table(TITLES[name], rows))
-    write_json(found, out)
-    wrote([out])
+    report({TITLES[name]: rows for name, rows in found.items()}, out, measured_on(("numpy", "torch")))
 
 
 if __name__ == "__main__":

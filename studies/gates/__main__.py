@@ -25,9 +25,9 @@ from rich.table import Table
 
 from geometry.errors import DesignError
 from geometry.storage.files import replacing, write_json
-from studies.bench.harness import measured_on
 from studies.gates.parts import PARTS
 from studies.gates.rows import Row, in_own_process, verdict
+from studies.tables import measured_on
 from tripillar.terminal.entry import run_alone, say
 from tripillar.terminal.tables import show
 

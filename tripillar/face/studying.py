@@ -131,7 +131,7 @@ def sweep(
     from geometry.pool import open_pool
     from geometry.storage.journal import Journal
     from tripillar.sweep.rows import write_parquet
-    from tripillar.sweep.run import judge_all, kept_rows
+    from tripillar.sweep.run import are_cached, judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of
     from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
 
@@ -141,7 +141,8 @@ def sweep(
     missing = [sample for sample in samples if sample.cache_key not in found]
     if missing:
         log = folder / f"{source.stem}-workers.log"
-        with stoppable(journal), open_pool(workers, scheduler, log) as pool:
+        tasks = 0 if are_cached(missing, asked.judging) else None
+        with stoppable(journal), open_pool(workers, scheduler, log, tasks) as pool:
             found |= judge_all(missing, asked.judging, pool, journal, shown(caller.bars, "designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]

@@ -1,29 +1,32 @@
-"""Contenders of the training race, and one race: ours here, the others in `peers`."""
+"""``python -m studies.bench.training``: training time against error, ours beside torch's on the same network."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated
 
-import torch
-from torch.nn.utils import parameters_to_vector
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
-from decoupler.training.damping import FIRST_DAMPING
-from decoupler.training.levenberg_marquardt import GaussNewton, point_at
-from decoupler.training.network import TrainingSet
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
-from studies.bench.harness import Contender, Found
-from studies.bench.training import peers
-from studies.bench.training.problem import Ended, Problem, Scaled, Trace
+from studies.bench import optimisers
+from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
+from studies.bench.optimisers import Ended, Problem, Scaled, Trace
+from studies.tables import measured_on, report
 from tripillar.sweep.memory import peak_mib
+from tripillar.terminal.entry import run_alone
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
 ENOUGH = 10**9  #: iterations: time or goal comes first
 WARM_UP = 8  #: samples of the training that warms a contender up
 TEST_SAMPLES = 200
-MSE = "mse of the scaled training outputs"
+MSE = "mean squared error of the scaled training outputs"
+PACKAGES = ("numpy", "torch", "torch-levenberg-marquardt")
+GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
+SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that cannot be interrupted, a busy machine
 Train = Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
 
 
@@ -40,10 +43,6 @@ class Race:
     patience_s: float = 60.0
     rows: int = 6  #: units a side
     method: str = "cells"  #: of the response
-
-    @property
-    def name(self) -> str:
-        return f"{self.protocol}-{self.net}-{self.hidden}"
 
     def data(self) -> tuple[Problem, Samples]:
         """The training problem and the test samples; the response comes from the cache."""
@@ -102,24 +101,6 @@ def by_ours(trainer: Trainer, known: bool = False) -> Train:
     return run
 
 
-def step_difference(problem: Problem, samples: int = 50) -> float:
-    """Relative distance of the structured step from that of the dense JᵀJ, at the start and its first damping."""
-    scaled = Scaled(problem.first(samples))
-    model, x, t = scaled.model, scaled.x, scaled.t
-    J = torch.from_numpy(peers.dense_jacobian(model, x.numpy()))
-    with torch.no_grad():
-        given = TrainingSet(x, t, model.skip)
-        structured = GaussNewton(given, point_at(given, model.hidden.detach(), model.output.detach()))
-        damping = FIRST_DAMPING * structured.scale
-        step = structured.direction(damping)
-        assert step is not None  # the damping keeps the matrix from being singular
-        ours = parameters_to_vector(step)
-        matrix = J.T @ J
-        matrix.diagonal().add_(damping)
-        dense = torch.linalg.solve(matrix, -J.T @ (model(x) - t).reshape(-1))
-        return (torch.linalg.norm(ours - dense) / torch.linalg.norm(dense)).item()
-
-
 def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:
     """Training of the same network by something else, which changes its weights in place."""
 
@@ -134,18 +115,37 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:
     return trained
 
 
-VARPRO, LM = "VarPro", "structured LM"  #: what the others are compared with
 KNOWN = "VarPro, skip net from the response"
 CONTENDERS = [
     Contender(name=name, family=name, solve=solve, missing=missing)
     for name, solve, missing in (
         (KNOWN, by_ours("varpro", known=True), str),  # str() is nothing missing
-        (VARPRO, by_ours("varpro"), str),
-        (LM, by_ours("lm"), str),
+        ("VarPro", by_ours("varpro"), str),
+        ("structured LM", by_ours("lm"), str),
         ("momentum (eq. 15)", by_ours("momentum"), str),
-        ("torch Adam", by_peer(peers.adam), str),
-        ("torch LBFGS", by_peer(peers.lbfgs), str),
-        ("torch-levenberg-marquardt", by_peer(peers.torch_lm), peers.torch_lm_missing),
-        (f"SciPy trf, {peers.SCIPY_SAMPLES} samples", by_peer(peers.scipy_trf), str),
+        ("torch LBFGS", by_peer(optimisers.lbfgs), str),
+        ("torch-levenberg-marquardt", by_peer(optimisers.torch_lm), optimisers.torch_lm_missing),
     )
 ]
+
+
+def bench(
+    out: Annotated[Path, Parameter(help="Folder for JSON and picture.")] = Path("out/bench"),
+    patience: Annotated[float, Parameter(help="Processor seconds after which a training is stopped.")] = 30.0,
+    only: Annotated[list[str] | None, Parameter(help="Word: run contenders whose name holds it.")] = None,
+) -> None:
+    """Train a skip net of 17 nodes on pressed pads by every contender; what is not installed is skipped with a word."""
+    race = Race(protocol="contact-fz", component="fz", net="skip", hidden=17, samples=2000, patience_s=patience)
+    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
+    settings = Settings(runs=1, threads=1, patience_s=10 * patience + SPARE_S, own_cache=False)
+    race.data()  # which puts the response into the cache
+    found = run_contenders("studies.bench.training", "race", asdict(race), chosen, settings)
+    title = f"{race.samples} samples of {race.protocol}, {race.net} net of {race.hidden} nodes, one thread"
+    picture = out / "training-race.png"
+    draw_records(f"Training time against error: {title}", found, MSE, picture)
+    tables = {title: [one.cells for one in found], "Fastest to an error": goal_rows(found, MSE, GOALS)}
+    report(tables, out / "training.json", measured_on(PACKAGES) | asdict(race), [picture])
+
+
+if __name__ == "__main__":
+    run_alone(bench)

@@ -1,6 +1,7 @@
-"""The input of every contender: samples, the form of the network, the seed of its start; and a trace of its error."""
+"""A training problem with a trace of its error, and other optimisers on it, full batch, set as an expert would."""
 
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import pairwise
 from statistics import median
 from time import process_time
@@ -15,6 +16,9 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.training.network import Network
 from fem.array.response import ArrayResponse
+
+LBFGS_ROUND = 10  #: iterations between two looks at the error
+LM_BATCH = 250  #: samples whose Jacobian torch-levenberg-marquardt holds at a time; the fastest of 20, 50, 250 and 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,3 +115,45 @@ class Trace:
             if point[1] >= 1.01 * kept[-1][1] or point is self.points[-1]:
                 kept.append(point)
         return kept
+
+
+def lbfgs(scaled: Scaled, trace: Trace) -> str:
+    """`torch.optim.LBFGS` with a line search to the strong Wolfe conditions and 10 pairs."""
+    optimizer = torch.optim.LBFGS(
+        scaled.model.parameters(), max_iter=LBFGS_ROUND, history_size=10, tolerance_grad=0.0, tolerance_change=0.0,
+        line_search_fn="strong_wolfe",
+    )  # fmt: skip
+    state = optimizer.state[scaled.model.hidden]
+
+    def closure() -> float:
+        optimizer.zero_grad()
+        loss = scaled.loss()
+        loss.backward()
+        return loss.item()
+
+    done = -1
+    while state.get("n_iter", 0) > done:
+        done = state.get("n_iter", 0)
+        trace.record(done, scaled.mse())
+        optimizer.step(closure)
+    return "no step"
+
+
+def torch_lm_missing() -> str:
+    """Packages of torch-levenberg-marquardt that are not installed."""
+    needed = ("torch_levenberg_marquardt", "pytorch_lightning", "torchmetrics")
+    absent = [name for name in needed if not find_spec(name)]
+    return f"{', '.join(absent)} not installed (pip install 'tripillar[bench]')" if absent else ""
+
+
+def torch_lm(scaled: Scaled, trace: Trace) -> str:
+    """torch-levenberg-marquardt: Jacobian by vmap in slices, Cholesky, its own damping."""
+    from torch_levenberg_marquardt.training import LevenbergMarquardtModule
+
+    module = LevenbergMarquardtModule(scaled.model, solve_method="cholesky", max_batch_size=LM_BATCH)
+    step, stopped = 0, False
+    while not stopped:
+        trace.record(step, scaled.mse())
+        *_, stopped, _ = module.training_step(scaled.x, scaled.t)
+        step += 1
+    return "largest damping"
