@@ -267,7 +267,7 @@ class Booting:
 
 
 def test_a_board_is_asked_as_soon_as_it_has_spoken(monkeypatch):
-    monkeypatch.setattr("hardware.link.scanner._LISTEN_S", 3600)
+    monkeypatch.setattr("hardware.link.link.LISTEN_S", 3600)
     port = Booting(swallows=0)
     with Scanner(port, timeout=PATIENT_S):
         pass
