@@ -1,4 +1,4 @@
-"""What the tests of ports, boards and links share: frames, scripted ports, and a board that fails by a clock of its own."""
+"""What the tests of ports, boards and links share: frames, scripted ports, and a board that can fail."""
 
 import queue
 import time

@@ -113,9 +113,9 @@ def test_closing_is_prompt_and_final_and_ends_an_iteration_that_waits():
             closing.join(PATIENT_S)
             scanner.close()
         assert not reading_threads()
-        with Scanner(board.port):  # the port is free again
-            with pytest.raises(PortError, match="in use by another program"), Scanner(board.port):
-                pass
+        in_use = pytest.raises(PortError, match="in use by another program")
+        with Scanner(board.port), in_use, Scanner(board.port):  # the port is free again, but for once
+            pass
         with pytest.raises(ScannerError, match="used already"), scanner:
             pass
 

@@ -19,7 +19,7 @@ from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
 from hardware.streams.foxglove_stream import SCENE, FoxgloveStream
 from hardware.streams.rerun_stream import RerunStream
 from hardware.streams.scene import LONGEST, Painter
-from tests.hardware.recording.test_recorder_failures import room_for
+from tests.hardware.recording.test_failures import room_for
 
 pytest.importorskip("foxglove")
 websockets = pytest.importorskip("websockets")
