@@ -8,8 +8,8 @@ import numpy as np
 from hardware.boards.virtual_board import CountedFrames, a_frame
 from hardware.link.board_port import BoardPort, Commands
 from hardware.link.frames import Frame, Info, encode
-from hardware.link.link import Link
 from hardware.link.protocols import PROTOCOLS
+from hardware.link.scanner import Link
 from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 

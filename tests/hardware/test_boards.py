@@ -13,9 +13,8 @@ from geometry.errors import DesignError
 from hardware.boards.virtual_board import CountedFrames, VirtualBoard
 from hardware.link.board_port import BoardPort
 from hardware.link.frames import Frame, FrameDecoder, FrameError, Info, Statistics, encode
-from hardware.link.link import Link
 from hardware.link.protocols import PROTOCOLS, BoardProtocol, spoken_on
-from hardware.link.scanner import Scanner
+from hardware.link.scanner import Link, Scanner
 from hardware.link.serial_ports import close, open_port
 from hardware.recording import PlaybackPort, Recorder, parse_recording, read_recording
 from hardware.session import record_scans

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hardware.link.frames import encode
-from hardware.link.link import Link
 from hardware.link.protocols import PROTOCOLS
+from hardware.link.scanner import Link
 from hardware.link.serial_ports import PortError
 from tests.hardware.boards import COUNTS, INFO, Bench, Clock, ScriptedPort, a_wire
 

@@ -60,15 +60,6 @@ def test_nothing_arrives_in_time():
         assert read_available(port) == b""
 
 
-def test_a_loop_and_once_closed_it_is_gone():
-    with opened("loop://") as port:
-        write(port, b"abc")
-        assert read_all(port, 3) == b"abc"
-        port.close()
-        with pytest.raises(PortError, match="the port is gone"):
-            read_available(port)
-
-
 def refusal(url):
     with pytest.raises(PortError) as caught:
         open_port(url)
