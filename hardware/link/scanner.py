@@ -66,6 +66,7 @@ class Link:
         self._port: Port | None = opened
         self._open_again, self._timeout_s, self._protocol = open_again, timeout_s, protocol
         self._clock, self._wait = clock, wait
+        self._is_new = self._is_silent = False
         self._begin()
 
     def read(self) -> bytes:
@@ -205,7 +206,8 @@ class Scanner:
             raise ScannerError(f"queue={queue} must be 1 or more: the scans that may wait.")
         if not timeout > 0:
             raise ScannerError(f"timeout={timeout:g} must be above 0 s.")
-        self._protocol, self._url = spoken_on(port) if isinstance(port, str) else (spoken_on("")[0], None)
+        self._protocol, url = spoken_on(port if isinstance(port, str) else "")
+        self._url = url if isinstance(port, str) else None
         self._port = None if isinstance(port, str) else port
         self._opener, self._baud, self._timeout_s = opener, baud, timeout
         self._may_reconnect = reconnect and self._url is not None

@@ -15,8 +15,10 @@ INFO = Info(rate_hz=200, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
 
 @pytest.mark.parametrize("seconds", [100, pytest.param(3600, marks=pytest.mark.long)])
 def test_many_frames_in_flat_memory(seconds):
-    """Between a tenth of the time and its end, the process grows by less than 4 MB: 5.5 bytes a frame of an hour, half a
-    frame of the short one."""
+    """Between a tenth of the time and its end, the process grows by less than 4 MB.
+
+    That is 5.5 bytes a frame of an hour, half a frame of a hundred seconds.
+    """
     states = [1e4, 1.4e4, 1.4e4] * np.random.default_rng(0).uniform(0.6, 1.1, (100, 6, 6, 3))
     bench, process, memory_mb, n = Bench(Electronics().crossbar(INFO).counts(states), INFO), psutil.Process(), [], 0
     bench.board.frames._number = 65_000  # wraps early
