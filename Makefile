@@ -40,14 +40,12 @@ paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing besi
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.finite --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.inference --out $(OUT)/bench/inference.json
 	$(BIN)/python -m studies.bench.virtual --out $(OUT)/bench/virtual.json
 	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
 
-edge-cases: $(READY)  ## scenes and trainings at the edge of what can be solved: each right or refused, never wrong
+edge-cases: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
 	$(BIN)/python -m studies.edge_cases --out $(OUT)/edge-cases
 
 robustness: $(READY)  ## what worse sensors cost, and what measured pairs buy back

@@ -12,6 +12,7 @@ from pathlib import Path
 import filelock
 import pytest
 from hypothesis.configuration import set_hypothesis_home_dir
+from hypothesis.internal.conjecture import providers
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before NumPy loads: the cores belong to pytest's workers
@@ -24,15 +25,29 @@ SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a sessio
 LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
 #: what tests name that Windows cannot run: pseudo-terminals, the firmware, signals and files of POSIX, the laboratory
 POSIX = re.compile(
-    r"\b(VirtualBoard|SimavrBoard|simulated_board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
-    r"|SIGKILL|SIGSTOP|SIGUSR|\"simulate\"|import studies|from studies"
+    r"\b(VirtualBoard|SimavrBoard|tp\.board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
+    r"|SIGKILL|SIGSTOP|SIGUSR|\"board\"|import studies|from studies"
 )
 HERE = Path(__file__).parent
+FLOORS = ("geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies")
 collect_ignore = [
     str(path)
     for path in (*sorted(HERE.glob("tests/**/test_*.py")), *sorted(HERE.glob("hardware/boards/*.py")))
     if sys.platform == "win32" and POSIX.search(path.read_text(encoding="utf-8"))
-] + ([str(HERE / "studies"), str(HERE / "tripillar/face/boards.py")] if sys.platform == "win32" else [])
+] + (
+    [str(HERE / "studies"), *(str(HERE / f"tripillar/face/{name}.py") for name in ("boards", "simulating"))]
+    if sys.platform == "win32"
+    else []
+)
+# every worker would import them to look for examples
+collect_ignore += [
+    str(path)
+    for floor in FLOORS
+    for path in (HERE / floor).rglob("*.py")
+    if ">>>" not in path.read_text(encoding="utf-8")
+]
+# in each worker, hypothesis would parse every module of the house for numbers that its examples might be
+providers._get_local_constants = lambda: providers._local_constants
 # hypothesis starts to write while tests are still being collected, before any fixture
 set_hypothesis_home_dir(SHARED / "hypothesis")
 

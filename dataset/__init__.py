@@ -17,7 +17,7 @@ from dataset.stored import StoredSamples, in_memory, read_samples
 
 if TYPE_CHECKING:
     from dataset.simulation import DatasetSettings, measured_again, simulate
-    from dataset.torch_samples import TorchBatches, TorchSamples
+    from dataset.torch_samples import TorchSamples
 
 __all__ = [
     "OPEN_OHM",
@@ -27,7 +27,6 @@ __all__ = [
     "SampleError",
     "Samples",
     "StoredSamples",
-    "TorchBatches",
     "TorchSamples",
     "counts_from_resistance",
     "in_memory",
@@ -42,7 +41,7 @@ __all__ = [
 ]
 
 _LAZY = dict.fromkeys(["DatasetSettings", "measured_again", "simulate"], "dataset.simulation")
-_LAZY |= dict.fromkeys(["TorchBatches", "TorchSamples"], "dataset.torch_samples")
+_LAZY["TorchSamples"] = "dataset.torch_samples"
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,21 +41,27 @@ class AnySamples:
     bits: int | None  #: resolution of the converter; None if exact or not known
     dead: NDArray[np.bool_] | None  #: (rows, cols, 3): pillars that cannot be read; None if all can
     made_from: dict[str, Any]  #: other attributes of the file: seed, protocol, hashes ...
+    strain_model: FloatArray | None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
+    shape: tuple[int, int]  #: rows and columns of the array
+    variables: tuple[str, ...]  #: names of the variables that are held
+    dtype: np.dtype[Any]  #: of the numbers
+    content_hash: str  #: of forces and resistances
 
     def __len__(self) -> int:
         raise NotImplementedError
 
     def __getitem__(self, which: Choice) -> "Samples":
-        raise NotImplementedError
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the array."""
+        """Some of the samples in memory, chosen as in an array; of a single number, that one."""
         raise NotImplementedError
 
     def blocks(self, size: int = LEAF) -> Iterator["Samples"]:
         """All samples in order, so many at a time; on disk a multiple of `LEAF` reads each leaf once."""
         return (self[start : start + size] for start in range(0, len(self), size))
+
+    @property
+    def is_finite(self) -> NDArray[np.bool_]:
+        """Which samples were solved at finite strain, (n,)."""
+        return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
 
     @property
     def errors(self) -> ReadingError:
@@ -80,8 +87,45 @@ class AnySamples:
             raise IndexError(f"no sample {which}: there are {len(self)}.")
         return [int(which)]
 
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
+        stated, said = stated_imperfections(self.made_from, *self.shape), dict(self.made_from)
+        if self.noise != stated.noise:
+            said["noise"] = self.noise
+        if self.bits != stated.bits:
+            said["bits"] = self.bits
+        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape)):
+            said = {name: value for name, value in said.items() if not name.startswith("dead_")}
+            said["dead_pillars"] = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
+        design = {} if self.design is None else {"design": design_to_toml(self.design)}
+        return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+    @property
+    def title(self) -> str:
+        """One line for people."""
+        rows, cols = self.shape
+        protocol = self.made_from.get("protocol", "protocol not known")
+        return f"{len(self):,} samples of {rows} × {cols} units, {protocol}"
+
+    def described(self) -> dict[str, str]:
+        """Variables that are held and attributes that are known, by name, in words."""
+        held = {}
+        for name in self.variables:
+            dims, notes, _ = VARIABLES[name]
+            held[name] = f"{', '.join(dims)} [{notes.get('units', '1')}]: {notes['note']}"
+        told = {name: str(value) for name, value in self.attributes().items() if name != "design"}
+        return held | told | ({"design": "not known"} if self.design is None else {})
+
+    def __repr__(self) -> str:
+        return "\n".join([self.title, *(f"  {name:19} {text}" for name, text in self.described().items())])
+
+    def _repr_html_(self) -> str:
+        """A table for notebooks."""
+        rows = [f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.described().items()]
+        return f"<table><caption>{escape(self.title)}</caption>{''.join(rows)}</table>"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Samples(AnySamples):
     """Labelled samples: resistances of a sensor, the forces that cause them, and what lies between.
 
@@ -128,30 +172,26 @@ class Samples(AnySamples):
         return len(self.force_n)
 
     def __getitem__(self, which: Choice) -> "Samples":
-        """Some of the samples, chosen as in an array; of a single number, that one."""
         rows = self._rows(which)
         arrays: dict[str, Any] = {name: values[rows] for name, values in self.arrays().items()}
         return replace(self, **arrays, made_from=self._of_part)
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
         rows, cols = self.force_n.shape[1:3]
         return rows, cols
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the numbers."""
+    def variables(self) -> tuple[str, ...]:  # type: ignore[override]
+        return tuple(self.arrays())
+
+    @property
+    def dtype(self) -> np.dtype[Any]:  # type: ignore[override]
         return self.force_n.dtype
 
     @cached_property
-    def content_hash(self) -> str:
-        """Hash of forces and resistances."""
+    def content_hash(self) -> str:  # type: ignore[override]
         return digest(self.force_n, self.resistance_ohm)
-
-    @property
-    def is_finite(self) -> NDArray[np.bool_]:
-        """Which samples were solved at finite strain, (n,)."""
-        return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
 
     def drifted(self, generator: np.random.Generator) -> "Samples":
         """With the drifts that its design states where its readings were drawn with less."""
@@ -202,19 +242,6 @@ class Samples(AnySamples):
         else:
             write_netcdf(self.to_xarray(), path)
 
-    def attributes(self) -> dict[str, Any]:
-        """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
-        stated, said = stated_imperfections(self.made_from, *self.shape), dict(self.made_from)
-        if self.noise != stated.noise:
-            said["noise"] = self.noise
-        if self.bits != stated.bits:
-            said["bits"] = self.bits
-        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape)):
-            said = {name: value for name, value in said.items() if not name.startswith("dead_")}
-            said["dead_pillars"] = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
-        design = {} if self.design is None else {"design": design_to_toml(self.design)}
-        return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
-
 
 def joined(parts: Sequence[Samples]) -> Samples:
     """Samples of one sensor, read in one way, as one data set; what a part does not hold, the whole does not.
@@ -244,8 +271,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return replace(first, **arrays, made_from=first._of_part)
 
 
-def _dead(samples: Samples) -> NDArray[np.bool_]:
-    return np.zeros(samples.force_n.shape[1:], dtype=bool) if samples.dead is None else samples.dead
+def _dead(samples: AnySamples) -> NDArray[np.bool_]:
+    return np.zeros((*samples.shape, len(PILLARS)), dtype=bool) if samples.dead is None else samples.dead
 
 
 def require_variables(names: Sequence[str]) -> None:

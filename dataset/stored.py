@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
-from dataset.leaves import HASHES, LEAF, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
+from dataset.leaves import HASHES, HEADER_HASH, LEAF, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
 from dataset.variables import COORDINATES, LABELS, VARIABLES
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
+from geometry.layout import FloatArray
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf
 from geometry.storage.seal import say_made_anew
@@ -46,8 +46,10 @@ class StoredSamples(AnySamples):
         self.path = Path(path)  #: of the directory
         self._data = _contract(self.path, open_zarr(self.path, *_variables(labels_only)))
         self._last: tuple[int, dict[str, np.ndarray]] | None = None
+        self.shape = self._data.sizes["row"], self._data.sizes["col"]
+        self.variables = tuple(name for name in VARIABLES if name in self._data)
         is_short = all(self._data[name].dtype == np.float32 for name in LABELS)
-        self.dtype: np.dtype[Any] = np.dtype(np.float32 if is_short else np.float64)  #: of the numbers stored
+        self.dtype = np.dtype(np.float32 if is_short else np.float64)
         self._described = _described(self.path, self._data.attrs, *self.shape)
         vars(self).update(self._described)
         self._hashes = self._stated_hashes()
@@ -55,43 +57,40 @@ class StoredSamples(AnySamples):
     def __len__(self) -> int:
         return int(self._data.sizes["sample"])
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self._data.sizes["row"], self._data.sizes["col"]
+    @cached_property
+    def strain_model(self) -> FloatArray | None:  # type: ignore[override]
+        return np.asarray(self._data["strain_model"], np.float64) if "strain_model" in self.variables else None
 
     def _stated_hashes(self) -> dict[str, list[str]]:
         """Hashes of the leaves by variable, of those that state them."""
         attributes = {str(name): values.attrs for name, values in self._data.data_vars.items()}
+        others = {name: value for name, value in self._data.attrs.items() if name != HEADER_HASH}
+        if self._data.attrs.get(HEADER_HASH, digest(others)) != digest(others):
+            raise FileFormatError(
+                f"{self.path}: its attributes do not match '{HEADER_HASH}': drop it if you changed them on purpose."
+            )
         if self._data.attrs.get(LEAF_SIZE) != LEAF:
             return {}
         hashes = {name: notes[HASHES] for name, notes in attributes.items() if HASHES in notes}
-        stated = self._data.attrs.get("content_hash") if set(LABELS) <= hashes.keys() else None
         is_whole = all(isinstance(each, list) and len(each) == n_leaves(len(self)) for each in hashes.values())
-        if not is_whole or stated not in (None, leaves_hash(hashes)):
+        found = leaves_hash(hashes) if is_whole and set(LABELS) <= hashes.keys() else None
+        if not is_whole or found not in (None, self._data.attrs.get("content_hash", found)):
             raise FileFormatError(_changed(self.path))
         return hashes
 
     @cached_property
-    def content_hash(self) -> str:
-        """Hash of forces and resistances, of those of their leaves; computed from all where none is stated."""
+    def content_hash(self) -> str:  # type: ignore[override]
+        """Hash of those of the leaves of forces and resistances; computed from all where none is stated."""
         if set(LABELS) <= self._hashes.keys():
             return leaves_hash(self._hashes)
         leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
         return leaves_hash(dict(zip(LABELS, zip(*leaves, strict=True), strict=True)))
 
-    @property
-    def is_finite(self) -> NDArray[np.bool_]:
-        """Which samples were solved at finite strain, (n,)."""
-        return np.asarray(self._data["strain_model"] > 0) if "strain_model" in self._data else np.zeros(len(self), bool)
-
     def __getitem__(self, which: Choice) -> Samples:
-        """Some of the samples in memory, chosen as in an array; of a single number, that one."""
-        rows = self._rows(which)
-        whole = range(len(self))
+        rows, whole = self._rows(which), range(len(self))
         numbers = np.array(whole[rows], int) if isinstance(rows, slice) else np.arange(len(self))[rows]
-        arrays: dict[str, Any] = {
-            str(name): np.empty((len(numbers), *values.shape[1:])) for name, values in self._data.data_vars.items()
-        }
+        shapes = {name: (len(numbers), *VARIABLES[name].shape(*self.shape)) for name in self.variables}
+        arrays: dict[str, Any] = {name: np.empty(shape) for name, shape in shapes.items()}
         of_leaf = numbers // LEAF
         for number in np.unique(of_leaf):
             places = np.flatnonzero(of_leaf == number)
@@ -228,7 +227,7 @@ def _described(path: Path, attributes: Mapping[str, Any], rows: int, cols: int) 
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
         )
     sensor = stated_imperfections(attributes, rows, cols)
-    known = {"content_hash", LEAF_SIZE} if design is None else {"content_hash", LEAF_SIZE, "design"}
+    known = {"content_hash", LEAF_SIZE, HEADER_HASH} | ({"design"} if design is not None else set())
     return {
         "design": design,
         "noise": sensor.noise,

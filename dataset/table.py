@@ -2,9 +2,8 @@
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,69 +11,50 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset.leaves import LEAF
+from dataset.samples import AnySamples
 from dataset.variables import COORDINATES, LABELS, VARIABLES
-from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError, needing
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from geometry.storage.text_file import why_unreadable
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
-    from dataset.stored import StoredSamples
+    import pandas as pd
 
 ROWS_AT_ONCE = 4 * LEAF  #: rows of a group of a Parquet file: 28 MB of forces and resistances of 36 units in float32
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_[a-z]_(?:n|ohm)")
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Column:
-    """One column of the table."""
+def columns_of(data: AnySamples) -> dict[str, dict[str, str]]:
+    """Columns of the table of some samples, by name: variable, place, unit and meaning of each.
 
-    name: str  #: variable, row, col, labels and unit, such as force_0_5_z_n
-    variable: str  #: of the data set
-    place: dict[str, int | str]  #: row, col and labels; empty for a number a sample
-    units: str
-    note: str
-
-
-def columns(names: Iterable[str], rows: int, cols: int) -> list[Column]:
-    """The columns of some variables of an array, in their order.
-
-    >>> [column.name for column in columns(["force_n", "resistance_ohm"], 1, 1)][2:4]
-    ['force_0_0_z_n', 'resistance_0_0_z_ohm']
+    >>> from dataset.samples import Samples
+    >>> samples = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.full((5, 1, 1, 3), 1e4))
+    >>> list(columns_of(samples))[2:4], columns_of(samples)["force_0_0_z_n"]["axis"]
+    (['force_0_0_z_n', 'resistance_0_0_z_ohm'], 'z')
     """
-    found = []
+    return _columns(data.variables, *data.shape)
+
+
+def _columns(variables: Iterable[str], rows: int, cols: int) -> dict[str, dict[str, str]]:
+    found = {}
     labels: dict[str, Sequence[int | str]] = {"row": range(rows), "col": range(cols), **COORDINATES}
-    for variable in names:
+    for variable in variables:
         dims, notes, _ = VARIABLES[variable]
         quantity, *unit = variable.rsplit("_", 1) if len(dims) > 1 else [variable]
-        for place in product(*(labels[dim] for dim in dims[1:])):
-            found.append(
-                Column(
-                    name="_".join([quantity, *(str(label).lower() for label in place), *unit]),
-                    variable=variable,
-                    place=dict(zip(dims[1:], place, strict=True)),
-                    units=notes.get("units", "1"),
-                    note=notes["note"],
-                )
-            )
+        said = {"variable": variable, "units": notes.get("units", "1"), "note": notes["note"]}
+        for place in product(*(map(str, labels[dim]) for dim in dims[1:])):
+            name = "_".join([quantity, *map(str.lower, place), *unit])
+            found[name] = said | dict(zip(dims[1:], place, strict=True))
     return found
 
 
-def columns_of(data: "Samples | StoredSamples") -> list[Column]:
-    """The columns of a data set, in the order of its variables."""
-    return columns(data[:1].arrays(), *data.shape)
-
-
-def write_table(
-    data: "Samples | StoredSamples", path: Path, counted: Callable[[int], None] = lambda samples: None
-) -> None:
+def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = lambda samples: None) -> None:
     """Write samples as a table, whole or not at all: Parquet or CSV, as the path ends; of each block `counted` is told.
 
-    Parquet holds units and meaning of each column in its field's metadata, and in the schema's ``tripillar`` the
-    design (TOML), the hash of the content, attributes and a dictionary of the columns (JSON). CSV has the header alone.
+    Parquet holds in the metadata of each field what `columns_of` says of it, and in the schema's ``tripillar`` the hash
+    of the content and the attributes of the data set (JSON). CSV has the header alone.
 
     Raises
     ------
@@ -86,11 +66,14 @@ def write_table(
     path = Path(path)
     if path.suffix not in (".parquet", ".csv"):
         raise FileFormatError(f"{path}: no form of a table: end the name in .parquet or .csv.")
+    import pandas as pd
+
     form = _parquet if path.suffix == ".parquet" else _csv
-    with replacing(path) as temporary, form(data, temporary) as write:
+    columns = columns_of(data)
+    with replacing(path) as temporary, form(data, columns, temporary) as write:
         for block in data.blocks(ROWS_AT_ONCE):
             numbers = [values.reshape(len(block), -1) for values in block.arrays().values()]
-            write(np.concatenate(numbers, axis=1).astype(data.dtype, copy=False))
+            write(pd.DataFrame(np.concatenate(numbers, axis=1, dtype=data.dtype), columns=list(columns)))
             counted(len(block))
 
 
@@ -109,15 +92,15 @@ def read_csv(path: Path) -> dict[str, FloatArray]:
     header, separator = _header_of(path)
     units = [(int(place[1]), int(place[2])) for place in map(COLUMN.fullmatch, header) if place]
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
-    wanted = {name: [column.name for column in columns([name], rows, cols)] for name in LABELS}
-    missing = [column for names in wanted.values() for column in names if column not in header]
+    expected = _columns(LABELS, rows, cols)
+    missing = [name for name in expected if name not in header]
     if missing:
         size = f" of {rows} × {cols} units" if units else ""
         raise FileFormatError(f"{path}: has no column {missing[0]}{size}: {NAMES}.")
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
-        arrays = {name: table[names].to_numpy(np.float64) for name, names in wanted.items()}
+        arrays = dict(zip(LABELS, np.split(table[list(expected)].to_numpy(np.float64), 2, axis=1), strict=True))
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
@@ -142,39 +125,20 @@ def _header_of(path: Path) -> tuple[list[str], str]:
 
 
 @contextmanager
-def _parquet(data: "Samples | StoredSamples", path: Path) -> Iterator[Callable[[FloatArray], None]]:
-    """An open file: a function that writes numbers (n, n_columns) into it."""
+def _parquet(data: AnySamples, columns: Mapping[str, Any], path: Path) -> Iterator[Callable[["pd.DataFrame"], None]]:
+    """An open file: a function that writes rows into it."""
     with needing("Parquet", "parquet"):
         import pyarrow as pa
         from pyarrow.parquet import ParquetWriter
-    told = {
-        "design": None if data.design is None else design_to_toml(data.design),
-        "content_hash": data.content_hash,
-        "noise": data.noise,
-        "bits": data.bits,
-        "made_from": data.made_from,
-        "columns": {column.name: asdict(column) for column in columns_of(data)},
-    }
-    fields = [
-        pa.field(column.name, getattr(pa, str(data.dtype))(), metadata={"units": column.units, "note": column.note})
-        for column in columns_of(data)
-    ]
-    schema = pa.schema(fields, metadata={"tripillar": json.dumps(told, default=_plain)})
+    told = json.dumps(data.attributes() | {"content_hash": data.content_hash}, default=lambda value: value.tolist())
+    fields = [pa.field(name, getattr(pa, str(data.dtype))(), metadata=said) for name, said in columns.items()]
+    schema = pa.schema(fields, metadata={"tripillar": told})
     with ParquetWriter(path, schema, compression="zstd") as writer:
-        yield lambda rows: writer.write_batch(
-            pa.record_batch([pa.array(column) for column in np.ascontiguousarray(rows.T)], schema=schema)
-        )
+        yield lambda rows: writer.write_table(pa.Table.from_pandas(rows, schema, preserve_index=False))
 
 
 @contextmanager
-def _csv(data: "Samples | StoredSamples", path: Path) -> Iterator[Callable[[FloatArray], None]]:
+def _csv(data: AnySamples, columns: Mapping[str, Any], path: Path) -> Iterator[Callable[["pd.DataFrame"], None]]:
     """The same of CSV, with the digits that give back each number."""
-    written = "{:.9g}".format if data.dtype == np.float32 else repr
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(column.name for column in columns_of(data)) + "\n")
-        yield lambda rows: file.writelines(",".join(map(written, row.tolist())) + "\n" for row in rows)
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as JSON has them."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+        yield lambda rows: rows.to_csv(file, index=False, header=file.tell() == 0)

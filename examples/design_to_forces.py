@@ -22,7 +22,7 @@ print(f"response: estimated error {response.error_estimate:.1e}")
 
 # 3. Loads of all three axes on every pad, and what a sensor with noise and a 12-bit converter reads under them.
 training, test = (
-    tp.simulate(response, "three-axis", samples, seed=seed, noise=0.001, bits=12)
+    tp.dataset(response, "three-axis", samples, seed=seed, noise=0.001, bits=12)
     for samples, seed in ((1000, 1), (200, 2))
 )
 

@@ -40,6 +40,8 @@ PATH = np.array(
 TOUCH_N = 1.0  # normal force from which errors count
 PICTURE_S, FILM_HZ = 3.8, 25  # moment of the picture's upper left; pictures a second
 MOST_N = 17.0  # of the axes
+ARROW_MM_PER_N = 3.0  # of forces in the scene
+KEY_N = 2.0  # shear of the arrow that explains the others
 
 
 class Scan(NamedTuple):
@@ -58,7 +60,7 @@ class Scan(NamedTuple):
 
 def trained(response, samples=2000):
     """A decoder for fingers, from exact samples of 0 to 10 N on up to three pads, and shear of up to 0.7 of that."""
-    light = tp.simulate(response, "light", samples, seed=1)
+    light = tp.dataset(response, "light", samples, seed=1)
     force_n = light.force_n * (3.5, 3.5, 1.0)  # the protocol's friction is up to 0.2
     sensor = tp.VirtualSensor(response.design, environments=len(light), response=response)
     resistance_ohm = sensor.resistances(torch.from_numpy(force_n)).numpy()
@@ -128,7 +130,10 @@ class Drawing:
         )  # fmt: skip
         self._centre = pads.plot([], [], "k+", markersize=14, markeredgewidth=2)[0]
         pads.set(xlabel="x [mm]", ylabel="y [mm]", title="decoded pads; + MuJoCo's centre of pressure")
-        self.figure.colorbar(self._fz, cax=bar, label="Fz of a pad [N]; arrows: shear")
+        pads.quiverkey(self._shear, 0.03, 0.03, KEY_N, f"shear of {KEY_N:g} N", labelpos="E", coordinates="figure")
+        self.figure.colorbar(self._fz, cax=bar, label="Fz of a pad [N]")
+        side_n = design.slab_mm[0] / ARROW_MM_PER_N
+        self.figure.text(0.05, 0.975, f"red: decoded force on a pad; as long as the sensor: {side_n:.2g} N", va="top")
         forces, misses = self.figure.add_axes((0.55, 0.36, 0.43, 0.61)), self.figure.add_axes((0.55, 0.08, 0.43, 0.22))
         self._curves = []
         for axis, colour in zip("xyz", ("#1f5fa8", "#3a9a5b", "#d9701f"), strict=True):
@@ -181,7 +186,7 @@ class Drawing:
         for (x, y), force_n in zip(unit_centres(self.design), scan.decoded_n.reshape(-1, 3), strict=True):
             if np.linalg.norm(force_n) > 0.3:
                 head = np.array([x, y, self.design.unit.height_mm]) / 1000.0
-                tail = head - 0.003 * force_n * (1, 1, -1)
+                tail = head - ARROW_MM_PER_N / 1000.0 * force_n * (1, 1, -1)
                 red = np.array([0.85, 0.1, 0.1, 1.0], dtype=np.float32)
                 mujoco.mjv_initGeom(scene.geoms[scene.ngeom], arrow, np.zeros(3), np.zeros(3), np.zeros(9), red)
                 beyond = 2.0 * head - tail  # MuJoCo draws half of an arrow

@@ -42,8 +42,7 @@ for row in best:
 #    readings alone.
 design = design_from_toml(best[0].design)
 training, test = (
-    tp.simulate(design, "contact", samples, seed=seed, noise=NOISE, bits=BITS)
-    for samples, seed in ((1000, 1), (200, 2))
+    tp.dataset(design, "contact", samples, seed=seed, noise=NOISE, bits=BITS) for samples, seed in ((1000, 1), (200, 2))
 )
 model = tp.train(training)
 for name, one in tp.evaluate(model, test).items():

@@ -6,23 +6,21 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, ForceErrors, LeastSquares, component_errors, component_named, train
-from decoupler.data.columns import force_columns
+from decoupler.data.columns import Columns, force_columns
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.design import PAD_KINDS, SensorDesign
-from geometry.storage.files import write_json
+from studies.tables import report
 from tripillar.pipeline.run import respond
 from tripillar.sweep.judge import metrics_of
-from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.tables import plain_table, show
 
 PROTOCOLS = ("contact", "three-axis")
 NOISE, BITS, CAP = 0.001, 12, 0.3
@@ -103,7 +101,7 @@ def error_rows(
             for kind, of_kind in loads.items()
         }
         for kind, response in responses.items():
-            linear = LeastSquares.fitted(data[kind]["train"], JOINT)
+            linear = LeastSquares.fitted(Columns.of(data[kind]["train"], JOINT))
             net = train(
                 data[kind]["train"], JOINT.name, NetworkConfig(feature="inverse"), TrainingConfig(), response=response
             )
@@ -139,8 +137,8 @@ def limits_of(response: ArrayResponse, test: Samples) -> dict[str, float]:
 
 
 def compare_pads(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/pads.json"),
-    samples: Annotated[int, typer.Option(help="Number of training samples.")] = 3000,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/pads.json"),
+    samples: Annotated[int, Parameter(help="Number of training samples.")] = 3000,
 ) -> None:
     """Compare soft and stiff pads: the map from forces to readings, and errors of forces, also by the wrong kind."""
     design = SensorDesign()
@@ -157,14 +155,10 @@ def compare_pads(
         errors = [
             row for protocol in PROTOCOLS for row in error_rows(responses, protocol, counts, lambda s: advance(1, s))
         ]
-    show(plain_table("Map from forces to readings, by pad", [
-        {"kind": row.kind, "size_mm": row.size_mm} | row.metrics for row in maps
-    ]))  # fmt: skip
-    show(plain_table("Errors of forces", [
-        {name: value for name, value in asdict(row).items() if name != "errors"} | asdict(row.errors) for row in errors
-    ]))  # fmt: skip
-    write_json({"maps": [asdict(row) for row in maps], "errors": [asdict(row) for row in errors]}, out)
-    wrote([out])
+    plain = [asdict(row) for row in errors]
+    rows = [{name: value for name, value in row.items() if name != "errors"} | row["errors"] for row in plain]
+    pads = [{"kind": row.kind, "size_mm": row.size_mm} | row.metrics for row in maps]
+    report({"Map from forces to readings, by pad": pads, "Errors of forces": rows}, out)
 
 
 if __name__ == "__main__":

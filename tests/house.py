@@ -10,8 +10,7 @@ from io import StringIO
 from pathlib import Path
 from unittest.mock import patch
 
-from tripillar.cli.app import app
-from tripillar.terminal.entry import run
+from tripillar.cli.app import main
 
 SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
 
@@ -21,7 +20,7 @@ def run_here(words: Iterable[str], folder: Path, environment: Mapping[str, str],
     typed = patch.object(sys, "argv", ["tripillar", *words])
     with chdir(folder), patch.dict(os.environ, environment), typed, redirect_stdout(out), redirect_stderr(err):
         try:
-            run(app)
+            main()
         except SystemExit as end:
             return int(end.code or 0)
 

@@ -19,7 +19,7 @@ Two pads instead of 36, to be quick:
 >>> tp.read_design(folder / "sensor.toml") == design
 True
 
->>> samples = tp.simulate(tp.response(design), "contact-fz", 100, seed=1, noise=0.001)
+>>> samples = tp.dataset(tp.response(design), "contact-fz", 100, seed=1, noise=0.001)
 >>> tp.write(samples, folder / "samples.nc")
 >>> tp.read_samples(folder / "samples.nc").resistance_ohm.shape
 (100, 1, 2, 3)
@@ -53,11 +53,14 @@ if TYPE_CHECKING:
     from geometry.errors import TriPillarError
     from hardware.session import live
     from hardware.virtual.sensor import VirtualSensor
-    from tripillar.face.boards import record, replay, simulated_board
-    from tripillar.face.bodies import response, solve, view
-    from tripillar.face.files import write
+    from tripillar.face.boards import record, replay
+    from tripillar.face.bodies import response, solve
+    from tripillar.face.exporting import write
     from tripillar.face.identifying import identify
-    from tripillar.face.learning import crossval, evaluate, simulate, train
+    from tripillar.face.learning import evaluate, train
+    from tripillar.face.samples import dataset
+    from tripillar.face.simulating import board
+    from tripillar.face.viewing import view
 
     __version__: str
 
@@ -70,11 +73,14 @@ _NAMES_BY_HOME = {
     "decoupler.model.model_file": ["read_model"],
     "hardware.session": ["live"],
     "hardware.virtual.sensor": ["VirtualSensor"],
-    "tripillar.face.bodies": ["response", "solve", "view"],
-    "tripillar.face.learning": ["simulate", "train", "evaluate", "crossval"],
+    "tripillar.face.bodies": ["response", "solve"],
+    "tripillar.face.viewing": ["view"],
+    "tripillar.face.samples": ["dataset"],
+    "tripillar.face.learning": ["train", "evaluate"],
     "tripillar.face.identifying": ["identify"],
-    "tripillar.face.boards": ["record", "replay", "simulated_board"],
-    "tripillar.face.files": ["write"],
+    "tripillar.face.boards": ["record", "replay"],
+    "tripillar.face.simulating": ["board"],
+    "tripillar.face.exporting": ["write"],
 }
 _HOMES = {name: home for home, names in _NAMES_BY_HOME.items() for name in names}
 __all__ = [
@@ -82,7 +88,8 @@ __all__ = [
     "SensorDesign",
     "TriPillarError",
     "VirtualSensor",
-    "crossval",
+    "board",
+    "dataset",
     "evaluate",
     "identify",
     "live",
@@ -92,8 +99,6 @@ __all__ = [
     "record",
     "replay",
     "response",
-    "simulate",
-    "simulated_board",
     "solve",
     "train",
     "view",

@@ -1,1 +1,4 @@
-"""Columns of resistances and forces (`columns`), samples that repeat one another (`repeats`), loads to be expected."""
+"""Samples as columns of resistances and forces, a draw of too many, measured pairs, and loads to be expected.
+
+Open `columns.py` first.
+"""

@@ -1,18 +1,19 @@
-"""Columns of resistances and forces: taken from samples, and prepared for a network.
+"""`Columns`: samples as a network takes them, readings and forces as columns; and what prepares these for it.
 
 `Resting` and `Scaling` are applied to resistances in this order: readings at rest are settled, ranges scaled.
 """
 
 import math
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import SENSE_OHM
-from dataset.samples import SampleError
+from dataset.measurement import SENSE_OHM, ReadingError
+from dataset.samples import SampleError, Samples
 from dataset.variables import MAX_N, MAX_OHM, MIN_OHM
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
@@ -121,6 +122,73 @@ def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Columns:
+    """n labelled samples as a component takes them: readings of P pillars, and the Q forces under them."""
+
+    component: Component
+    shape: tuple[int, int]  #: rows and columns of the array
+    resistance_ohm: FloatArray  #: (n, P) [Ω]; `DEAD_OHM` of pillars that cannot be read
+    force_n: FloatArray  #: (n, Q) [N]
+    load: NDArray[np.int64]  #: (n,): number of each sample's load; readings of one load share what a network misses
+    errors: ReadingError  #: of the readings
+    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read
+
+    @classmethod
+    def of(cls, data: Samples, component: Component) -> Self:
+        """Those of samples; `SampleError` as of `pillar_columns` and `force_columns`."""
+        return cls(
+            component=component,
+            shape=data.shape,
+            resistance_ohm=pillar_columns(data.resistance_ohm, component, data.dead),
+            force_n=force_columns(data.force_n, component),
+            load=load_numbers(data.force_n),
+            errors=data.errors,
+            dead=data.dead,
+        )
+
+    def __len__(self) -> int:
+        return len(self.force_n)
+
+    def __getitem__(self, which: slice | NDArray[np.int64]) -> Self:
+        """Some of the samples."""
+        rows = {name: getattr(self, name)[which] for name in ("resistance_ohm", "force_n", "load")}
+        return replace(self, **rows)
+
+    @cached_property
+    def readable(self) -> NDArray[np.bool_]:
+        """Pillars that can be read, (P,)."""
+        return readable_columns(self.component, self.dead, self.resistance_ohm.shape[1])
+
+    def without(self, pillars: NDArray[np.bool_]) -> Self:
+        """The same with some pillars (P,) that cannot be read either."""
+        dead = np.zeros((*self.shape, len(PILLARS)), dtype=bool) if self.dead is None else self.dead.copy()
+        taken = [PILLARS.index(pillar) for pillar in self.component.pillars]
+        dead[..., taken] |= pillars.reshape(*self.shape, -1)
+        return replace(self, dead=dead, resistance_ohm=np.where(pillars, DEAD_OHM, self.resistance_ohm))
+
+    def distinct(self) -> NDArray[np.int64]:
+        """Numbers of the samples that do not repeat an earlier one to the bit.
+
+        A repetition tells nothing new, and where one copy is left out of training the other gives its answer away:
+        errors on samples left out would be those of training, and half-widths far too small.
+        """
+        rows = zip(self.resistance_ohm, self.force_n, strict=True)
+        keys = [hash(ohm.tobytes() + newton.tobytes()) for ohm, newton in rows]
+        return np.sort(np.unique(keys, return_index=True)[1])
+
+
+def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
+    """Which load each sample (n, ...) was taken under, shape (n,), counted from 0 as they first appear."""
+    numbers: dict[bytes, int] = {}
+    return np.array([numbers.setdefault(sample.tobytes(), len(numbers)) for sample in force_n], dtype=np.int64)
+
+
+def namespace(values: Any) -> Any:
+    """The module whose functions take these values: numpy, or torch of tensors (see `model.tensors`)."""
+    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
+
+
 def in_blocks(samples: FloatArray) -> FloatArray:
     """Samples (n, k) with the last one repeated until they fill whole blocks."""
     missing = -len(samples) % ROWS_AT_ONCE
@@ -130,8 +198,11 @@ def in_blocks(samples: FloatArray) -> FloatArray:
 def rowwise(samples: FloatArray, matrix: FloatArray) -> FloatArray:
     """``samples @ matrix``, (n, k) and (k, m) -> (n, m), the same bits for a sample alone and in any batch.
 
-    One product of all would round by the size of the batch. Blocks of always the same size do not.
+    One product of all would round by the size of the batch. Blocks of always the same size do not. Tensors of torch are
+    multiplied as they come.
     """
+    if not isinstance(samples, np.ndarray):
+        return samples @ matrix
     n, k = samples.shape
     if n % ROWS_AT_ONCE:
         return rowwise(in_blocks(samples), matrix)[:n]
@@ -158,9 +229,11 @@ class Resting:
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with those that may be at rest there, where most of a sample's may."""
         shares = SENSE_OHM / (columns_ohm + SENSE_OHM)
-        alike = np.abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
-        resting = np.count_nonzero(alike, axis=1) > MIN_RESTING * columns_ohm.shape[1]
-        return np.where(alike & resting[:, None], self.rest_ohm, columns_ohm) if resting.any() else columns_ohm
+        alike = abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
+        resting = alike.sum(axis=1) > MIN_RESTING * columns_ohm.shape[1]
+        if not resting.any():
+            return columns_ohm
+        return namespace(columns_ohm).where(alike & resting[:, None], self.rest_ohm, columns_ohm)
 
     @cached_property
     def _rest_share(self) -> FloatArray:
@@ -200,7 +273,8 @@ class Scaling:
     @cached_property
     def factor(self) -> FloatArray:
         """Factors that scale differences, (n_columns,); 0 for a constant column."""
-        return np.divide(1.0, self.half_range, out=np.zeros_like(self.half_range), where=self.half_range > 0)
+        varies = self.half_range > 0
+        return varies / namespace(varies).where(varies, self.half_range, 1.0)
 
     def unscale(self, scaled: FloatArray) -> FloatArray:
         return scaled * self.half_range + self.centre

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import MAX_TOUCHED, PROTOCOLS
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
 
@@ -10,6 +10,8 @@ from geometry.layout import AXES, FloatArray
 MIRRORED = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
 SPREAD = 0.5  #: standard deviation of the logarithm of a load's size, if only one was measured
 
+LIGHT = 0.1  #: number of light loads, over that of the samples
+TOUCH = 0.05  #: force of a light touch, over the largest force
 ENOUGH = 100  #: loads that say more of the usual ones than a protocol like them
 ALIKE = (0.3, 1.5)  #: range of the mean squared distance of loads from a protocol's; 0.5 to 1.2 if drawn from it
 RIDGE = 1e-3  #: of the covariance of a protocol's loads, over its mean variance
@@ -83,3 +85,14 @@ def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -
     found *= size[:, None, None, None]
     found[:n] = force_n
     return found
+
+
+def light_loads(force_n: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Light loads (m, n_forces) [N] beside those of training, (n, n_forces).
+
+    A quarter of them is rest; in each, none to `MAX_TOUCHED` forces are up to `TOUCH` of the largest in training.
+    """
+    n, n_forces = max(round(LIGHT * len(force_n)), 4), force_n.shape[1]
+    touched = generator.random((n, n_forces)).argsort(axis=1) < generator.integers(0, MAX_TOUCHED + 1, (n, 1))
+    low, high = np.minimum(force_n.min(axis=0), 0.0), np.maximum(force_n.max(axis=0), 0.0)
+    return touched * TOUCH * generator.uniform(low, high, (n, n_forces))

@@ -9,8 +9,7 @@ import numpy as np
 
 from dataset import Samples
 from dataset.samples import SampleError
-from decoupler.data.columns import component_named
-from decoupler.data.repeats import distinct, load_numbers
+from decoupler.data.columns import Columns, component_named
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.suited import suited_training
@@ -87,8 +86,9 @@ def jobs_of(
 
     A sample given twice counts once, and samples of one load come into one fold: else the answer would be known.
     """
-    data = distinct(data.labels(), component_named(component))
-    load = load_numbers(data.force_n)
+    columns = Columns.of(data, component_named(component))
+    kept = columns.distinct()
+    data, load = data.labels()[kept], columns[kept].load
     by_load = np.split(np.argsort(load, kind="stable"), np.cumsum(np.bincount(load))[:-1])
     loads = split_folds(len(by_load), folds, training.seed)
     parts = [np.concatenate([by_load[number] for number in part]) for part in loads]

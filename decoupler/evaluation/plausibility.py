@@ -15,10 +15,18 @@ from scipy.optimize import linear_sum_assignment
 from dataset import Samples
 from dataset.measurement import reading_deviation
 from dataset.variables import MAX_N
-from decoupler.data.columns import COMPONENTS, MIN_NOISE, Component, force_columns, pillar_columns, readable_columns
-from decoupler.data.repeats import distinct, load_numbers
+from decoupler.data.columns import (
+    COMPONENTS,
+    MIN_NOISE,
+    Columns,
+    Component,
+    force_columns,
+    load_numbers,
+    pillar_columns,
+    readable_columns,
+)
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.sample_checks import residuals
+from decoupler.training.suited import residuals
 from geometry.layout import AXES, PILLARS, FloatArray
 
 #: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
@@ -180,7 +188,7 @@ def explained(data: Samples, component: Component, forward: ForwardModel) -> flo
 
 
 def _some(data: Samples, component: Component) -> Samples:
-    data = distinct(data, component)
+    data = data[Columns.of(data, component).distinct()]
     if len(data.force_n) <= MAX_JUDGED:
         return data
     return data[np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int)]

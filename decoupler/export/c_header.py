@@ -55,9 +55,10 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     numbers = {
         "input_centre": decoupler.input_scaling.centre,
         "input_factor": decoupler.input_scaling.factor,
-        "hidden": decoupler.hidden_weights,
         "output": output,
     }
+    if network.hidden:  # C has no empty tables
+        numbers["hidden"] = decoupler.hidden_weights
     macros: dict[str, object] = {
         "MATH(name)": "name##f" if dtype is np.float32 else "name",
         "RESISTANCES": decoupler.rows * decoupler.cols * len(PILLARS),

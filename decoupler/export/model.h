@@ -109,12 +109,14 @@ static inline void tripillar_forces(const tripillar_real *resistance_ohm, tripil
 #endif
     for (int i = 0; i < TRIPILLAR_INPUTS; i++)
         input[i] = (input[i] - TRIPILLAR_READ(tripillar_input_centre[i])) * TRIPILLAR_READ(tripillar_input_factor[i]);
+#if TRIPILLAR_HIDDEN
     for (int j = 0; j < TRIPILLAR_HIDDEN; j++) {
         tripillar_real sum = TRIPILLAR_READ(tripillar_hidden[j][TRIPILLAR_INPUTS]);
         for (int i = 0; i < TRIPILLAR_INPUTS; i++)
             sum += TRIPILLAR_READ(tripillar_hidden[j][i]) * input[i];
         seen[j] = TRIPILLAR_MATH(tanh)(sum);
     }
+#endif
     for (int k = 0; k < TRIPILLAR_FORCES; k++) {
         tripillar_real sum = TRIPILLAR_READ(tripillar_output[k][TRIPILLAR_SEEN]);
         for (int j = 0; j < TRIPILLAR_SEEN; j++)

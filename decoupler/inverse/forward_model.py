@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import MIN_NOISE, Component, rowwise
+from decoupler.data.columns import MIN_NOISE, Columns, Component, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
 
@@ -84,36 +84,32 @@ class ForwardModel:
             offset_ohm=np.zeros(n_units * len(pillars)),
         )
 
-    def calibrated(
-        self, measured_ohm: FloatArray, force_n: FloatArray, noise: float, readable: NDArray[np.bool_]
-    ) -> Self:
-        """The model with the most probable gain and offset of each readable pillar (n_pillars,).
-
-        Parameters
-        ----------
-        measured_ohm : array, shape (n, n_pillars)
-        force_n : array, shape (n, n_forces)
-        noise : float
-            Standard deviation of the readings, relative.
+    def calibrated(self, data: Columns) -> Self:
+        """The model with the most probable gain and offset of each readable pillar.
 
         Notes
         -----
         Bayes' rule with normal errors and normal priors about gain 1 and offset 0, so a single pair sets the gain, and
         an offset is believed only as far as a pillar's resistance has varied.
         """
-        modelled_ohm = self.resistances(force_n)
+        modelled_ohm = self.resistances(data.force_n)
         size = modelled_ohm.mean(axis=0)
-        weight = (max(noise, MIN_NOISE) * size) ** -2.0
-        misfit = measured_ohm - modelled_ohm
+        weight = (max(data.errors.noise, MIN_NOISE) * size) ** -2.0
+        misfit = data.resistance_ohm - modelled_ohm
         # normal equations of (gain − 1, offset), 2 × 2 a pillar
         a = weight * (modelled_ohm**2).sum(axis=0) + GAIN_SPREAD**-2
         b = weight * modelled_ohm.sum(axis=0)
         d = weight * len(misfit) + (OFFSET_SPREAD * size) ** -2.0
         p, q = weight * (modelled_ohm * misfit).sum(axis=0), weight * misfit.sum(axis=0)
         determinant = a * d - b * b
-        gain = np.where(readable, 1.0 + (d * p - b * q) / determinant, 1.0)
-        offset_ohm = np.where(readable, (a * q - b * p) / determinant, 0.0)
+        gain = np.where(data.readable, 1.0 + (d * p - b * q) / determinant, 1.0)
+        offset_ohm = np.where(data.readable, (a * q - b * p) / determinant, 0.0)
         return replace(self, ohm_per_mm2=gain * self.ohm_per_mm2, offset_ohm=offset_ohm)
+
+    def with_own_influences(self) -> Self:
+        """The same, each pillar with an influence of its own."""
+        influence = self.by_component.transpose(2, 1, 0).reshape(self.n_forces, -1)
+        return replace(self, influence=np.ascontiguousarray(influence), top=np.arange(self.n_pillars))
 
     @property
     def n_pillars(self) -> int:
@@ -187,11 +183,11 @@ class ForwardModel:
 
     def _norms(self, vectors: FloatArray) -> FloatArray:
         """|v| of vectors (n, n_components, n_pillars), shape (n, n_pillars); 0 where the sum of squares is negative."""
+        xp = namespace(vectors)
         if self.sign is None:
-            squares = np.einsum("nip,nip->np", vectors, vectors)
-        else:
-            squares = np.maximum(np.einsum("ip,nip,nip->np", self.sign, vectors, vectors), 0.0)
-        return np.sqrt(squares, out=squares)
+            return xp.sqrt(xp.einsum("nip,nip->np", vectors, vectors))
+        squares = xp.einsum("ip,nip,nip->np", self.sign, vectors, vectors)
+        return xp.sqrt(xp.where(squares > 0.0, squares, 0.0))
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
@@ -199,7 +195,8 @@ class ForwardModel:
 
     def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
         """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
-        return np.sqrt(np.maximum(resistance_ohm - self.offset_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
+        xp, whole_ohm = namespace(resistance_ohm), resistance_ohm - self.offset_ohm
+        return xp.sqrt(xp.where(whole_ohm > MIN_WHOLE_OHM, whole_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
 
     def at_rest_ohm(self) -> FloatArray:
         """Resistance of each pillar without any force, (n_pillars,) [Ω]."""
@@ -273,10 +270,9 @@ class ModelInverse:
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
         lengths = self.forward.lengths_of(resistance_ohm)
-        forces = rowwise(lengths - self.centre_mm, self.correctors[0])
-        forces += self.centre_n
+        forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
         for corrector in self.correctors[1:]:
-            forces += rowwise(lengths - self.forward.lengths(forces), corrector)
+            forces = forces + rowwise(lengths - self.forward.lengths(forces), corrector)
         return forces
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:

@@ -6,8 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset import Samples
-from decoupler.data.columns import Component, force_columns, pillar_columns
+from decoupler.data.columns import Columns, Component, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_volumes, rest_lengths
 
@@ -53,18 +52,16 @@ class LeastSquares:
     dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that are not looked at
 
     @classmethod
-    def fitted(cls, data: Samples, component: Component) -> Self:
+    def fitted(cls, data: Columns) -> Self:
         """The map with the smallest squared error in newtons on `data`; the shortest if there are several."""
-        inputs = _root_and_one(data.resistance_ohm, component, data.dead)
-        coefficients = np.linalg.lstsq(inputs, force_columns(data.force_n, component))[0]
-        return cls(component=component, coefficients=coefficients.astype(np.float64), dead=data.dead)
+        coefficients = np.linalg.lstsq(_root_and_one(data.resistance_ohm), data.force_n)[0]
+        return cls(component=data.component, coefficients=coefficients.astype(np.float64), dead=data.dead)
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces along ``component.axes``, shape (n_samples, rows, cols, n_axes) [N]."""
-        outputs = _root_and_one(resistance_ohm, self.component, self.dead) @ self.coefficients
+        outputs = _root_and_one(pillar_columns(resistance_ohm, self.component, self.dead)) @ self.coefficients
         return outputs.reshape(*resistance_ohm.shape[:3], len(self.component.axes))
 
 
-def _root_and_one(resistance_ohm: FloatArray, component: Component, dead: NDArray[np.bool_] | None) -> FloatArray:
-    root = np.sqrt(pillar_columns(resistance_ohm, component, dead))
-    return np.hstack([root, np.ones((len(root), 1))])
+def _root_and_one(columns_ohm: FloatArray) -> FloatArray:
+    return np.hstack([np.sqrt(columns_ohm), np.ones((len(columns_ohm), 1))])

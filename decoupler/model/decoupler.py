@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import (
+    Columns,
     Component,
     Resting,
     Scaling,
     in_blocks,
+    namespace,
     pillar_columns,
     readable_columns,
     rowwise,
@@ -61,6 +63,38 @@ class Decoupler:
     ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
+
+    @classmethod
+    def untrained(
+        cls, data: Columns, network: NetworkConfig, design: SensorDesign | None, inverse: ModelInverse | None = None
+    ) -> Self:
+        """A decoupler with scaling and features for samples like these; a hidden layer of no nodes, outputs its inputs.
+
+        Its weights are for the inputs of the inverse, where there is one; else they have no shape yet.
+        """
+        output_scaling = Scaling.fitted(data.force_n)
+        if inverse is not None:
+            n_in, input_scaling = data.force_n.shape[1], output_scaling
+            resting = Resting.read_with(inverse.forward.at_rest_ohm(), data.errors.bits)
+        else:
+            n_in, resting = data.resistance_ohm.shape[1], None
+            root = network.feature == "root"
+            input_scaling = Scaling.fitted(np.sqrt(data.resistance_ohm) if root else data.resistance_ohm)
+        return cls(
+            component=data.component,
+            rows=data.shape[0],
+            cols=data.shape[1],
+            network=network,
+            input_scaling=input_scaling,
+            output_scaling=output_scaling,
+            hidden_weights=np.empty((0, n_in + 1)),
+            output_weights=np.eye(data.force_n.shape[1], n_in + 1),
+            design=design,
+            inverse=inverse,
+            resting=resting,
+            dead=data.dead if data.dead is not None and data.dead.any() else None,
+            usual=UsualLoads.of(data),
+        )
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit.
@@ -358,13 +392,12 @@ class Decoupler:
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:
         """Inputs of the output layer for resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
-        inputs = self.inputs(columns_ohm)
-        X = np.ones((len(inputs), inputs.shape[1] + 1))
-        X[:, :-1] = inputs
+        xp, inputs = namespace(columns_ohm), self.inputs(columns_ohm)
+        X = xp.concat([inputs, xp.ones_like(inputs[:, :1])], axis=1)
         if not self.network.hidden:
             return X
-        hidden = np.tanh(rowwise(X, self.hidden_weights.T))
-        return np.concatenate([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
+        hidden = xp.tanh(rowwise(X, self.hidden_weights.T))
+        return xp.concat([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
 
     def inputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Inputs of the hidden layer for resistances, each (n, n_in): the feature, scaled."""
@@ -372,7 +405,8 @@ class Decoupler:
             columns_ohm = self.resting.settled(columns_ohm)
         if self.inverse is not None:
             return self.input_scaling.scale(self.inverse.forces(columns_ohm))
-        return self.input_scaling.scale(np.sqrt(columns_ohm) if self.network.feature == "root" else columns_ohm)
+        root = self.network.feature == "root"
+        return self.input_scaling.scale(namespace(columns_ohm).sqrt(columns_ohm) if root else columns_ohm)
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""

@@ -1,6 +1,7 @@
 """Settings of a training: the form of the network, and how it is trained. Loads no torch."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -9,8 +10,11 @@ from geometry.errors import DesignError, TriPillarError
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root", "inverse"]
 MAX_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then takes 11 GB
+Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Trainer = Literal["varpro", "lm", "momentum"]
 
+#: functions of `decoupler.training` that train all weights at once
+METHODS = {"lm": "levenberg_marquardt:train_lm", "momentum": "momentum:train_momentum"}
 _TRAINERS_OWN = {
     "varpro": {"goal_mse": 1e-7, "max_iterations": 200, "patience": 10},
     "lm": {"goal_mse": 1e-5, "max_iterations": 200, "patience": 10},  # the paper's goal

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from scipy.special import chdtri
 
-from decoupler.data.columns import Component
+from decoupler.data.columns import Columns
 from geometry.layout import FloatArray
 
 RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyond `FRICTION`
@@ -28,12 +28,13 @@ class UsualLoads:
     log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in)
 
     @classmethod
-    def of(cls, force_n: FloatArray, component: Component, columns_ohm: FloatArray) -> Self:
-        """The loads of training, (n, n_forces) [N], a little beyond them, and rest; with their readings, (n, n_in)."""
-        pads = force_n.reshape(-1, len(component.axes))
+    def of(cls, data: Columns) -> Self:
+        """The loads of training, a little beyond them, and rest; with their readings."""
+        axes, columns_ohm = data.component.axes, data.resistance_ohm
+        pads = data.force_n.reshape(-1, len(axes))
         low, high = np.minimum(pads.min(axis=0), 0.0), np.maximum(pads.max(axis=0), 0.0)
         friction = 0.0
-        if component.axes == ("x", "y", "z"):
+        if axes == ("x", "y", "z"):
             shear = np.hypot(pads[:, 0], pads[:, 1])
             if (shear > np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).mean() <= RARE:
                 friction = FRICTION

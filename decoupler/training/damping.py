@@ -7,9 +7,8 @@ from typing import Literal, Protocol
 
 from torch import Tensor
 
-from decoupler.model.settings import TrainingConfig
+from decoupler.model.settings import Progress, TrainingConfig
 
-Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Reason = Literal["goal", "iterations", "stagnation", "validation"]  #: why a training stopped
 
 FIRST_DAMPING = 1e-3  #: over the largest diagonal entry of JᵀJ

@@ -6,8 +6,7 @@ Both come from the errors on its training set, or on measured pairs, had each sa
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import ReadingError
-from decoupler.data.repeats import over_loads
+from decoupler.data.columns import Columns
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
 from geometry.layout import FloatArray
@@ -46,28 +45,17 @@ def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> flo
 
 
 def fitted_uncertainty(
-    decoupler: Decoupler,
-    columns_ohm: FloatArray,
-    force_n: FloatArray,
-    reading: ReadingError,
-    ridge: float,
-    load: NDArray[np.int64],
-    n_light: int = 0,
-    judged: NDArray[np.int64] | None = None,
+    decoupler: Decoupler, data: Columns, ridge: float, n_light: int = 0, judged: NDArray[np.int64] | None = None
 ) -> Uncertainty:
     """The uncertainty of a model, from its training set.
 
     Parameters
     ----------
     decoupler : Decoupler
-    columns_ohm, force_n : arrays, shapes (n, n_in) and (n, n_out)
-        Readings [Ω] and forces [N]; the last `n_light` samples are light.
-    reading : ReadingError
-        Errors of the readings.
+    data : Columns
+        Its training set, of which the last `n_light` samples are light.
     ridge : float
         λ on the output weights.
-    load : array, shape (n,)
-        Number of each sample's load, as `load_numbers` counts them.
     judged : array, shape (n_judged,), optional
         Samples that say the errors of those under load; default: all.
 
@@ -79,13 +67,14 @@ def fitted_uncertainty(
     sample that the network meets whatever its force is (fewer samples than weights) has none; it is taken to be as
     unknown as before training.
     """
+    columns_ohm, force_n = data.resistance_ohm, data.force_n
     A = decoupler.activations(columns_ohm)
     M = A.T @ A
     M.flat[:: len(M) + 1] += ridge
     G = np.linalg.inv(M).astype(np.float64)
     of_weights = leverage(A, G).clip(0.0, 1.0)
     shared = np.count_nonzero(decoupler.hidden_weights) / force_n.size
-    freedom = 1.0 - over_loads(of_weights + shared, load)
+    freedom = 1.0 - np.bincount(data.load, of_weights + shared)[data.load]
     errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
     errors = np.where((freedom > MIN_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
     n = len(A) - n_light
@@ -93,12 +82,12 @@ def fitted_uncertainty(
     unexplained = (errors[loaded] ** 2).mean(axis=0)
     n_axes = len(decoupler.component.axes)
     smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
-    drift_factor = _drift_factor(decoupler, columns_ohm[loaded], errors[loaded], reading)
+    drift_factor = _drift_factor(decoupler, data[loaded], errors[loaded])
     parts = [loaded, np.arange(n, len(A)) if n_light else loaded]
     misfits, ratios = [], []
     for part in parts:
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
-        through = decoupler.noise_variance(columns_ohm[some], reading, drift_factor)
+        through = decoupler.noise_variance(columns_ohm[some], data.errors, drift_factor)
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
         if n_light and part is parts[1]:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
@@ -110,7 +99,7 @@ def fitted_uncertainty(
         np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
     ]
     return Uncertainty(
-        errors=reading,
+        errors=data.errors,
         inverse_matrix=G,
         misfit_n2=misfits[0],
         unexplained_n2=unexplained,
@@ -122,10 +111,8 @@ def fitted_uncertainty(
     )
 
 
-def _drift_factor(
-    decoupler: Decoupler, columns_ohm: FloatArray, errors_n: FloatArray, reading: ReadingError
-) -> FloatArray | None:
-    """`Uncertainty.drift_factor` by readings (n, n_in) [Ω] and errors (n, n_out) [N] of training; None without drift.
+def _drift_factor(decoupler: Decoupler, data: Columns, errors_n: FloatArray) -> FloatArray | None:
+    """`Uncertainty.drift_factor` by samples of training and the forces' errors (n, n_out) [N]; None without drift.
 
     Notes
     -----
@@ -134,8 +121,9 @@ def _drift_factor(
     on their own: it holds some drift for load and some load for drift, both along S U. So P⁻¹ is the covariance of the
     errors' coefficients of S U by weighted least squares, less the share in it of what readings err by on their own.
     """
+    columns_ohm, reading = data.resistance_ohm, data.errors
     some = np.linspace(0, len(columns_ohm) - 1, min(ENOUGH_SAMPLES, len(columns_ohm))).astype(int)
-    rows, cols = decoupler.rows, decoupler.cols
+    rows, cols = data.shape
     m = reading.shared(columns_ohm[:1], rows, cols).shape[2]
     if not m:
         return None

@@ -1,6 +1,5 @@
 """Learns the two maps of finite strain from few samples whose displacements are known."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
-from decoupler.data.columns import Component, Resting, force_columns, pillar_columns
+from decoupler.data.columns import COMPONENTS, Columns, Component, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
 from decoupler.data.usual_loads import images_of
 from decoupler.inverse.forward_model import ForwardModel
@@ -20,7 +19,7 @@ from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
-from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -192,7 +191,7 @@ def drawn_samples(
     errors: ReadingError,
     seed: int = 0,
     ensemble: Ensemble | None = None,
-) -> Samples:
+) -> Columns:
     """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
 
     Parameters
@@ -236,14 +235,15 @@ def drawn_samples(
         force_n.append(part + values[..., :N_AXES].reshape(part.shape))
     y, forces = np.concatenate(squares), np.concatenate(force_n)
     possible = (y > 0).all(axis=1)
-    shape = (-1, design.array.rows, design.array.cols, N_AXES)
-    return Samples(
-        force_n=forces[possible].reshape(shape),
-        resistance_ohm=errors.read((forward.ohm_per_mm2 * y[possible] + forward.offset_ohm).reshape(shape), generator),
-        design=design,
-        noise=errors.noise,
-        bits=errors.bits,
-        made_from={name: value for name, value in vars(errors).items() if name.startswith("drift")},
+    y, forces = y[possible], forces[possible]
+    ohms = (forward.ohm_per_mm2 * y + forward.offset_ohm).reshape(len(y), design.array.rows, design.array.cols, -1)
+    return Columns(
+        component=COMPONENTS["all"],
+        shape=(design.array.rows, design.array.cols),
+        resistance_ohm=errors.read(ohms, generator).reshape(y.shape),
+        force_n=forces,
+        load=np.arange(len(forces)),
+        errors=errors,
     )
 
 
@@ -262,19 +262,28 @@ def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
     return (newtons * np.array([1.0, 1.0, -1.0])).reshape(count, -1)
 
 
-def trained_on(
-    drawn: Samples, training: TrainingConfig | None = None, progress: Callable[[int, float], None] = lambda *_: None
+def trained_at_strain(
+    data: Samples, response: "ArrayResponse", training: TrainingConfig, progress: Progress
 ) -> Decoupler:
-    """The network that answers first, trained on draws. Loads torch."""
-    from decoupler.training.trainer import train
+    """The decoupler of an array at finite strain, from samples of it as designed, which hold displacements."""
+    posterior = posterior_of(with_strain_maps(response, COMPONENTS["all"], data), data)
+    drawn = drawn_samples(posterior, loads_like(data, DRAWS), response.design, data.errors)
+    return refined(posterior, drawn, response.design, training, progress)
 
-    return train(drawn, "all", NetworkConfig(hidden=HIDDEN, feature="root"), training, progress)
 
+def refined(
+    posterior: Posterior,
+    drawn: Columns,
+    design: SensorDesign,
+    training: TrainingConfig | None = None,
+    progress: Progress = lambda *_: None,
+) -> Decoupler:
+    """A network that is trained on draws, and the posterior that takes its answers as start and prior. Loads torch."""
+    from decoupler.training.trainer import fitted_network
 
-def refined(net: Decoupler, posterior: Posterior, drawn: Samples) -> Decoupler:
-    """A network that was trained on draws, with the posterior that takes its answers as start and prior."""
-    some = drawn[:JUDGED]
-    off_n = net.outputs(net.columns(some.resistance_ohm)) - force_columns(some.force_n, net.component)
+    network = NetworkConfig(hidden=HIDDEN, feature="root")
+    net = fitted_network(drawn, network, training or TrainingConfig(), design, progress=progress)
+    off_n = net.outputs(drawn.resistance_ohm[:JUDGED]) - drawn.force_n[:JUDGED]
     precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n)).astype(np.float64)
-    resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.bits)
+    resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.errors.bits)
     return replace(net, posterior=replace(posterior, precision=precision), resting=resting)

@@ -7,8 +7,8 @@ formed.
 import torch
 from torch import Tensor
 
-from decoupler.model.settings import TrainingConfig
-from decoupler.training.damping import Outcome, Point, Progress, minimise
+from decoupler.model.settings import Progress, TrainingConfig
+from decoupler.training.damping import Outcome, Point, minimise
 from decoupler.training.network import TrainingSet, pair_products
 
 

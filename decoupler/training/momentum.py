@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from decoupler.model.settings import TrainingConfig, TrainingError
-from decoupler.training.damping import Outcome, Point, Progress, Stop
+from decoupler.model.settings import Progress, TrainingConfig, TrainingError
+from decoupler.training.damping import Outcome, Point, Stop
 from decoupler.training.network import TrainingSet
 
 

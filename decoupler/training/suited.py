@@ -1,45 +1,34 @@
-"""The component, the network and the training that suit samples, where none are given. Loads no torch."""
+"""The component, network and training that suit samples, the response that explains them, and pillars that move.
+
+Loads no torch.
+"""
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dataset.samples import SampleError, Samples, require_samples
-from decoupler.data.columns import Component, component_named, force_columns, pillar_columns, readable_columns
+from decoupler.data.columns import Columns, Component, component_named
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
 from geometry.errors import require_type
-from geometry.layout import AXES
+from geometry.layout import AXES, FloatArray
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-
-def suited_component(data: Samples) -> str:
-    """The name of the component for the forces that act: fz, fx or fy if they are along one axis alone, else all.
-
-    >>> import numpy as np
-    >>> pressed = np.zeros((2, 1, 1, 3)) + [0.0, 0.0, 5.0]
-    >>> suited_component(Samples(force_n=pressed, resistance_ohm=1e4 + 0 * pressed))
-    'fz'
-    """
-    acting = [axis for number, axis in enumerate(AXES) if data.force_n[..., number].any()]
-    return f"f{acting[0]}" if len(acting) == 1 else "all"
-
-
-def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
-    """`inverse` for a skip net if the response explains the samples, else `root`."""
-    if net != "skip" or response is None or data.is_finite.any():
-        return "root"
-    data = without_stuck(data, component, ForwardModel.of(response, component))
-    columns_ohm = pillar_columns(data.resistance_ohm, component, data.dead)
-    force_n = force_columns(data.force_n, component)
-    try:
-        explaining(
-            response, component, columns_ohm, force_n, readable_columns(component, data.dead, columns_ohm.shape[1])
-        )
-    except SampleError:
-        return "root"
-    return "inverse"
+#: smallest share of the lengths' variance that a sensor's own response explains: one with pads a third smaller
+#: explains 0.83, with pads an eighth smaller 0.99; noise of 1 % leaves 0.93 and more
+MIN_EXPLAINED = 0.9
+SLOPES = (0.8, 1.25)  #: range of the measured lengths' slope over the model's; beyond, the body is softer or stiffer
+MIN_MOVED = 0.3  #: smallest motion of a living pillar over the expected one; usual are 0.8 to 1.25
+SURE = 3.0  #: standard errors between a slope and `MIN_MOVED`
+MAX_JUDGED = 5000  #: samples, spread over the data; more say no more of whether a pillar moves
+ENOUGH_FOR_ERRORS = 10  #: samples, for a standard error; of fewer only a pillar that always reads the same is stuck
+SAME = 1e-12  #: relative spread of readings that differ by rounding alone
+MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which errors of the response outweigh it
+NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
 def suited_training(
@@ -65,3 +54,123 @@ def suited_training(
     if network is None:
         network = NetworkConfig(feature=suited_feature(data, parts, "skip", response))
     return parts, network, TrainingConfig() if training is None else training
+
+
+def suited_component(data: Samples) -> str:
+    """The name of the component for the forces that act: fz, fx or fy if they are along one axis alone, else all.
+
+    >>> import numpy as np
+    >>> pressed = np.zeros((2, 1, 1, 3)) + [0.0, 0.0, 5.0]
+    >>> suited_component(Samples(force_n=pressed, resistance_ohm=1e4 + 0 * pressed))
+    'fz'
+    """
+    acting = [axis for number, axis in enumerate(AXES) if data.force_n[..., number].any()]
+    return f"f{acting[0]}" if len(acting) == 1 else "all"
+
+
+def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
+    """`inverse` for a skip net if the response explains the samples, else `root`."""
+    if net != "skip" or response is None or data.is_finite.any():
+        return "root"
+    try:
+        explaining(response, without_stuck(Columns.of(data, component), ForwardModel.of(response, component)))
+    except SampleError:
+        return "root"
+    return "inverse"
+
+
+def explaining(response: "ArrayResponse | None", data: Columns) -> ForwardModel:
+    """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
+
+    Raises
+    ------
+    SampleError
+        If there is no response, or it is of an array of another size or explains too little: other loads act than the
+        component's own, or the sensor is another.
+    """
+    if response is None:
+        raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")
+    forward = ForwardModel.of(response, data.component)
+    if (forward.n_pillars, forward.n_forces) != (len(data.readable), data.force_n.shape[1]):
+        raise SampleError(
+            f"the response is of {forward.n_pillars} pillars, the samples of {len(data.readable)}: "
+            "give the response of this array, or use the feature 'root'."
+        )
+    lengths = forward.lengths_of(data.resistance_ohm)[:, data.readable]
+    share = _explained(lengths, forward.lengths(data.force_n)[:, data.readable])
+    if share < MIN_EXPLAINED:
+        raise SampleError(
+            f"the response explains {max(share, 0.0):.0%} of the resistances' variance, too little to start from: "
+            "use the feature 'root', or the component that holds all loads ('all')."
+        )
+    return forward
+
+
+def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
+    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
+
+    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
+    """
+    lengths = lengths * (modelled.mean(axis=0) / lengths.mean(axis=0))
+    lengths, modelled = lengths - lengths.mean(axis=0), modelled - modelled.mean(axis=0)
+    total = (lengths**2).sum()
+    return float(1.0 - (residuals(lengths, modelled) ** 2).sum() / total) if total > 0 else 1.0
+
+
+def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:
+    """Residuals of measured motions beside expected ones, both (n, n_columns) [mm] or relative, slopes in `SLOPES`."""
+    both, own = (moved * expected).sum(axis=0), (expected**2).sum(axis=0)
+    slope = np.divide(both, own, out=np.ones_like(own), where=own > 0).clip(*SLOPES)
+    return moved - slope * expected
+
+
+def without_stuck(data: Columns, forward: ForwardModel | None) -> Columns:
+    """Mark pillars that do not follow their loads as dead.
+
+    A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as
+    much as their signal, and it would give wild forces once it moves. It is held stuck if its readings spread far less
+    than those that the forward model gives for the loads, or no more than noise, and do not follow these. Without a
+    model they are expected to follow the loads of their own unit as most pillars of their kind do. If more than half
+    seem stuck, the expectation is wrong and none is.
+    """
+    some = data[np.linspace(0, len(data) - 1, min(MAX_JUDGED, len(data))).astype(int)]
+    mean = some.resistance_ohm.mean(axis=0, keepdims=True)
+    moved = some.resistance_ohm / mean - 1.0
+    if forward is not None and (forward.n_pillars, forward.n_forces) == (moved.shape[1], some.force_n.shape[1]):
+        modelled = forward.resistances(some.force_n)
+        expected = modelled / modelled.mean(axis=0) - 1.0
+    else:
+        expected = _as_most(moved, some.force_n, some.component)
+    noise = (some.errors.total(mean, *some.shape) / mean)[0]
+    stuck = some.readable & _unmoved(moved, expected, noise)
+    return data.without(stuck) if 0 < stuck.sum() <= some.readable.sum() / 2 else data
+
+
+def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray) -> NDArray[np.bool_]:
+    """Which columns (n_columns,) stay where they are though both (n, n_columns), relative to their means, should agree.
+
+    `noise` (n_columns,) is that of the readings, relative.
+    """
+    n, spread = len(moved), moved.std(axis=0)
+    energy = (expected**2).sum(axis=0)
+    judged = (energy > 0) & (energy >= MIN_LOADED**2 * np.median(energy))
+    if n < ENOUGH_FOR_ERRORS:
+        return judged & (spread <= SAME) & (n > 2)  # two steps of a converter are soon alike
+    energy = np.where(judged, energy, 1.0)
+    slope = (moved * expected).sum(axis=0) / energy
+    error = np.sqrt(((moved - slope * expected) ** 2).sum(axis=0) / (n - 2) / energy)
+    within = np.hypot(MIN_MOVED * np.sqrt(energy / n), NOISE_TIMES * noise)
+    return judged & (spread <= within) & (slope + SURE * error < MIN_MOVED)
+
+
+def _as_most(moved: FloatArray, force_n: FloatArray, component: Component) -> FloatArray:
+    """Expected motions (n, n_columns) of pillars that follow their own unit's forces as most of their kind do."""
+    n = len(moved)
+    F = (force_n - force_n.mean(axis=0)).reshape(n, -1, len(component.axes))
+    y = moved.reshape(n, -1, len(component.pillars))
+    G = np.einsum("nua,nub->uab", F, F)
+    loaded = G.trace(axis1=1, axis2=2)
+    loaded = (loaded > 0) & (loaded >= 0.25 * np.median(loaded))  # half of the usual loads and more
+    by_force = np.linalg.pinv(G) @ np.einsum("nua,nup->uap", F, y)
+    usual = np.median(by_force[loaded], axis=0) if loaded.any() else np.zeros(by_force.shape[1:])
+    return (loaded[:, None] * np.einsum("nua,ap->nup", F, usual)).reshape(n, -1)

@@ -3,50 +3,29 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset import Samples
 from dataset.samples import SampleError
-from decoupler.data.columns import (
-    Component,
-    Resting,
-    Scaling,
-    force_columns,
-    pillar_columns,
-    readable_columns,
-)
+from decoupler.data.columns import Columns
 from decoupler.data.enough import AnySamples, drawn
-from decoupler.data.repeats import distinct, load_numbers
+from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
-from decoupler.inverse.sample_checks import explaining, without_stuck
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key
-from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model.settings import METHODS, NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
-from decoupler.model.usual import UsualLoads
-from decoupler.training.damping import Progress
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
-from decoupler.training.finite_strain import (
-    DRAWS,
-    drawn_samples,
-    loads_like,
-    posterior_of,
-    refined,
-    trained_on,
-    with_strain_maps,
-)
-from decoupler.training.levenberg_marquardt import train_lm
-from decoupler.training.light import light_loads
-from decoupler.training.momentum import train_momentum
+from decoupler.training.finite_strain import trained_at_strain
 from decoupler.training.network import Network, TrainingSet
-from decoupler.training.suited import suited_training
+from decoupler.training.suited import explaining, suited_training, without_stuck
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
-from geometry.layout import FloatArray
+from geometry.design import SensorDesign
 from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -103,83 +82,89 @@ def train(
 
     Notes
     -----
-    With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
-    forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
-    must not move rest, which data under load do not hold: light samples are added.
-
-    Readings are given the drifts that the design states, where they have less. Hidden nodes learn
-    single draws of the drifts by heart: errors then are those on the samples kept for validation.
-
-    Of more than `ENOUGH` samples a random draw is learned from: more would change the errors by half a percent.
+    Readings are given the drifts that the design states, where they have less. Of more than `ENOUGH` samples a random
+    draw is learned from: more would change the errors by half a percent.
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     given, data = data, drawn(data, seed)
     parts, network, training = suited_training(data, component, network, training, response)
     if data.is_finite.any() and parts.name == "all" and response is not None:
         data = data[data.is_finite]
-        posterior = posterior_of(with_strain_maps(response, parts, data), data)
-        drawn_data = drawn_samples(posterior, loads_like(data, DRAWS), response.design, data.errors)
-        net = trained_on(drawn_data, training, progress)
-        recipe = model_cache_key(given, parts.name, network, training, response)
-        made_from = net.made_from | {"recipe": recipe, "data_hash": given.content_hash, "n_samples": len(data)}
-        return replace(refined(net, posterior, drawn_data), made_from=made_from)
-    data = distinct(data, parts)
-    if len(data.resistance_ohm) < 2:
-        raise SampleError(f"{len(data.resistance_ohm)} samples cannot train a network: give at least 2 that differ.")
-    data = without_stuck(data, parts, None if response is None else ForwardModel.of(response, parts))
-    data = data.drifted(np.random.default_rng([seed, DRIFTS]))
-    columns_ohm = pillar_columns(data.resistance_ohm, parts, data.dead)
-    force_n = force_columns(data.force_n, parts)
-    forward = None
-    if network.feature == "inverse":
-        readable = readable_columns(parts, data.dead, columns_ohm.shape[1])
-        forward = explaining(response, parts, columns_ohm, force_n, readable)
-    untrained = _untrained(data, parts, network, columns_ohm, force_n, forward)
-    known = network.feature == "inverse" and network.net == "skip"
-    columns_ohm, force_n, n_light = (
-        _light_samples_too(untrained, columns_ohm, force_n, data) if known else (columns_ohm, force_n, 0)
-    )
-    inputs = untrained.inputs(columns_ohm)
-    targets = untrained.output_scaling.scale(force_n)
+        trained = trained_at_strain(data, response, training, progress)
+    else:
+        data = data[Columns.of(data, parts).distinct()]
+        if len(data) < 2:
+            raise SampleError(f"{len(data)} samples cannot train a network: give at least 2 that differ.")
+        columns = Columns.of(data.drifted(np.random.default_rng([seed, DRIFTS])), parts)
+        columns = without_stuck(columns, None if response is None else ForwardModel.of(response, parts))
+        forward = explaining(response, columns) if network.feature == "inverse" else None
+        trained = fitted_network(columns, network, training, data.design, forward, progress)
+    story = {
+        "recipe": model_cache_key(given, parts.name, network, training, response),
+        "data_hash": given.content_hash,
+        "n_samples": len(data),
+    }
+    of_twin = {name: data.made_from[name] for name in ("twin",) if name in data.made_from}
+    return replace(trained, made_from=of_twin | trained.made_from | story)
+
+
+def fitted_network(
+    data: Columns,
+    network: NetworkConfig,
+    training: TrainingConfig,
+    design: SensorDesign | None = None,
+    forward: ForwardModel | None = None,
+    progress: Progress = _silent,
+) -> Decoupler:
+    """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
+
+    Notes
+    -----
+    With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
+    forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
+    must not move rest, which data under load do not hold: light samples are added.
+
+    Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
+    """
+    known, inverse, n_light = forward is not None and network.net == "skip", None, 0
+    if forward is not None:
+        forward = forward.calibrated(data)
+        inverse = ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise)
+    untrained = Decoupler.untrained(data, network, design, inverse)
+    untrained = replace(untrained, least_squares=LeastSquares.fitted(data))
+    if known:
+        n = len(data)
+        data = _with_light_samples(untrained, data)
+        n_light = len(data) - n
+    inputs, targets = untrained.inputs(data.resistance_ohm), untrained.output_scaling.scale(data.force_n)
     if known:
         targets = targets - inputs
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
-    start = Network(network, inputs.shape[1], targets.shape[1], training.seed)
-    load = load_numbers(data.force_n)
-    judged = None
-    load = np.concatenate([load, load.max() + 1 + np.arange(n_light)])
+    start, judged = Network(network, inputs.shape[1], targets.shape[1], training.seed), None
     with _one_torch_thread(), torch.no_grad():
         hidden, output = start.hidden.detach(), start.output.detach()
         if known:
             output.zero_()  # what is known is the start
-        readings = len(load) / (load.max() + 1)
+        readings = len(data) / (data.load.max() + 1)
         ridge = best_ridge(samples.linear.numpy(), targets, readings) if known else _ridge(network, len(inputs))
         if training.trainer == "varpro":
-            order = _mixed(load, training)
-            held_out = _n_held_out(load[order], training) if start.skip else 0  # a plain net has no linear map instead
+            order = _mixed(data.load, training)
+            held_out = _n_held_out(data.load[order], training) if start.skip else 0  # a plain net has no linear map
             judged = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
-            train_all = train_lm if training.trainer == "lm" else train_momentum
-            point, outcome = train_all(samples, hidden, output, training, progress)
+            home, _, name = METHODS[training.trainer].partition(":")
+            method = getattr(import_module(f"decoupler.training.{home}"), name)
+            point, outcome = method(samples, hidden, output, training, progress)
     # in the order of a file's, since products round by it
     hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, columns_ohm, force_n, data.errors, ridge, load, n_light, judged)
+    uncertainty = fitted_uncertainty(trained, data, ridge, n_light, judged)
     return replace(
-        trained,
-        uncertainty=uncertainty,
-        made_from={
-            **{name: data.made_from[name] for name in ("twin",) if name in data.made_from},
-            "recipe": model_cache_key(given, parts.name, network, training, response),
-            "data_hash": given.content_hash,
-            "n_samples": len(data),
-            "training": asdict(training),
-            "outcome": asdict(outcome),
-        },
+        trained, uncertainty=uncertainty, made_from={"training": asdict(training), "outcome": asdict(outcome)}
     )
 
 
@@ -189,49 +174,8 @@ def _ridge(network: NetworkConfig, n_samples: int) -> float:
     return (SCARCE_RIDGE if scarce else RIDGE) * n_samples
 
 
-def _untrained(
-    data: Samples,
-    component: Component,
-    network: NetworkConfig,
-    columns_ohm: FloatArray,
-    force_n: FloatArray,
-    forward: ForwardModel | None,
-) -> Decoupler:
-    """A decoupler that has its scaling and features, but no weights yet."""
-    inverse = resting = None
-    output_scaling = Scaling.fitted(force_n)
-    dead = None if data.dead is None or not data.dead.any() else data.dead
-    if forward is not None:
-        readable = readable_columns(component, dead, columns_ohm.shape[1])
-        forward = forward.calibrated(columns_ohm, force_n, data.noise, readable)
-        resting = Resting.read_with(forward.at_rest_ohm(), data.bits)
-        inverse = ModelInverse.about(forward, force_n, readable, data.noise)
-        input_scaling = output_scaling
-    else:
-        input_scaling = Scaling.fitted(np.sqrt(columns_ohm) if network.feature == "root" else columns_ohm)
-    nothing = np.empty((0, 0))
-    return Decoupler(
-        component=component,
-        rows=data.resistance_ohm.shape[1],
-        cols=data.resistance_ohm.shape[2],
-        network=network,
-        input_scaling=input_scaling,
-        output_scaling=output_scaling,
-        hidden_weights=nothing,
-        output_weights=nothing,
-        design=data.design,
-        inverse=inverse,
-        resting=resting,
-        dead=dead,
-        usual=UsualLoads.of(force_n, component, columns_ohm),
-        least_squares=LeastSquares.fitted(data, component),
-    )
-
-
-def _light_samples_too(
-    untrained: Decoupler, columns_ohm: FloatArray, force_n: FloatArray, data: Samples
-) -> tuple[FloatArray, FloatArray, int]:
-    """Training columns (n, n_in) [Ω] and (n, n_out) [N] with light samples added at the end, and how many.
+def _with_light_samples(untrained: Decoupler, data: Columns) -> Columns:
+    """Training samples with light ones added at the end.
 
     None are added where their resistances leave more than noise and `MAX_UNEXPLAINED` of the variance of the readings'
     roots unexplained.
@@ -244,24 +188,27 @@ def _light_samples_too(
     """
     assert untrained.inverse is not None
     generator = np.random.default_rng(0)
-    light_n = light_loads(force_n, generator)
-    all_n = np.concatenate([force_n, light_n])
+    light_n = light_loads(data.force_n, generator)
+    all_n, root = np.concatenate([data.force_n, light_n]), np.sqrt(data.resistance_ohm)
     modelled_ohm = untrained.inverse.forward.resistances(all_n)
-    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_WHOLE_OHM)), [len(force_n)])  # √Ω
-    A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(force_n)])
-    readable = readable_columns(untrained.component, untrained.dead, columns_ohm.shape[1])
-    root = np.sqrt(columns_ohm)
-    left = np.where(readable, root - modelled, 0.0)
+    modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_WHOLE_OHM)), [len(data)])  # √Ω
+    A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(data)])
+    left = np.where(data.readable, root - modelled, 0.0)
     G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
     left_out = (left - A @ linear) / np.maximum(1.0 - leverage(A, G), MIN_FREEDOM)[:, None]
-    by_noise = (0.5 * data.errors.total(columns_ohm, *data.shape) / root) ** 2
-    excess = (left_out**2 - by_noise)[:, readable].mean(axis=0)
-    if excess.mean() > MAX_UNEXPLAINED * root[:, readable].var(axis=0).mean():
-        return columns_ohm, force_n, 0
+    by_noise = (0.5 * data.errors.total(data.resistance_ohm, *data.shape) / root) ** 2
+    excess = (left_out**2 - by_noise)[:, data.readable].mean(axis=0)
+    if excess.mean() > MAX_UNEXPLAINED * root[:, data.readable].var(axis=0).mean():
+        return data
     light_ohm = ((light + A_light @ linear) ** 2).reshape(len(light), *data.shape, -1)
     light_ohm = data.errors.read(light_ohm, generator).reshape(light.shape)
-    return np.concatenate([columns_ohm, light_ohm]), all_n, len(light_n)
+    return replace(
+        data,
+        resistance_ohm=np.concatenate([data.resistance_ohm, light_ohm]),
+        force_n=all_n,
+        load=np.concatenate([data.load, data.load.max() + 1 + np.arange(len(light))]),
+    )
 
 
 @contextmanager

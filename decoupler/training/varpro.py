@@ -5,8 +5,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from decoupler.model.settings import TrainingConfig
-from decoupler.training.damping import Outcome, Point, Progress, minimise
+from decoupler.model.settings import Progress, TrainingConfig
+from decoupler.training.damping import Outcome, Point, minimise
 from decoupler.training.network import TrainingSet
 
 RIDGE = 1e-9  #: λ on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling

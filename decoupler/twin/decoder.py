@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Component, Resting, Scaling, readable_columns
+from decoupler.data.columns import Columns, Component
+from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.inverse.posterior import Posterior as ForcePosterior
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
 from decoupler.training.error_bars import best_ridge, fitted_uncertainty
-from decoupler.training.finite_strain import drawn_samples, refined, trained_on
-from decoupler.training.light import light_loads
+from decoupler.training.finite_strain import drawn_samples, refined
 from decoupler.twin.posterior import Posterior
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -64,40 +64,35 @@ def decoder_of(
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])
-    columns = read(force_n)
-    readable = readable_columns(component, dead, columns.shape[1])
-    missed = columns / forward.resistances(force_n) - 1.0
-    unsure = float(np.sqrt(np.mean(missed[:, readable] ** 2)))
-    scaling = Scaling.fitted(force_n)
-    n_forces = forward.n_forces
-    inverse = ModelInverse.about(forward, loads_n, readable, unsure, lambda some_n: forward.lengths_of(read(some_n)))
-    untrained = Decoupler(
+    data = Columns(
         component=component,
-        rows=size[0],
-        cols=size[1],
-        network=NetworkConfig(hidden=0, net="skip", feature="inverse"),
-        input_scaling=scaling,
-        output_scaling=scaling,
-        hidden_weights=np.empty((0, n_forces + 1)),
-        output_weights=np.eye(n_forces, n_forces + 1),
-        design=design,
-        inverse=inverse,
-        resting=Resting.read_with(forward.at_rest_ohm(), errors.bits),
+        shape=size,
+        resistance_ohm=read(force_n),
+        force_n=force_n,
+        load=np.arange(len(force_n)),
+        errors=errors,
         dead=dead,
-        usual=UsualLoads.of(loads_n, component, columns[: len(loads_n)]),
+    )
+    missed = data.resistance_ohm / forward.resistances(force_n) - 1.0
+    unsure = float(np.sqrt(np.mean(missed[:, data.readable] ** 2)))
+    inverse = ModelInverse.about(
+        forward, loads_n, data.readable, unsure, lambda some_n: forward.lengths_of(read(some_n))
+    )
+    network = NetworkConfig(hidden=0, net="skip", feature="inverse")
+    untrained = replace(
+        Decoupler.untrained(data, network, design, inverse),
+        usual=UsualLoads.of(data[: len(loads_n)]),
         ensemble=found.ensemble,
         made_from=made_from or {},
     )
-    A = untrained.activations(columns)
-    missing = scaling.scale(force_n) - A[:, :-1]
+    A = untrained.activations(data.resistance_ohm)
+    missing = untrained.output_scaling.scale(force_n) - A[:, :-1]
     ridge = best_ridge(A, missing)
     G = A.T @ A
     G.flat[:: len(G) + 1] += ridge
     weights = untrained.output_weights + np.linalg.solve(G, A.T @ missing).T
     trained = replace(untrained, output_weights=weights)
-    load = np.arange(len(columns))
-    uncertainty = fitted_uncertainty(trained, columns, force_n, errors, ridge, load, len(light_n))
-    return replace(trained, uncertainty=uncertainty)
+    return replace(trained, uncertainty=fitted_uncertainty(trained, data, ridge, len(light_n)))
 
 
 def decoder_at_strain(
@@ -116,5 +111,5 @@ def decoder_at_strain(
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
     drawn = drawn_samples(own, loads_n, design, errors, seed, found.ensemble)
-    decoder = refined(trained_on(drawn), own, drawn)
+    decoder = refined(own, drawn, design)
     return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

@@ -92,7 +92,7 @@ class Expectation:
         design, names = response.design, () if sensitivities is None else tuple(sensitivities.parameters)
         deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
-        forward = _each_pillar_its_own(ForwardModel.of(by_eq1, component))
+        forward = ForwardModel.of(by_eq1, component).with_own_influences()
         rest, c = _at_rest(design, component)
         by_rest, by_log_c, by_influence = [], [], []
         matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
@@ -101,7 +101,7 @@ class Expectation:
             by_rest.append((moved - rest) / STEP)
             by_log_c.append(np.log(other_c / c) / STEP)
             other = ForwardModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
-            by_influence.append(_each_pillar_its_own(other).by_component)
+            by_influence.append(other.with_own_influences().by_component)
         own = _block_sizes(forward.by_component, design.n_units)
         near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
         there = near >= 0
@@ -141,7 +141,7 @@ class Expectation:
         """The same at finite strain: all that parameters change are the weights of the design's maps."""
         return replace(
             self,
-            forward=_each_pillar_its_own(designed),
+            forward=designed.with_own_influences(),
             by_weights=by_weights,
             by_influence=np.zeros_like(self.by_influence),
             by_rest_mm=np.zeros_like(self.by_rest_mm),
@@ -263,12 +263,6 @@ class Expectation:
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
         return found.reshape(self.n_pillars, 3, -1)
-
-
-def _each_pillar_its_own(forward: ForwardModel) -> ForwardModel:
-    """The same, each pillar with an influence of its own."""
-    influence = forward.by_component.transpose(2, 1, 0).reshape(forward.n_forces, -1)
-    return replace(forward, influence=np.ascontiguousarray(influence), top=np.arange(forward.n_pillars))
 
 
 def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:

@@ -62,15 +62,14 @@ class Twin:
     def of(cls, found: Posterior, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
         """The twin of a posterior."""
         expected, state = found.expected, found.state
-        of_parameters, resistivity, _, _ = expected.parts(state.shared)
-        values = expected.values + expected.deviations * of_parameters
+        resistivity = expected.parts(state.shared)[1]
         deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
-        rows = zip(expected.names, values, deviations, strict=True)
+        rows = zip(found.values.items(), deviations, strict=True)
         return cls(
             design=design,
             decoder=decoder,
             n_pairs=n_pairs,
-            parameters={name: (float(value), float(deviation)) for name, value, deviation in rows},
+            parameters={name: (value, float(deviation)) for (name, value), deviation in rows},
             covariance=found.covariance,
             resistivity=math.exp(expected.widths.resistivity * resistivity[0]),
             gain=expected.gain(state),
@@ -103,7 +102,7 @@ def identify(
         Of the sensor as designed. Without it the pairs alone decide, and many are needed.
     sensitivities : ResponseSensitivities, optional
         Its derivatives by the parameters that manufacturing leaves unknown. Without them the design is held: gains and
-        offsets alone are found, as by `tripillar calibrate`.
+        offsets alone are found, as by `tripillar identify --as-designed`.
     component : str, optional
         fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
@@ -151,11 +150,15 @@ def identify(
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
     share = 1.0
-    if at_strain is not None and response is not None and sensitivities is not None:
-        share = 0.3
-        near = NearDesigns(at_strain, response, sensitivities)
-        expected = expected.at_strain(at_strain.forward, near.by_parameters(lambda part: progress(0.5 * part)))
     with one_blas_thread():  # products are too small for two threads to share
+        if at_strain is not None and response is not None and sensitivities is not None:
+            share = 0.2
+            near = NearDesigns(at_strain, response, sensitivities)
+            by_weights = near.by_parameters(lambda part: progress(0.5 * part))
+            expected = expected.at_strain(at_strain.forward, by_weights)
+            first = infer(expected, readings, draws=1)
+            expected = expected.at_strain(near.about_pads(first.values, by_weights), by_weights)
+            progress(0.1)
         found = infer(
             expected,
             readings,

@@ -85,6 +85,15 @@ class Shown:
         return np.einsum("npc,nrcp->npr", self.by_vector[rows], moved)
 
     @cached_property
+    def missed_by_maps(self) -> FloatArray:
+        """Variance of the squares by what maps miss, of the squares and of the forces that lead there, (n, P) [mm⁴]."""
+        maps, n = self.sensor.maps, len(self.state_n)
+        assert maps is not None
+        forces_n2, squares_mm4 = np.split(maps.misfit_variance(self.state_n), [N_AXES], axis=2)
+        by_forces = (self._by_force**2 @ forces_n2.reshape(n, -1, 1))[..., 0]
+        return np.asarray(squares_mm4.reshape(n, -1) + by_forces)
+
+    @cached_property
     def by_parameters(self) -> FloatArray:
         """Change of the squares by the parameters, then by the resistivity, (n, P, k + 1) [mm²]."""
         expected, (n, P, C) = self.expected, self.by_vector.shape
@@ -146,8 +155,7 @@ class Linear:
         misfit_ohm2 = (expected.widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
         variance = readings.deviation_ohm**2 + (MIN_NOISE * ohms) ** 2 + misfit_ohm2
         if shown.sensor.maps is not None:
-            missed = shown.sensor.maps.misfit_variance(shown.state_n)[..., N_AXES:].reshape(variance.shape)
-            variance += c**2 * missed
+            variance += c**2 * shown.missed_by_maps
         #: one over the deviation of each reading, (n, P) [1/Ω], 0 where not read; misfit's fraction of the variance
         self.weight = self.read / (np.sqrt(variance) * readings.scale[:, None])
         self.unsure = self.read * misfit_ohm2 / variance

@@ -1,17 +1,19 @@
 """Changes of the maps of finite strain by a design's parameters, from other designs solved under some loads."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dataset.changed_designs import ChangedDesigns
+from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED
 from decoupler.training.finite_strain import states_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.tolerances import changed, usual_deviations, value_of
+from geometry.tolerances import changed, nearest, usual_deviations, value_of
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -63,6 +65,28 @@ class NearDesigns:
                 found[FEW, k] = self.change(changed(design, name, usual[name])) * deviation / usual[name]
             progress(1.0 / len(names))
         return found
+
+    def about_pads(self, values: Mapping[str, float], by_weights: FloatArray) -> ForwardModel:
+        """The design's forward model with maps so shifted that a design with pads of these values is met by its change.
+
+        Parameters
+        ----------
+        values : mapping
+            Values of parameters; those of pads count.
+        by_weights : array, shape (N_FEATURES, k, m)
+            As `by_parameters` gives it.
+
+        Notes
+        -----
+        What pads' size and place change does not add up, nor is it odd in the place: by conduction up to 0.8 % of a
+        resistance differs, where edges of pads pass those of electrodes. Other parameters add up to 0.05 %.
+        """
+        design, sensitivities, maps = self._design, self._sensitivities, self._maps
+        other = nearest(design, {name: value for name, value in values.items() if name.startswith("pad.")})
+        moved = [value_of(other, name) - value_of(design, name) for name in sensitivities.parameters]
+        weights = maps.weights - np.tensordot(by_weights, moved / sensitivities.deviation, axes=(1, 0))
+        weights[FEW] += self.change(other)
+        return replace(self._forward, maps=replace(maps, weights=weights))
 
     def change(self, other: SensorDesign) -> FloatArray:
         """Change of the weights of `FEW` that makes the maps those of another design, (292, m).

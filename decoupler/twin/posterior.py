@@ -48,6 +48,13 @@ class Posterior:
         """The most probable sensor."""
         return self.expected.sensor(self.state)
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Most probable values of the parameters, by the design's keys."""
+        expected = self.expected
+        values = expected.values + expected.deviations * expected.parts(self.state.shared)[0]
+        return dict(zip(expected.names, values.tolist(), strict=True))
+
 
 def infer(
     expected: Expectation,

@@ -1,7 +1,7 @@
 """A twin as a file that people read: its design at the most probable values, and how sure these are.
 
-The file is a design file with a table [twin] beside the design. The response of this very sensor, and draws of it, are
-in its decoder's model file, which the table names.
+The file is a design file with a table [twin] beside the design, and states the hash of its content. The response of
+this very sensor, and draws of it, are in its decoder's model file, which the table names.
 """
 
 import os
@@ -18,7 +18,8 @@ from geometry.design import SensorDesign
 from geometry.design_file import STRICT, design_to_toml, whole_design
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
-from geometry.storage.files import digest, write_text
+from geometry.storage.files import digest, write_bytes
+from geometry.storage.seal import BLANK, require_intact, sealed
 from geometry.storage.text_file import read_text, tables_of
 from geometry.tolerances import RESISTIVITY, nearest, usual_deviations
 
@@ -96,6 +97,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         "offset_deviation_ohm": twin.offset_deviation_ohm,
     }
     lines = [
+        f"# {BLANK.decode()}",
         design_to_toml(design).replace("sensor design.", "sensor as it was measured: a design and its twin.", 1),
         "[twin]  # the design above is at the most probable values of what its maker left unknown",
         f"pairs = {twin.n_pairs}  # measured",
@@ -112,7 +114,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         by_pillar = np.moveaxis(values.reshape(shape), -1, 0)
         for pillar, rows in zip(twin.decoder.component.pillars, by_pillar, strict=True):
             lines.append(f"{pillar} = [\n" + "".join(f"  {_row(row, '.6g')},\n" for row in rows) + "]")
-    write_text("\n".join([*lines, ""]), path)
+    write_bytes(path, *sealed("\n".join([*lines, ""]).encode()))
 
 
 def _seen_from(folder: Path, decoder: Path) -> str:
@@ -130,9 +132,12 @@ def read_twin(path: Path) -> TwinFile | None:
     ------
     DesignError
         If the file is missing, no design file, or its table [twin] lacks something or makes no sense.
+    FileFormatError
+        If it was changed since it was written.
     """
     path = Path(path)
     text = read_text(path, MEND, DesignError)
+    require_intact(path, MEND, required="\n[twin]" in text)
     tables = tables_of(text, path, DesignError)
     if "twin" not in tables:
         return None

@@ -11,9 +11,10 @@ from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.quiver import Quiver
 
 ARROWS = 14  #: of shear along the longer side of the contact
-BLUE, ORANGE, INK, GREY = "#0072b2", "#ff8c5a", "#222222", "#9a9a9a"
+BLUE, ORANGE, PINK, INK, GREY = "#0072b2", "#ff8c5a", "#e0218a", "#222222", "#9a9a9a"
 SHARE = 0.9  #: of the pitch: the longest arrow of a unit's tangential force
 AS_DRAWN: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
 MIN_ARROW = 0.02  #: of the pitch: shorter ones are left out
@@ -60,12 +61,13 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
     if contact.friction and largest > 0:
         arrows = (shear / largest * SHARE * pitch).T
         large = np.hypot(*arrows) > MIN_ARROW * pitch
-        axes.quiver(x[large], y[large], *arrows[:, large], **AS_DRAWN, color=BLUE, width=0.006)
-        axes.plot([], [], color=BLUE, label=f"tangential force, at most {largest:.3g} N a unit")
+        drawn = axes.quiver(x[large], y[large], *arrows[:, large], **AS_DRAWN, color=BLUE, width=0.006)
+        _explain(axes, drawn, SHARE * pitch, f"tangential force of {largest:.3g} N")
     x0, y0, x1, y1 = *contact.patch.low_mm, *contact.patch.high_mm
     frame: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": "--", "label": "shown beside"}
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], **frame)
-    axes.set(title="forces on the units", xlim=box[:2], ylim=box[2:])
+    axes.set(xlim=box[:2], ylim=box[2:])
+    axes.set_title("forces on the units", pad=26)
 
 
 def _draw_patch(axes: "Axes", contact: Contact) -> None:
@@ -79,8 +81,8 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
     if contact.friction:
         sticks = state == STICK
         if sticks.any() and not sticks.all():
-            axes.contour(patch.x_mm, patch.y_mm, sticks, levels=[0.5], colors=["white"], linewidths=1.6)
-            axes.plot([], [], color="#bbbbbb", label="sticks inside, slips outside")
+            axes.contour(patch.x_mm, patch.y_mm, sticks, levels=[0.5], colors=[PINK], linewidths=2.0)
+            axes.plot([], [], color=PINK, linewidth=2.0, label="sticks inside, slips outside")
         every = max(1, round(max(patch.nx, patch.ny) / ARROWS))
         some = np.s_[every // 2 :: every]
         shear = contact.shear_mpa[:, some, some]
@@ -89,6 +91,11 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
         there = state[some, some] != OPEN
         if largest > 0:
             length = 1.5 * every * max(patch.cell_mm) / largest
-            axes.quiver(x[there], y[there], *(shear[:, there] * length), **AS_DRAWN, color=ORANGE, width=0.005)
-            axes.plot([], [], color=ORANGE, label=f"shear on the sensor, at most {largest:.3g} MPa")
-    axes.set(title=f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa")
+            drawn = axes.quiver(x[there], y[there], *(shear[:, there] * length), **AS_DRAWN, color=ORANGE, width=0.005)
+            _explain(axes, drawn, largest * length, f"shear on the sensor of {largest:.3g} MPa, the largest")
+    axes.set_title(f"contact: {contact.area_mm2:.1f} mm², peak {contact.peak_mpa:.2f} MPa", pad=26)
+
+
+def _explain(axes: "Axes", drawn: "Quiver", length: float, label: str) -> None:
+    """Put an arrow of a length of the axes, with what it stands for, above the axes' corner."""
+    axes.quiverkey(drawn, 0.02, 1.03, length, label, labelpos="E", fontproperties={"size": 8})

@@ -230,8 +230,8 @@ def uninterrupted() -> Iterator[None]:
 
 
 def cache_folder() -> Path:
-    """Folder of meshes and responses, named by their cache keys: ``$TRIPILLAR_CACHE``, or ``out/cache`` below here."""
-    return Path(os.environ.get("TRIPILLAR_CACHE", "out/cache"))
+    """Folder of meshes and responses, named by their cache keys: ``$TRIPILLAR_CACHE``, else the user's own."""
+    return Path(os.environ.get("TRIPILLAR_CACHE") or Path.home() / ".cache" / "tripillar")
 
 
 VTK_POLY_DATA = 0  #: VTK's number of surfaces among its kinds of data

@@ -39,11 +39,6 @@ def unfinished_folder(place: Path, name: str) -> Iterator[Path]:
             os.close(lock)
 
 
-def remove_at_end(folder: Path) -> None:
-    """Have a folder that is removed by others in the end removed by `remove_unfinished` as well."""
-    _of_this_process.add(folder)
-
-
 def remove_unfinished() -> None:
     """Remove all such folders of this process, which is about to end."""
     for path in list(_of_this_process):

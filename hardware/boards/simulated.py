@@ -1,4 +1,4 @@
-"""A sensor that is pressed and the board that reads it, both simulated: `tripillar simulate`.
+"""A sensor that is pressed and the board that reads it, both simulated: `tripillar board`.
 
 A `Motion` is what the sensor goes through: a scripted press-and-slide, or a scene pressed again and again. `run_board`
 runs the board: the firmware on a simulated chip, or its frames from Python, on a pseudo-terminal.

@@ -66,12 +66,12 @@ def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seco
     if len(counts) < min_scans(rate_hz):
         raise FileFormatError(
             f"{len(counts)} scans within {seconds:g} s are too few to tell a sensor at rest from one that moves: give "
-            f"--seconds {math.ceil(1.2 * min_scans(rate_hz) / rate_hz * 10) / 10:g} or more."
+            f"seconds={math.ceil(1.2 * min_scans(rate_hz) / rate_hz * 10) / 10:g} or more."
         )
     if moved := movement(counts, crossbar, rate_hz):
         raise FileFormatError(
             f"the sensor moves: {moved} within {seconds:g} s, more than its noise: let it come to rest, or take it as "
-            "it is with --force."
+            "it is with force=True."
         )
 
 

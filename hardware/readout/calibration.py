@@ -1,6 +1,6 @@
 """The calibration of one sensor on its board: switches and wires, gain and offset of each pillar, its state at rest.
 
-One JSON file, written by `tripillar calibrate` and `tripillar tare`, holds all of it. A model made for the sensor as
+One JSON file, of `tripillar tare` or `identify --as-designed`, holds all of it. A model made for the sensor as
 designed gets (R − offset)/gain · R₀/R_rest of the crossbar's resistances R: gain and offset are those of the pillar,
 R_rest was last measured with nothing on the sensor, and R₀ follows from the design.
 """
@@ -149,13 +149,13 @@ class SensorCalibration:
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileFormatError(
-                f"{source} is no calibration ({error}): give a file made by 'tripillar calibrate' or 'tripillar tare'."
+                f"{source} is no calibration ({error}): give a file made by 'tripillar tare' or 'identify'."
             ) from None
 
 
 def read_calibration(path: Path) -> SensorCalibration:
     """Read a calibration file; `SensorCalibration.from_json` says what is refused."""
-    text = read_text(path, "give a file made by 'tripillar calibrate'", FileFormatError)
+    text = read_text(path, "give a file made by 'tripillar tare'", FileFormatError)
     return SensorCalibration.from_json(text, source=str(path))
 
 

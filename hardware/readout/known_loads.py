@@ -90,7 +90,7 @@ def calibrated(
             "check their units (newtons, or grams for weights), rows and columns, and the design."
         )
     if doubt and not force:
-        raise FileFormatError(f"{doubt} Or write it as it is with --force.")
+        raise FileFormatError(f"{doubt} Or write it as it is with force=True.")
     return found, residual
 
 
@@ -144,7 +144,7 @@ def _strange_changes(pairs: Pairs, modelled_ohm: FloatArray) -> str | None:
         times = math.sqrt(2.0) * pairs.noise / (MAX_UNSURE * float(size.max()))
         return (
             f"no load is large enough to be told from the noise of {100 * pairs.noise:.2g} %: take {times:.2g} times "
-            "as much, or measure longer (--seconds); loads are in newtons, weights in grams."
+            "as much, or measure longer (seconds=); loads are in newtons, weights in grams."
         )
     multiple = np.nansum(change * expected, axis=(1, 2, 3))[is_told] / size[is_told] ** 2
     off = np.abs(np.log(np.maximum(multiple, 1e-9)))

@@ -94,7 +94,7 @@ def csv_text(recording: Recording) -> str:
 
 def _read_netcdf(path: Path) -> Recording:
     """Read what `convert` wrote, or what another program made of it."""
-    made_by = "tripillar convert"
+    made_by = "tripillar export"
     header = read_header(read_netcdf(path, {}, made_by).attrs, str(path))
     data = read_netcdf(path, {name: frame_dims(name) for name in COLUMNS}, made_by)
     columns = {name: data[name].values for name in COLUMNS}

@@ -137,11 +137,11 @@ class RerunStream:
         import rerun.blueprint as rrb
 
         plots = [
-            rrb.TimeSeriesView(origin=origin, name=name)
-            for origin, name in (
-                ("net/force_n", "Net force [N]"),
-                ("net/centre_of_pressure_mm", "Centre of pressure [mm]"),
-                ("resistance_ohm", "Resistances [Ω]"),
+            rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=has_legend))
+            for origin, name, has_legend in (
+                ("net/force_n", "Net force [N]", True),
+                ("net/centre_of_pressure_mm", "Centre of pressure [mm]", True),
+                ("resistance_ohm", "Resistances [Ω]", False),  # three lines a unit: a legend would be cut off
             )
         ]
         array = rrb.Spatial3DView(origin="sensor", name="Forces")

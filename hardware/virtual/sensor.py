@@ -6,7 +6,7 @@ Every tensor has the environments first: e sensors of one design live side by si
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -14,19 +14,19 @@ from torch import Tensor
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import SENSE_OHM
 from dataset.simulation import require_conducted
-from decoupler.data.columns import COMPONENTS
+from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
+from decoupler.model.tensors import in_torch
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import AXES, rest_lengths
+from geometry.layout import AXES, PILLARS, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.wrench import pad_positions
-from hardware.virtual.decoding import TorchDecoder, TorchForward
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -147,14 +147,14 @@ class VirtualSensor:
                     f"the {name} has {other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}: "
                     f"take one of this design."
                 )
-        self._decoder = None if model is None else TorchDecoder(model, self._like)
+        self._decoder: Any = None if model is None else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
             self._found = Corrector(host).correct if correct else host.uncorrected
         if decoder is None:
             self._twin = None
-            self._forward = TorchForward(self._designed(response), self._like)
+            self._forward = in_torch(self._designed(response), self._like)
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
@@ -302,7 +302,12 @@ class VirtualSensor:
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm")
-        return self._decoder.forces(resistance_ohm)
+        pillars = [PILLARS.index(pillar) for pillar in self._decoder.component.pillars]
+        columns = resistance_ohm[..., pillars]
+        if (dead := self._decoder.dead) is not None:
+            columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
+        decoded = self._decoder.first_answers(columns.reshape(self.environments, -1))
+        return decoded.reshape(self.environments, *self.shape, -1)
 
     def touch(self, points_mm: Tensor, force_n: Tensor) -> Reading:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`."""
@@ -328,7 +333,7 @@ class _TorchTwin:
             raise DesignError(
                 f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
             )
-        self.forward = TorchForward(decoder.inverse.forward, like)
+        self.forward: Any = in_torch(decoder.inverse.forward, like)
         held = decoder.ensemble
         self.members = len(held)
         self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
@@ -338,9 +343,9 @@ class _TorchTwin:
     def resistances(self, force_n: Tensor, member: Tensor) -> Tensor:
         """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
         vectors = self.forward.vectors(force_n)
-        squares = self.forward.squares(vectors)
-        of_gain = self.forward.ohm_per_mm2 * squares
         signed = vectors if self.forward.sign is None else vectors * self.forward.sign
+        squares = (signed * vectors).sum(dim=1)
+        of_gain = self.forward.ohm_per_mm2 * squares
         slopes = (2.0 * signed / squares[:, None])[:, : self._rest.shape[1]]
         order, moved_by = torch.argsort(member, stable=True), []
         for m, some in zip(*self._groups(member[order], order), strict=True):

@@ -1,76 +1,56 @@
-"""``python -m studies.bench``: the table, the JSON and the pictures of run time against error."""
+"""``python -m studies.bench``: the table, the JSON and the pictures of run time against error on scenes."""
 
-import re
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
-from studies.bench.harness import (
-    Record,
-    Settings,
-    draw_records,
-    measured_on,
-    ratio_table,
-    record_table,
-    run_contenders,
-    write_records,
-)
+from geometry.errors import DesignError
+from studies.bench.harness import Record, Settings, draw_records, goal_rows, run_contenders
 from studies.bench.reference import stored_references
-from studies.bench.scenes import all_scenes, hard_scenes
-from studies.bench.solving import CONTENDERS, LOADED, WORST
-from tripillar.terminal.console import say, wrote
+from studies.bench.scenes import FINITE, hard_scenes
+from studies.bench.solving import CONTENDERS, LOADED, WORST, scene_named
+from studies.tables import measured_on, report
 from tripillar.terminal.entry import run_alone
-from tripillar.terminal.tables import show
 
-SCENES = ("block-normal-0.49", "slab-12-normal", *hard_scenes())  #: a symmetric scene, one that is not, hard ones
-PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
+SCENES = {  #: with what the picture's title calls each: a symmetric scene, one that is not, hard ones, finite strain
+    "block-normal-0.49": "a patch pressed on a block",
+    "slab-12-normal": "a pad pressed on a slab of 36",
+    **{name: f"{name.replace('-', ' ')}, rubbers or shapes at the edge" for name in hard_scenes()},
+    FINITE: "a patch on a block at finite strain",
+}
+PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "felupe", "pytetwild")
 GOALS = (5e-2, 1e-2, 3e-3, 1e-3)  #: errors at which families are compared
-OURS = "TriPillar"  #: the family that the others are compared with
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder for table, JSON and pictures.")] = Path("out/bench"),
-    scene: Annotated[list[str] | None, typer.Option(help="Scene to run; may be given again.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Pattern: run contenders whose name holds it.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
-    runs: Annotated[int, typer.Option(help="Runs of each, of which the median counts.")] = 3,
-    patience: Annotated[float, typer.Option(help="Seconds after which a run is stopped.")] = 120.0,
-    threads: Annotated[int, typer.Option(help="Threads of every contender.")] = 2,
-    by_processor: Annotated[
-        bool, typer.Option("--by-processor", help="Judge by processor time of one thread.")
-    ] = False,
-    enough: Annotated[float, typer.Option(help="Error of the worst probe below which none is refined further.")] = 0.0,
+    out: Annotated[Path, Parameter(help="Folder for JSON and pictures.")] = Path("out/bench"),
+    scene: Annotated[list[str] | None, Parameter(help="Scene to run; may be given again.")] = None,
+    only: Annotated[list[str] | None, Parameter(help="Word: run contenders whose name holds it.")] = None,
+    quick: Annotated[bool, Parameter(name="--quick", help="One run of each, 20 s at most: a look, no record.")] = False,
+    patience: Annotated[float, Parameter(help="Seconds after which a run is stopped.")] = 120.0,
+    threads: Annotated[int, Parameter(help="Threads of every contender; one is judged by processor time.")] = 1,
 ) -> None:
     """Measure every contender on every scene; what is not installed is skipped with a word."""
-    if by_processor:
-        threads = 1
-    settings = Settings(runs=runs, threads=threads, patience_s=patience, enough=enough, by_processor=by_processor)
+    settings = Settings(threads=threads, patience_s=patience, by_processor=threads == 1)
     if quick:
         settings = replace(settings, runs=1, patience_s=20.0)
-    chosen = [one for one in CONTENDERS if not only or any(re.search(word, one.name) for word in only)]
-    scenes = all_scenes()
+    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
     everything: list[Record] = []
-    pictures = []
+    tables, pictures = {}, []
     for name in scene or SCENES:
-        if name not in scenes:
-            raise typer.BadParameter(f"no scene '{name}'; there are {', '.join(scenes)}")
-        if name not in stored_references():
-            say(f"{name}: skipped, no reference yet: run python -m studies.bench.reference {name}")
-            continue
-        able = [one for one in chosen if one.covers(scenes[name])]
+        if name != FINITE and name not in stored_references():
+            raise DesignError(f"no reference of a scene '{name}'; there are {', '.join(stored_references())}")
+        able = [one for one in chosen if one.covers(scene_named(name))]
         found = run_contenders("studies.bench.solving", name, name, able, settings)
         everything += found
         pictures.append(out / f"{name}.png")
-        draw_records(name, found, (LOADED, WORST), pictures[-1])
-        show(record_table(f"{name}: run time against error", found))
-        for judged in (LOADED, WORST) if len(scenes[name].probes) > 1 else (LOADED,):
-            columns = {f"{goal:.1%}": partial(Record.seconds_to, judged=judged, error=goal) for goal in GOALS}
-            show(ratio_table(f"{name}: fastest at or below an {judged}", found, columns, OURS))
-    write_records(everything, measured_on(PACKAGES) | asdict(settings), out / "bench.json")
-    wrote([*pictures, out / "bench.json"])
+        draw_records(f"Run time against error: {SCENES.get(name, name)}", found, LOADED, pictures[-1])
+        for judged in (LOADED, WORST):
+            tables[f"{name}: fastest at or below an {judged}"] = goal_rows(found, judged, GOALS)
+    every = {"Run time against error": [one.cells for one in everything]}
+    report(every | tables, out / "bench.json", measured_on(PACKAGES) | asdict(settings), pictures)
 
 
 if __name__ == "__main__":

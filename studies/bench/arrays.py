@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
@@ -21,11 +21,10 @@ from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
 from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
-from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
+from studies.bench.harness import Contender, Found, Settings, run_contenders
 from studies.bench.reference import stored_references
-from tripillar.terminal.console import wrote
+from studies.tables import measured_on, report
 from tripillar.terminal.entry import run_alone
-from tripillar.terminal.tables import show
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
 REFERRED = (6, SAME)  #: units a side and modulus of the response that has references
@@ -122,17 +121,16 @@ CONTENDERS = [
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/arrays.json"),
-    only: Annotated[str, typer.Option(help="Cases whose name holds this.")] = "",
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/arrays.json"),
+    only: Annotated[str, Parameter(help="Cases whose name holds this.")] = "",
 ) -> None:
     """Measure every response once, with two threads; the setting is the number of units a side."""
     records, settings = [], Settings(runs=1, patience_s=3600.0)
     for case in (SAME, SOFT):
         chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
         records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings)
-    show(record_table("Array responses by units a side, everything included, nothing cached", records))
-    write_records(records, measured_on(("numpy", "scipy", "scikit-fem")), out)
-    wrote([out])
+    title = "Array responses by units a side, everything included, nothing cached"
+    report({title: [one.cells for one in records]}, out, measured_on(("numpy", "scipy", "scikit-fem")))
 
 
 if __name__ == "__main__":

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from geometry.storage.files import write_json
 from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
 from hardware.boards.virtual_board import VirtualBoard, a_frame
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
@@ -27,11 +26,10 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.forces import ForceReader, LiveSensor
 from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
+from studies.tables import measured_on, report
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import wrote
 from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
-from tripillar.terminal.tables import plain_table, show
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
@@ -149,8 +147,8 @@ def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/hardware.json"),
-    seconds: Annotated[float, typer.Option(help="Time of each live measurement [s].")] = 20.0,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/hardware.json"),
+    seconds: Annotated[float, Parameter(help="Time of each live measurement [s].")] = 20.0,
 ) -> None:
     """Measure crosstalk and its correction, recorded frames to forces, live scans to forces."""
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):
@@ -169,10 +167,7 @@ def bench(
             "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in ScanMode],
             "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
         }
-    for name, rows in found.items():
-        show(plain_table(TITLES[name], rows))
-    write_json(found, out)
-    wrote([out])
+    report({TITLES[name]: rows for name, rows in found.items()}, out, measured_on(("numpy", "torch")))
 
 
 if __name__ == "__main__":

@@ -6,31 +6,26 @@ gives a `Found`. ``python -m studies.bench.harness MODULE JSON`` does that in th
 
 import json
 import os
-import platform
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from itertools import cycle
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
-from geometry.storage.files import write_json
 from studies.charts import FAMILIES, SERIES, finish, new_figure
 from tripillar.sweep.memory import peak_mib
-from tripillar.terminal.console import say
+from tripillar.terminal.entry import say
 
 MARKERS = "osD^vP*X<>"
-NOT_REACHED = "–"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +64,6 @@ class Record(Found):
     setting: Any
     failure: str = ""
     seconds: float = float("nan")  #: run time, or processor time if that was asked for; imports left out
-    spread: float = 1.0  #: slowest over fastest run
     peak_mib: float = float("nan")  #: resident memory, of the largest run
 
     def seconds_to(self, judged: str, error: float) -> float | None:
@@ -77,6 +71,16 @@ class Record(Found):
         if self.trace:
             return next((seconds for seconds, reached in self.trace if reached <= error), None)
         return self.seconds if self.errors.get(judged, np.inf) <= error else None
+
+    @property
+    def cells(self) -> dict[str, Any]:
+        """Its row of a table."""
+        setting = "" if self.setting is None else self.setting
+        named = {"case": self.case, "contender": self.contender, "setting": setting}
+        if self.failure:
+            return named | {"failure": self.failure}
+        cost = {"seconds": self.seconds, "size": self.size, "peak MiB": self.peak_mib}
+        return named | self.errors | cost | self.notes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +92,13 @@ class Settings:
     threads: int = 2
     patience_s: float = 120.0  #: a run that takes longer is stopped, and finer settings are not tried
     by_processor: bool = False  #: judge by processor time, on one thread: for a machine that others use too
-    enough: float = 0.0  #: finer settings are not tried either once the worst error is below this
     own_cache: bool = True  #: every run begins with an empty cache
 
 
 def run_contenders(
     module: str, name: str, case: Any, contenders: Iterable[Contender], settings: Settings
 ) -> list[Record]:
-    """Measure every contender that is installed, coarse to fine until it is accurate enough or too slow.
+    """Measure every contender that is installed, coarse to fine until it fails or is too slow.
 
     `name` stands for the case in the table; `case` and the settings of contenders are handed on as JSON.
     """
@@ -108,7 +111,7 @@ def run_contenders(
             record = _measured(module, name, case, one, setting, settings)
             found.append(record)
             say(described(record))
-            if record.failure or max(record.errors.values(), default=np.inf) < settings.enough:
+            if record.failure:
                 break
     return found
 
@@ -129,7 +132,6 @@ def _measured(module: str, name: str, case: Any, one: Contender, setting: Any, s
     return Record(
         **labels,
         seconds=median(times),
-        spread=max(times) / max(min(times), 1e-9),
         peak_mib=max(run["peak_mib"] for run in runs),
         **{one.name: middle[one.name] for one in fields(Found)},
     )
@@ -165,129 +167,45 @@ def described(record: Record) -> str:
     return f"{head}: {record.seconds:.3g} s, error {worst:.1e}, {record.peak_mib:.0f} MiB"
 
 
-def write_records(records: Iterable[Record], about: Mapping[str, Any], path: Path) -> None:
-    """Write every record with what it was made on as JSON; null stands for what is no number."""
-    rows = [
-        {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in asdict(record).items()}
-        for record in records
-    ]
-    write_json({"about": about, "measurements": rows}, path)
+def goal_rows(records: Sequence[Record], judged: str, goals: Iterable[float]) -> list[dict[str, Any]]:
+    """Seconds of the fastest of each family to each error; None where it was not reached."""
+    rows = []
+    for family in dict.fromkeys(one.family for one in records):
+        row: dict[str, Any] = {"family": family}
+        for goal in goals:
+            times = [one.seconds_to(judged, goal) for one in records if one.family == family and not one.failure]
+            row[f"to {goal:g} [s]"] = min((time for time in times if time is not None), default=None)
+        rows.append(row)
+    return rows
 
 
-def measured_on(packages: Iterable[str]) -> dict[str, object]:
-    """Machine and versions, without which times mean little."""
-    found: dict[str, object] = {
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-    }
-    for package in packages:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
-
-
-def record_table(title: str, records: Sequence[Record], caption: str = "") -> Table:
-    """Every contender at every setting: errors, time, size, memory and notes."""
-    errors = list(dict.fromkeys(name for one in records for name in one.errors))
-    notes = list(dict.fromkeys(name for one in records for name in one.notes))
-    table = Table(title=title, caption=caption or None)
-    table.add_column("contender")
-    for header in ("setting", *errors, "seconds", "size", "peak MiB", *notes):
-        table.add_column(escape(header), justify="right")
-    last = None
-    for one in records:
-        name = one.contender if one.contender != last else ""
-        last = one.contender
-        setting = "" if one.setting is None else _shown(one.setting)
-        if one.failure:
-            table.add_row(name, setting, one.failure)
-            continue
-        judged = (f"{one.errors[error]:.2e}" if error in one.errors else "" for error in errors)
-        noted = (_shown(one.notes.get(note, "")) for note in notes)
-        table.add_row(name, setting, *judged, f"{one.seconds:.3g}", f"{one.size:,}", f"{one.peak_mib:,.0f}", *noted)
-    return table
-
-
-def _shown(value: Any) -> str:
-    return NOT_REACHED if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def ratio_table(
-    title: str, records: Sequence[Record], columns: Mapping[str, Callable[[Record], float | None]], *against: str
-) -> Table:
-    """Seconds of the fastest of each family in every column, and how many times those of the families in `against`.
-
-    A training that does not get there took longer than its whole trace, and that is what is shown.
-    """
-    table = Table(title=title)
-    table.add_column("family")
-    families: dict[str, list[str]] = {one.family: [] for one in records}
-    traced = {one.family: one.trace[-1][0] for one in records if one.trace}
-    for header, seconds in columns.items():
-        table.add_column(header, justify="right")
-        fastest = fastest_by_family(records, seconds)
-        for family, cells in families.items():
-            others = [other for other in against if len(against) > 1 or other != family]
-            spent, over = fastest.get(family, traced.get(family)), "" if family in fastest else "> "
-            ratios = [over + _ratio(spent, fastest[other]) if other in fastest else NOT_REACHED for other in others]
-            times = [" / ".join(ratios)] if ratios else []
-            cells.append(NOT_REACHED if spent is None else ", ".join([f"{over}{spent:.3g} s", *times]))
-    for family, cells in families.items():
-        table.add_row(family, *cells)
-    return table
-
-
-def fastest_by_family(records: Iterable[Record], seconds: Callable[[Record], float | None]) -> dict[str, float]:
-    """The least time of each family that has one."""
-    best: dict[str, float] = {}
-    for one in records:
-        time = None if one.failure else seconds(one)
-        if time is not None:
-            best[one.family] = min(time, best.get(one.family, np.inf))
-    return best
-
-
-def _ratio(value: float | None, unit: float) -> str:
-    if value is None:
-        return NOT_REACHED
-    return f"{value / unit:,.0f}×" if value >= 10 * unit else f"{value / unit:.2g}×"
-
-
-def draw_records(title: str, records: Sequence[Record], errors: Sequence[str], path: Path) -> None:
-    """Write a PNG: run time against every error, and peak memory against the last; better answers to the right."""
-    figure = new_figure(5 * len(errors) + 7, 6)
-    *panels, memory = figure.subplots(1, len(errors) + 1)
-    number: dict[str, int] = {}
-    for name in dict.fromkeys(one.contender for one in records):
+def draw_records(title: str, records: Sequence[Record], judged: str, path: Path) -> None:
+    """Write a PNG: error against run time, a line a contender; lower and further left is better."""
+    figure = new_figure(8.5, 4.8)
+    axes = figure.subplots()
+    colours = {family: FAMILIES.get(family) for family in dict.fromkeys(one.family for one in records)}
+    spare = (colour for colour in SERIES if colour not in colours.values())
+    colours = {family: colour or next(spare) for family, colour in colours.items()}
+    for marker, name in zip(cycle(MARKERS), dict.fromkeys(one.contender for one in records), strict=False):
         mine = [one for one in records if one.contender == name and not one.failure]
         if not mine:
             continue
-        family = mine[0].family
-        number[family] = number.get(family, -1) + 1
-        colour = FAMILIES.get(family, SERIES[list(number).index(family) % len(SERIES)])
+        ours = name == "TriPillar"
         style: dict[str, Any] = {
-            "color": colour, "marker": MARKERS[number[family] % len(MARKERS)], "markersize": 5,
-            "linewidth": 3 if name == "TriPillar" else 1, "label": name,
+            "color": colours[mine[0].family], "linewidth": 2.5 if ours else 1.4, "markersize": 7 if ours else 5,
         }  # fmt: skip
-        for axes, error in zip(panels, errors, strict=True):
-            if mine[0].trace:
-                seconds, reached = zip(*mine[0].trace, strict=True)
-                lowest = np.minimum.accumulate(reached)
-                axes.plot(lowest, seconds, **style | {"marker": "", "linewidth": 1.5}, drawstyle="steps-pre")
-                axes.plot(lowest[-1], seconds[-1], **style | {"label": ""})
-            else:
-                axes.plot([one.errors[error] for one in mine], [one.seconds for one in mine], **style)
-        memory.plot([one.errors[errors[-1]] for one in mine], [one.peak_mib for one in mine], **style)
-    for axes, error in zip((*panels, memory), (*errors, errors[-1]), strict=True):
-        axes.set(xscale="log", yscale="log", xlabel=error, ylabel="run time [s]")
-        axes.invert_xaxis()
-    peaks = [one.peak_mib for one in records if not one.failure]
-    memory.set(ylabel="peak memory of the process [MiB]", yscale="log" if max(peaks) > 3 * min(peaks) else "linear")
-    figure.suptitle(f"{title}: run time without imports; further right and lower is better")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        if mine[0].trace:
+            seconds, reached = zip(*mine[0].trace, strict=True)
+            lowest = np.minimum.accumulate(reached)
+            axes.plot(seconds, lowest, drawstyle="steps-post", **style)
+            axes.plot(seconds[-1], lowest[-1], label=name, marker=marker, **style)
+        else:
+            points = [(one.seconds, one.errors[judged]) for one in mine]
+            axes.plot(*zip(*points, strict=True), label=name, marker=marker, **style)
+    axes.set(xscale="log", yscale="log", xlabel="run time, imports left out [s]", ylabel=judged)
+    axes.xaxis.set_minor_formatter("")
+    figure.suptitle(title, fontsize=11)
+    figure.legend(loc="outside right upper", fontsize=9, title="lower left is better", title_fontsize=9)
     finish(figure, path)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 
 from geometry.storage.files import write_text
 from studies.pictures.page import page_in_chromium
@@ -39,9 +39,9 @@ STEP = """async () => {
 
 
 def measure(
-    out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
-    width: Annotated[int, typer.Option(help="Size of the browser's window [px].")] = 1280,
-    height: Annotated[int, typer.Option(help="Size of the browser's window [px].")] = 800,
+    out: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
+    width: Annotated[int, Parameter(help="Size of the browser's window [px].")] = 1280,
+    height: Annotated[int, Parameter(help="Size of the browser's window [px].")] = 800,
 ) -> None:
     """Measure and print one JSON object."""
     load = os.getloadavg()[0]

@@ -1,18 +1,46 @@
-"""The scenes that benchmark and references share, by name."""
+"""The scenes that benchmark and references share, by name, and the form of an answer to one."""
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Probe, Scene, Sensor, Triple
 from geometry.design import Material, SensorDesign
-from geometry.layout import AXES, electrode_squares, pad_squares
+from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares
 
 TRACTIONS: dict[str, Triple] = {"normal": (0.0, 0.0, -1.0), "tangential": (0.2, 0.0, 0.0)}  #: [MPa]
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
+FINITE = "rubber-block"  #: the scene at finite strain
+#: its reference, by NGSolve on half of the block with Taylor-Hood hexahedra of third order; the code that made it, and
+#: that raced NGSolve and CalculiX at finite strain, is in the history of the repository
+FINITE_REFERENCE: dict[str, Any] = json.loads(
+    Path(__file__).with_name("finite_references.json").read_text(encoding="utf-8")
+)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A scene's probes, and what they took."""
+
+    probes: dict[str, FloatArray]  #: displacement of each probe, shape (3,) [mm]
+    unknowns: int
+    seconds: dict[str, float]  #: by step, without imports; their sum is the run time
+
+
+def is_linear(scene: Scene) -> bool:
+    """True at small strain."""
+    return scene.material.model == "linear"
+
+
+def is_homogeneous_block(scene: Scene) -> bool:
+    """True for an upright box of one linear material."""
+    return is_linear(scene) and not isinstance(scene.body, Sensor) and not scene.inclusions and scene.outline.is_upright
 
 
 def loaded(
@@ -126,6 +154,12 @@ def response_scenes(design: SensorDesign | None = None) -> dict[str, Scene]:
     return found
 
 
+def finite_scene() -> Scene:
+    """A dead traction on the middle of a block of neo-Hookean rubber."""
+    body, rubber = Block(size_mm=(15.0, 15.0, 10.0)), Material(model="neo-hookean")
+    return loaded(body, rubber, (7.5, 7.5), (6.0, 6.0), (0.2, 0.0, -1.0))
+
+
 def all_scenes() -> dict[str, Scene]:
-    """Every scene that is given a reference."""
+    """Every linear scene, each of which is given a reference."""
     return patch_scenes() | pillar_scenes() | slab_scenes() | response_scenes() | hard_scenes()

@@ -7,24 +7,31 @@ from time import perf_counter
 import numpy as np
 
 from fem.array.closed_forms import layer_mean_compliance, mean_compliance
+from fem.finite.solving import finite_boxes
 from fem.methods.solving import solve_scene
+from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
+from fem.system import System
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender, Found
-from studies.bench.peers import calculix, ngsolve_peer, scikit_fem
-from studies.bench.peers.grids import Solved, is_homogeneous_block
+from studies.bench.peers import felupe_peer, ngsolve_peer
 from studies.bench.reference import reference_probes
 from studies.bench.savings import solved_without
-from studies.bench.scenes import all_scenes
+from studies.bench.scenes import FINITE, Solved, all_scenes, finite_scene, is_homogeneous_block, is_linear
 
 LOADED, WORST = "error of the loaded probe", "error of the worst probe"
 TOLERANCES = (5e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 
 
+def scene_named(name: str) -> Scene:
+    """A scene of the benchmark, linear or not."""
+    return finite_scene() if name == FINITE else all_scenes()[name]
+
+
 def measure(contender: Contender, case: str, setting: float) -> Found:
     """Solve a scene once and hold its probes to the reference."""
-    solved: Solved = contender.solve(all_scenes()[case], setting)
+    solved: Solved = contender.solve(scene_named(case), setting)
     reference = reference_probes(case)
     errors = relative_errors({name: solved.probes[name] - u for name, u in reference.items()}, reference)
     judged = {LOADED: errors[next(iter(errors))], WORST: max(errors.values())}
@@ -38,6 +45,16 @@ def solve_to_tolerance(scene: Scene, tolerance: float, without: str = "") -> Sol
     seconds = dict(solution.seconds)
     seconds["other"] = perf_counter() - start - sum(seconds.values())
     return Solved(solution.probes, solution.unknowns, seconds)
+
+
+def by_felupe(scene: Scene, level: float) -> Solved:
+    """FElupe's Newton's method on one of our grids, the whole body."""
+    start = perf_counter()
+    body = RubberBody.of(finite_boxes(scene, int(level)), [scene.material])
+    system = System(body, scene.loads)
+    u = felupe_peer.felupe_displacements(body, list(scene.loads), system.rest(), steps=1)
+    probes = {probe.name: system.seen(probe, u) for probe in scene.probes}
+    return Solved(probes, system.n_unknowns, {"solve": perf_counter() - start})
 
 
 def solve_in_closed_form(scene: Scene, compliance: Callable[[FloatArray, FloatArray], FloatArray]) -> Solved:
@@ -64,23 +81,16 @@ def as_layer(scene: Scene, _: float) -> Solved:
 CONTENDERS = [
     Contender(name="TriPillar", family="TriPillar", solve=solve_to_tolerance, settings=TOLERANCES),
     Contender(
-        name="TriPillar, no symmetry used",
-        family="TriPillar",
-        solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, without="symmetry"),
-        settings=TOLERANCES,
-        covers=is_homogeneous_block,
-    ),
-    Contender(
-        name="TriPillar, Taylor-Hood tetrahedra",
-        family="contrast",
+        name="TriPillar, Taylor-Hood tetrahedra", family="contrast", settings=TOLERANCES[:4], covers=is_linear,
         solve=lambda scene, tolerance: solve_to_tolerance(scene, tolerance, without="hexahedra"),
-        settings=TOLERANCES[:4],
     ),
     *(
         Contender(name=name, family="closed form", solve=solve, settings=(0,), covers=is_homogeneous_block)
         for name, solve in (("half-space, closed form", as_halfspace), ("layer, closed form", as_layer))
     ),
-    *scikit_fem.CONTENDERS,
+    Contender(
+        name="FElupe on our first grid", family="FElupe", solve=by_felupe, settings=(1,), missing=felupe_peer.missing,
+        covers=lambda scene: not is_linear(scene), imports=("felupe",),
+    ),
     *ngsolve_peer.CONTENDERS,
-    *calculix.CONTENDERS,
-]
+]  # fmt: skip

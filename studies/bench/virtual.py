@@ -6,37 +6,33 @@ from time import perf_counter
 from typing import Annotated, Any
 
 import torch
-import typer
+from cyclopts import Parameter
 from torch import Tensor
 
+from dataset import DatasetSettings, simulate
 from decoupler import train
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Crossbar
 from hardware.virtual import VirtualSensor
-from studies.bench.harness import Contender, Found, Settings, measured_on, record_table, run_contenders, write_records
-from studies.bench.inference import exact_samples
-from tripillar.terminal.console import wrote
+from studies.bench.harness import Contender, Found, Settings, run_contenders
+from studies.tables import measured_on, report
 from tripillar.terminal.entry import run_alone
-from tripillar.terminal.tables import show
 
 ENVIRONMENTS, POINTS = 256, 4
 REPEATS = 15  #: of which the median counts
 WARM_UP = 3
+READ: dict[str, Any] = {"noise": 0.001, "gain_spread": 0.1}
 SENSORS: dict[str, dict[str, Any]] = {
-    "each pillar alone, noise, 12 bits, gains": {"bits": 12, "noise": 0.001, "gain_spread": 0.1},
-    "zero-potential crossbar, corrected, the same": {
-        "crossbar": Crossbar.suited(ScanMode.ZERO_POTENTIAL, bits=12),
-        "noise": 0.001,
-        "gain_spread": 0.1,
+    "each pillar alone, noise, 12 bits, gains": {"bits": 12, **READ},
+    **{
+        f"{mode.name.lower().replace('_', '-')} crossbar, corrected, the same": {
+            "crossbar": Crossbar.suited(mode, bits=12), **READ,
+        }
+        for mode in (ScanMode.ZERO_POTENTIAL, ScanMode.GROUNDED)
     },
-    "grounded crossbar, corrected, the same": {
-        "crossbar": Crossbar.suited(ScanMode.GROUNDED, bits=12),
-        "noise": 0.001,
-        "gain_spread": 0.1,
-    },
-}
+}  # fmt: skip
 CONTENDERS = [
     Contender(name=name, family="TriPillar", solve=lambda given=given: given, settings=("float64", "float32"))
     for name, given in SENSORS.items()
@@ -46,7 +42,7 @@ CONTENDERS = [
 def measure(contender: Contender, _: None, precision: str) -> Found:
     """Time 256 environments with four contacts each, without and with derivatives; error against double precision."""
     response, dtype = array_response(SensorDesign())[0], getattr(torch, precision)
-    model = train(exact_samples(response, "contact", 2000, 1))
+    model = train(simulate(response, DatasetSettings(protocol="contact", samples=2000, seed=1)).labels())
     generator = torch.Generator().manual_seed(0)
     points_mm = 80.0 * torch.rand(ENVIRONMENTS, POINTS, 2, generator=generator, dtype=torch.float64) - 40.0
     force_n = 50.0 * torch.rand(ENVIRONMENTS, POINTS, 3, generator=generator, dtype=torch.float64)
@@ -82,16 +78,15 @@ def _median_seconds(work: Any) -> float:
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="JSON file to write.")] = Path("out/bench/virtual.json"),
-    threads: Annotated[int, typer.Option(help="Threads of torch.")] = 1,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/virtual.json"),
+    threads: Annotated[int, Parameter(help="Threads of torch.")] = 1,
 ) -> None:
     """Time every readout in both precisions."""
     array_response(SensorDesign())  # into the cache
     settings = Settings(runs=1, threads=threads, own_cache=False)
     found = run_contenders("studies.bench.virtual", "sensors", None, CONTENDERS, settings)
-    show(record_table(f"{ENVIRONMENTS} environments, {POINTS} contacts each; seconds are those of one step", found))
-    write_records(found, measured_on(("numpy", "torch")), out)
-    wrote([out])
+    title = f"{ENVIRONMENTS} environments, {POINTS} contacts each; seconds are those of one step"
+    report({title: [one.cells for one in found]}, out, measured_on(("numpy", "torch")))
 
 
 if __name__ == "__main__":

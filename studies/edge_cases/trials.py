@@ -15,7 +15,6 @@ class Judged:
     error: float
     allowed: float  #: largest error that is right
     against: str  #: what the error is measured against
-    note: str = ""  #: put behind the verdict
     short_of: float | None = None  #: the tolerance, where the answer says itself that it misses it
 
 
@@ -58,8 +57,6 @@ def tried(trial: Trial) -> Finding:
         verdict = "right" if found.error <= found.allowed else "WRONG"  # NaN is WRONG
         if found.short_of is not None:
             verdict += f": as estimated, short of its tolerance {found.short_of:g}"
-        if found.note:
-            verdict += f": {found.note}"
         numbers = {name: getattr(found, name) for name in ("residual", "error", "allowed", "against")}
     except NotTriedError as error:
         verdict = f"not tried: {error}"

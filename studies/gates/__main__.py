@@ -19,16 +19,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 from rich.markup import escape
 from rich.table import Table
 
+from geometry.errors import DesignError
 from geometry.storage.files import replacing, write_json
-from studies.bench.harness import measured_on
 from studies.gates.parts import PARTS
 from studies.gates.rows import Row, in_own_process, verdict
-from tripillar.terminal.console import say
-from tripillar.terminal.entry import run_alone
+from studies.tables import measured_on
+from tripillar.terminal.entry import run_alone, say
 from tripillar.terminal.tables import show
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -126,16 +126,16 @@ def compared(part: str, kept: dict[str, Row], now: dict[str, Row]) -> tuple[Tabl
 
 
 def gates(
-    write_to: Annotated[Path | None, typer.Option("--write", help="File to keep answers in; other parts stay.")] = None,
-    against: Annotated[Path | None, typer.Option(help="File of answers to compare with.")] = None,
-    part: Annotated[list[str] | None, typer.Option(help="Part to answer; may be given again.")] = None,
+    write_to: Annotated[Path | None, Parameter(name="--write", help="File to keep answers in; others stay.")] = None,
+    against: Annotated[Path | None, Parameter(help="File of answers to compare with.")] = None,
+    part: Annotated[list[str] | None, Parameter(help="Part to answer; may be given again.")] = None,
 ) -> None:
     """Answer every part, keep the answers, compare them with those kept before."""
     for name in part or []:
         if name not in PARTS:
-            raise typer.BadParameter(f"no part '{name}'; there are {', '.join(PARTS)}")
+            raise DesignError(f"no part '{name}'; there are {', '.join(PARTS)}")
     if write_to is None and against is None:
-        raise typer.BadParameter("nothing to do: give --write FILE or --against FILE")
+        raise DesignError("nothing to do: give --write FILE or --against FILE")
     kept = read(against)[1] if against else {}
     about, answers = read(write_to) if write_to else ({}, {})
     holds = True
@@ -152,7 +152,7 @@ def gates(
             show(table)
             holds &= agrees
     if not holds:
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 def commit() -> str:

@@ -1,6 +1,5 @@
 """The parts: each gives names of answers and how each is found."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,8 +13,8 @@ from dataset.resistance import conducted_lengths
 from fem import ResponseSettings, Scene, array_response, read_scene, solve_response
 from fem.scene.loads import FollowerLoad
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign
-from studies.bench.reference import stored_references
-from studies.bench.scenes import all_scenes
+from studies.bench.reference import reference_probes, stored_references
+from studies.bench.scenes import FINITE, FINITE_REFERENCE, all_scenes, finite_scene
 from studies.gates import scenes
 from studies.gates.rows import Row, Values, scene_row, spent
 
@@ -123,12 +122,10 @@ def group(name: str, design: SensorDesign, settings: DatasetSettings) -> list[Ro
 
 def finite_scenes(_: Kept) -> Jobs:
     """Scenes at finite strain: a plate, a dead load that NGSolve has solved, a pressure, a slender pillar."""
-    from studies.bench.finite import REFERENCES, SCENE
     from studies.edge_cases.finite import CENTER, SIZE, pressed_block
 
     def dead() -> Row:
-        entry = json.loads(REFERENCES.read_text(encoding="utf-8"))
-        return scene_row(SCENE, 1e-2).held_to({"patch": entry["patch_mm"]["ours"]}, entry["uncertainty"])
+        return scene_row(finite_scene(), 1e-2).held_to(reference_probes(FINITE), FINITE_REFERENCE["uncertainty"])
 
     pressure = pressed_block(FollowerLoad(center_mm=CENTER, size_mm=SIZE, pressure_mpa=3.0), tolerance=2e-2)
     yield "plate", partial(scene_row, read_scene(SCENES / "plate-finite-strain.toml"))

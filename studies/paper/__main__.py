@@ -3,11 +3,12 @@
 import shutil
 from dataclasses import asdict
 from functools import partial
+from json import dumps
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 from rich.console import Console
 from rich.markdown import Markdown
 
@@ -19,17 +20,9 @@ from studies.paper.experiments import Experiments, cache_key_of, run_experiments
 from studies.paper.report import Computed, as_html, as_markdown
 from studies.paper.results import Results, kept
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
+from tripillar.face.inputs import design_of
 from tripillar.pipeline.run import respond
-from tripillar.terminal.console import (
-    DesignOption,
-    JsonOption,
-    VerbosityOption,
-    chosen,
-    progress_bars,
-    show_json,
-    wrote,
-)
-from tripillar.terminal.entry import run_alone
+from tripillar.terminal.entry import run_alone, wrote
 from tripillar.terminal.progress import Bars
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
@@ -40,28 +33,28 @@ PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 
 
 def write_report(
-    out: Annotated[Path, typer.Option(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
-    docs: Annotated[Path | None, typer.Option(help="Also put Markdown and pictures into this folder.")] = None,
-    design_file: DesignOption = None,
-    json: JsonOption = False,
-    verbosity: VerbosityOption = None,
+    out: Annotated[Path, Parameter(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
+    docs: Annotated[Path | None, Parameter(help="Also put Markdown and pictures into this folder.")] = None,
+    design: Annotated[Path | None, Parameter(help="Design file (TOML); default: the paper's sensor.")] = None,
+    json: Annotated[bool, Parameter(help="Print the result as one JSON object on stdout.")] = False,
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), help="Print no progress.")] = False,
 ) -> None:
     """Write the report; what was computed before from the same settings is reused."""
-    sensor = chosen(design_file)
+    sensor = design_of(design)
     if min(sensor.array.rows, sensor.array.cols) < MIN_UNITS:
         raise DesignError(
             f"{sensor.array.rows} × {sensor.array.cols} units have no inside far from a load: the report needs "
             f"{MIN_UNITS} × {MIN_UNITS} or more; it takes the paper's 6 × 6 unless told otherwise."
         )
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is refused now, not minutes later
-    with progress_bars(verbosity) as bars:
+    with Bars(quiet=quiet) as bars:
         _, response = respond(sensor, bars)
-        design, asked, experiments = response.design, Asked(), Experiments()
+        solved, asked, experiments = response.design, Asked(), Experiments()
         steps = 2 * len(asked.pitches_mm) + len(asked.wider_mm)
         advance = bars.begin("spacing", total=steps)
         spacing, new = kept(
-            out / SPACING, spacing_cache_key(design, asked), Spacing,
-            lambda: study_spacing(design, asked, lambda step: advance(1, step)),
+            out / SPACING, spacing_cache_key(solved, asked), Spacing,
+            lambda: study_spacing(solved, asked, lambda step: advance(1, step)),
         )  # fmt: skip
         if not new:
             advance(steps, AGAIN)
@@ -84,7 +77,8 @@ def write_report(
                 shutil.copyfile(out / name, temporary)
             files.append(docs / name)
     if json:
-        show_json({name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")})
+        parts = {name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")}
+        print(dumps(parts, indent=2))
     else:
         console = Console()
         (console if console.is_terminal else Console(width=PLAIN_COLUMNS)).print(Markdown(text))

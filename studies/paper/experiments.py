@@ -12,7 +12,7 @@ import numpy as np
 from dataset import Samples
 from dataset.resistance import pillar_strains
 from dataset.simulation import DatasetSettings, LoadError, dataset_cache_key, simulate
-from decoupler.data.columns import component_named, force_columns
+from decoupler.data.columns import Columns, component_named, force_columns
 from decoupler.evaluation.crossval import Fold, Job, fold, jobs_of, split_folds
 from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
@@ -206,7 +206,7 @@ def marks(asked: Experiments, kinds: Kinds) -> Iterator[Result]:
         forces[LINEAR] = np.empty_like(forces[HOOKE])
         for part in split_folds(size, asked.folds, TrainingConfig().seed):
             others = np.setdiff1d(np.arange(size), part)
-            fitted = LeastSquares.fitted(data[others], component)
+            fitted = LeastSquares.fitted(Columns.of(data[others], component))
             forces[LINEAR][part] = fitted.forces(data.resistance_ohm[part])
         trial_of = partial(ResultKey, experiment=TABLE_2, loads=loads, component=name, cap=CAPS[0], samples=size)
         for network, found in forces.items():

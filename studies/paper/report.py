@@ -4,7 +4,6 @@ The template language is Jinja, which the documentation's generator needs anyway
 in the template, beside the words about them. Sentences there hold for any run; a verdict is a cell that compares.
 """
 
-import re
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,15 +19,14 @@ from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
 from geometry.layout import rest_lengths
 from geometry.storage.files import digest
-from studies.bench.harness import measured_on
 from studies.paper import experiments
 from studies.paper.deformation import CAP, Deformation, middle_unit
 from studies.paper.results import Results
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spacing
+from studies.tables import measured_on
 from tripillar.pipeline import printed
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
-LINEAR_PAGE = Path(__file__).parents[2] / "docs" / "physics.md"
 ALIKE = 2.0  #: ratio up to which two errors count as of one size
 VISIBLE = 5.0  #: relative error [%] from where a star leaves its circle in figure 11
 QUIET = 0.05  #: share of its own reading by which an undisturbed unit may change under a neighbour's load
@@ -71,16 +69,9 @@ def as_markdown(computed: Computed) -> str:
         networks=experiments.NETWORKS, HOOKE=HOOKE, LINEAR=LINEAR, loads=LOADS, rings=RINGS, pressed_n=PRESSED_N,
         ALIKE=ALIKE, VISIBLE=VISIBLE, QUIET=QUIET, cap=CAP, normal_mpa=NORMAL_MPA, tangential_mpa=TANGENTIAL_MPA,
         rest_mm=rest_lengths(design.unit), middle=middle_unit(design), design_hash=digest(design), error=error,
-        best_width=best_width, about=measured_on(PACKAGES), linear=conclusion(),
+        best_width=best_width, about=measured_on(PACKAGES),
         zip=zip, max=max, min=min, sum=sum, len=len, abs=abs,
     )  # fmt: skip
-
-
-def conclusion() -> str:
-    """The paragraph of docs/physics.md on what linear elasticity costs."""
-    found = re.search("<!-- conclusion -->\n(.*?)\n<!-- end -->", LINEAR_PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert found is not None, f"{LINEAR_PAGE.name} has no conclusion"
-    return found[1]
 
 
 def as_html(text: str, folder: Path, pictures: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 from PIL import Image
 
 from geometry.errors import DesignError
@@ -42,8 +42,8 @@ def sections(page: str) -> dict[str, list[str]]:
 
 
 def draw(
-    docs: Annotated[Path, typer.Argument(help="Folder of gallery.md, and of gallery/ with its pictures.")],
-    only: Annotated[list[str] | None, typer.Option(help="Names of the pictures to draw; default: all.")] = None,
+    docs: Annotated[Path, Parameter(help="Folder of gallery.md, and of gallery/ with its pictures.")],
+    only: Annotated[list[str] | None, Parameter(help="Names of the pictures to draw; default: all.")] = None,
 ) -> None:
     """Run the gallery's commands and keep their pictures."""
     known = sections((docs / "gallery.md").read_text(encoding="utf-8"))

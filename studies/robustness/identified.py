@@ -2,26 +2,22 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 from dataset import DatasetSettings, simulate
-from dataset.samples import joined
 from decoupler import Assessment, Decoupler, NetworkConfig, assess
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import array_response
-from geometry.storage.files import write_text
 from studies.robustness.truths import TRUTHS, Truth
 from tripillar.pipeline.manufactured import READ
 
 HIDDEN = 17  #: nodes of the design's own decoder
 TRAINED, TESTED = 2000, 100  #: samples
 COUNTS = (1, 3, 10, 50, 200)  #: pairs, the first of one set
-BEGIN, END = "<!-- table of truths and pairs: begin -->", "<!-- end -->"
 Triple = tuple[float, float, float]  #: of forces along x, y, z
 
 
@@ -31,6 +27,7 @@ class PairRow:
 
     truth: str
     protocol: str
+    size: str  #: of the array
     pairs: int  #: 0: the design's own decoder, untuned
     error_pct: Triple
     limit_pct: Triple  #: Bayes limit of the linear response of the sensor as made
@@ -58,6 +55,7 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
         return PairRow(
             truth=name,
             protocol=protocol,
+            size=f"{truth.made.array.rows} × {truth.made.array.cols}",
             pairs=count,
             error_pct=_triple(one.errors.full_scale_pct for one in found.values()),
             limit_pct=limit,
@@ -80,9 +78,10 @@ def own_decoder(truth: Truth, response: ArrayResponse, protocol: str) -> Decoupl
     """The decoder of the sensor as designed, trained on its samples, read with noise and converter."""
     from decoupler import train  # loads torch
 
-    data = simulate(response, DatasetSettings(protocol=protocol, samples=TRAINED, seed=1, **vars(READ))).labels()
     if truth.is_learned:
-        data = joined([data, truth.learned(protocol)])
+        data = truth.learned(protocol)  # displacements and all: nets of finite strain learn from them
+    else:
+        data = simulate(response, DatasetSettings(protocol=protocol, samples=TRAINED, seed=1, **vars(READ))).labels()
     return train(data, "all", NetworkConfig(hidden=HIDDEN, feature="inverse"), response=response)
 
 
@@ -92,28 +91,6 @@ def merged(old: list[dict[str, Any]], new: list[PairRow]) -> list[dict[str, Any]
     rows = [row for row in old if (row["truth"], row["protocol"]) not in fresh] + [asdict(row) for row in new]
     order = list(TRUTHS)
     return sorted(rows, key=lambda row: (order.index(row["truth"]), row["protocol"], row["pairs"]))
-
-
-def markdown(rows: list[dict[str, Any]]) -> str:
-    """The table for the docs."""
-    lines = [
-        "| truth | loads | pairs | error | Bayes limit | within 68 % | within 95 % |",
-        "| --- | --- | ---: | --- | --- | --- | --- |",
-    ]
-    for row in rows:
-        size = TRUTHS[row["truth"]].made.array
-        labels = (row["truth"], f"{row['protocol']}, {size.rows} × {size.cols}") if not row["pairs"] else ("", "")
-        shares = (" / ".join(f"{100 * share:.0f}" for share in row[name]) for name in ("within_68", "within_95"))
-        errors = (" / ".join(f"{value:.3g}" for value in row[name]) for name in ("error_pct", "limit_pct"))
-        lines.append(f"| {' | '.join([*labels, str(row['pairs'] or 'none'), *errors, *shares])} |")
-    return "\n".join(lines)
-
-
-def write_table(rows: list[dict[str, Any]], page: Path) -> None:
-    """Replace the table of a page, between `BEGIN` and `END`."""
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-    _, after = rest.split(END, 1)
-    write_text(f"{before}{BEGIN}\n\n{markdown(rows)}\n\n{END}{after}", page)
 
 
 def _triple(values: Iterable[float | None]) -> Triple:

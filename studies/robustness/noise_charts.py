@@ -39,7 +39,7 @@ def draw_readings(rows: list[ErrorRow], path: Path) -> None:
 def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write a PNG: error on every truth, the mean square of its three axes, against the number of pairs."""
     protocols = sorted({row["protocol"] for row in rows})
-    figure = new_figure(13, 5.5)
+    figure = new_figure(12, 6)
     panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
         chosen = [row for row in rows if row["protocol"] == protocol]
@@ -47,14 +47,16 @@ def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
             mine = [(row["pairs"] or NONE, np.sqrt(np.mean(np.square(row["error_pct"])))) for row in chosen]
             mine = [point for point, row in zip(mine, chosen, strict=True) if row["truth"] == truth]
             if mine:
-                axes.plot(*zip(*mine, strict=True), "o-", color=colour, label=truth)
+                axes.plot(*zip(*mine, strict=True), "o-", color=colour, label=TRUTHS[truth].said)
         axes.set(xscale="log", yscale="log", xlabel="measured pairs", title=f"{protocol} loads")
         counts = sorted({row["pairs"] for row in chosen})
         axes.set_xticks([count or NONE for count in counts], [str(count or "none") for count in counts])
         axes.minorticks_off()
-    panels[0].set_ylabel("error [% of full scale]")
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panels[0].set_ylabel("error, root mean square of fx, fy, fz [% of full scale]")
+    figure.suptitle("Error of a sensor that is not as designed, against pairs of known loads and readings")
     shown = {label: line for axes in panels for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(shown.values(), shown.keys(), loc="outside right upper", fontsize=9)
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=9)
     finish(figure, path)
 
 
@@ -77,9 +79,16 @@ def draw_dead(named: Sequence[Named], path: Path) -> None:
             axes.set(xticks=[], yticks=[])
             axes.set_title(one.case if not axis else "", fontsize=10)
             if one is named[0]:
-                axes.set_ylabel(f"{force}: array rows")
+                axes.set_ylabel(f"F{force[1]}, rows of the array")
+            if axis == len(COLOURS) - 1:
+                axes.set_xlabel("columns")
     figure.colorbar(shades, ax=panels, label="error over that of the healthy sensor", shrink=0.6)
-    figure.suptitle(f"{named[0].net} net; numbers: rose more than {ROSE:g}-fold; squares: named by untrusted()")
+    net = {"inverse": "the net that starts from the response", "root": "the net on √R"}[named[0].net]
+    figure.suptitle(
+        f"How much worse each force is read when a pillar or wire is dead, by {net}\n"
+        f"numbers: times the error, where it rose more than {ROSE:g}-fold; orange squares: forces that the model "
+        "itself calls untrusted"
+    )
     save(figure, path)
 
 

@@ -53,6 +53,12 @@ class ErrorRow:
         """Error over the limit."""
         return self.error_pct / self.limit_pct if self.limit_pct else None
 
+    @property
+    def cells(self) -> dict[str, Any]:
+        """Its row of a table; a ratio beyond the bar of the net that is to meet it says so."""
+        is_beyond = self.part == "noise" and self.net == "inverse" and self.ratio is not None and self.ratio > BAR
+        return asdict(self) | {"error / limit": self.ratio, f"above {BAR:g}": "yes" if is_beyond else ""}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Named:

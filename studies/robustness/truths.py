@@ -19,6 +19,7 @@ LEARNED = 300  #: samples at finite strain of the sensor as designed
 class Truth:
     """A sensor as it was meant and as it is; its readings have gains ± 10 %, offsets, noise and a converter."""
 
+    said: str  #: for pictures: what differs
     intended: SensorDesign
     made: SensorDesign
     is_finite: bool = False  #: measured at finite strain
@@ -49,10 +50,20 @@ _SMALL_CONDUCTING = replace(_SMALL_STIFF, electrics=_CONDUCTION)
 
 #: by name; 6 × 6 units at linear strain, 3 × 3 at finite strain
 TRUTHS = {
-    "spread": Truth(intended=_SOFT, made=as_made(_SOFT)),
-    "pads": Truth(intended=_SOFT, made=_STIFF),
-    "conduction": Truth(intended=_SOFT, made=replace(_SOFT, electrics=_CONDUCTION)),
-    "finite": Truth(intended=_SMALL_STIFF, made=_SMALL_STIFF, is_finite=True),
-    "finite-learned": Truth(intended=_SMALL_STIFF, made=_SMALL_STIFF, is_finite=True, is_learned=True),
-    "all": Truth(intended=_SMALL_SOFT, made=as_made(_SMALL_CONDUCTING), is_finite=True),
+    "spread": Truth(said="as made: geometry and rubber off by tolerances", intended=_SOFT, made=as_made(_SOFT)),
+    "pads": Truth(said="stiff pads where soft were meant", intended=_SOFT, made=_STIFF),
+    "conduction": Truth(
+        said="conduction where eq. 1 was meant", intended=_SOFT, made=replace(_SOFT, electrics=_CONDUCTION)
+    ),
+    "finite": Truth(
+        said="finite strain, read by a linear model", intended=_SMALL_STIFF, made=_SMALL_STIFF, is_finite=True
+    ),
+    "finite-learned": Truth(
+        said="finite strain, learned from 300 samples",
+        intended=_SMALL_STIFF,
+        made=_SMALL_STIFF,
+        is_finite=True,
+        is_learned=True,
+    ),
+    "all": Truth(said="all of these at once", intended=_SMALL_SOFT, made=as_made(_SMALL_CONDUCTING), is_finite=True),
 }

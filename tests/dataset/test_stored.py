@@ -7,6 +7,8 @@ import shutil
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dataset import DatasetSettings, in_memory, read_samples, simulate
 from dataset.leaves import HASHES, LEAF
@@ -160,14 +162,83 @@ def test_a_damaged_or_foreign_directory_is_refused_in_one_line(copy, data, tmp_p
     assert HASHES in text
 
 
-def test_a_directory_that_runs_programs_is_not_read(copy, monkeypatch):
-    """A codec of zarr's unpickles; ours are numbers."""
-    header = copy / "axis/.zarray"
-    plain = json.loads(header.read_text())
-    header.write_text(json.dumps({**plain, "filters": [{"id": "pickle", "protocol": 5}], "dtype": "|O"}))
+@pytest.mark.parametrize(
+    ("header", "change"),
+    [
+        (".zarray", '"filters": [{"id": "pickle"}], "dtype": "|O"'),
+        (".zarray", '"filters": [{"id": "pick\\u006ce", "name": "zlib"}], "dtype": "|O"'),
+        (".zarray", '"compressor": {"id": "json2"}'),
+        ("zarr.json", '"codecs": ["bytes", {"name": "numcodecs.pickle"}]'),
+        ("zarr.json", '"codecs": [{"name": "sharding_indexed", "configuration": {"codecs": ["own"]}}]'),
+    ],
+)
+def test_a_codec_that_could_run_programs_is_not_read(copy, monkeypatch, header, change):
+    """A codec of zarr's unpickles; only known ones of numbers and texts are read, however their names are spelled."""
+    path = copy / "axis" / header
+    plain = json.loads((copy / "axis/.zarray").read_text())
+    path.write_text(json.dumps(plain)[:-1] + f", {change}}}")
     monkeypatch.setattr(pickle, "loads", lambda *_: pytest.fail("unpickled"))
-    with pytest.raises(FileFormatError, match="holds pickles"):
+    with pytest.raises(FileFormatError, match="which is no codec of numbers"):
         read_samples(copy)
+
+
+@pytest.fixture(scope="module", params=["zarr", "nc"])
+def small(request, response, tmp_path_factory):
+    """A file of few samples, and what is read of it."""
+    asked = DatasetSettings(protocol="contact", samples=3, noise=1e-3, bits=12, dead_pillars=((1, 2, "y"),))
+    path = tmp_path_factory.mktemp("small") / f"small.{request.param}"
+    simulate(response, asked).only("length_mm").write(path)
+    return path, read_samples(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("length_mm/.zarray", b'"zarr_format": 2', b'"zarr_format": 6', "headers are damaged"),
+        ("length_mm/.zarray", b'"dtype"', b'"dtypf"', "headers are damaged"),
+        (".zattrs", b'"seed": 0', b'"seed": 1', "do not match 'header_hash'"),
+        ("force_n/.zattrs", b"leaf_hashes", b"leaf_hashew", None),
+        ("electrode/0", b"U\x00\x00\x001\x00\x00\x00", b"U\x00\x00\x001\x00\x00\x01", "headers are damaged"),
+    ],
+)
+def test_damage_that_no_json_or_codec_shows_is_refused(copy, name, old, new, said):
+    """A variable is not left out without a word; of forces without hashes the numbers themselves are read."""
+    content = (copy / name).read_bytes()
+    assert old in content
+    (copy / name).write_bytes(content.replace(old, new))
+    if said is None:
+        assert len(read_samples(copy)[:5]) == 5
+        return
+    with pytest.raises(FileFormatError, match=said):
+        read_samples(copy)
+
+
+@given(place=st.integers(0, 2**20), bit=st.integers(0, 7))
+@settings(max_examples=100, deadline=None, derandomize=True)
+def test_a_flipped_bit_is_refused_in_one_line_or_changes_nothing(small, place, bit):
+    """Wherever it is: in numbers, labels, headers, attributes, hashes."""
+    path, before = small
+    files = sorted(file for file in path.rglob("*") if file.is_file()) or [path]
+    place, number = divmod(place, len(files))
+    file = files[number]
+    byte = place % file.stat().st_size
+    content = file.read_bytes()
+    file.write_bytes(content[:byte] + bytes([content[byte] ^ 1 << bit]) + content[byte + 1 :])
+    told = ""
+    try:
+        after = read_samples(path)
+        read = after[:]
+    except FileFormatError as refused:
+        told = str(refused)
+    else:
+        assert read.variables == before.variables
+        assert all(np.array_equal(values, getattr(before[:], name)) for name, values in read.arrays().items())
+        assert (after.design, after.noise, after.bits) == (before.design, before.noise, before.bits)
+        assert np.array_equal(after.dead, before.dead)
+        assert before.made_from.items() <= after.made_from.items()
+    finally:
+        file.write_bytes(content)
+    assert "\n" not in told
 
 
 def test_only_a_data_set_is_replaced(copy, data, tmp_path):

@@ -54,7 +54,8 @@ def _length_error(model: Decoupler, ohms: FloatArray, whole: FloatArray, force_n
     forward = model.inverse.forward
     lengths, vectors = forward.lengths_of(ohms), forward.vectors(force_n)
     moved = 2.0 * (force_n**2 @ forward.influence**2)  # B and products; partial sums are smaller than the whole
-    along = 2.0 * vectors**2 + forward.rest_mm**2 + moved.reshape(len(ohms), 3, -1)[:, :, forward.top]
+    moved = moved.reshape(len(ohms), len(forward.rest_mm), -1)[:, :, forward.top]
+    along = 2.0 * vectors**2 + forward.rest_mm**2 + moved
     whole_error = _together(ohms, forward.offset_ohm, whole)
     measured = _together(0.5 * lengths * whole_error / whole, 0.5 * lengths, 0.5 * lengths, lengths)
     modelled = _together(np.sqrt(((vectors / lengths[:, None]) ** 2 * along).sum(axis=1)), 0.5 * lengths, lengths)

@@ -15,7 +15,7 @@ from decoupler import (
     evaluate,
     train,
 )
-from decoupler.data.columns import force_columns
+from decoupler.data.columns import Columns, force_columns
 from decoupler.evaluation.assessment import as_plain
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
@@ -43,7 +43,7 @@ def model():
 
 def test_holds_what_its_parts_say(model):
     found = assess(model, TEST, RESPONSE)
-    least = component_errors(LeastSquares.fitted(TRAIN, ALL).forces(TEST.resistance_ohm), TEST, ALL)
+    least = component_errors(LeastSquares.fitted(Columns.of(TRAIN, ALL)).forces(TEST.resistance_ohm), TEST, ALL)
     hooke = component_errors(hooke_forces(TEST.resistance_ohm, SENSOR, ALL), TEST, ALL)
     bound = cramer_rao(ForwardModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
     for axis, name in enumerate(("fx", "fy", "fz")):

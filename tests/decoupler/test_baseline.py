@@ -7,6 +7,7 @@ import pytest
 
 from dataset import Samples, pillar_lengths, pillar_resistances
 from decoupler import LeastSquares, component_named, hooke_forces
+from decoupler.data.columns import Columns
 from geometry import SensorDesign
 from geometry.layout import pillar_volumes
 from tests.decoupler.synthetic_sensor import labelled, sensor, split
@@ -48,11 +49,11 @@ def test_least_squares_is_exact_where_force_is_linear_in_root_resistance():
     force_n = np.zeros_like(data.force_n)
     force_n[..., 2] = (root @ generator.standard_normal((6, 6)) + 7.0).reshape(60, 2, 3)
     train, test = split(replace(data, force_n=force_n), 40)
-    forces = LeastSquares.fitted(train, component_named("fz")).forces(test.resistance_ohm)
+    forces = LeastSquares.fitted(Columns.of(train, component_named("fz"))).forces(test.resistance_ohm)
     np.testing.assert_allclose(forces[..., 0], test.force_n[..., 2], rtol=1e-8)  # of a matrix of condition 1e4
 
 
 def test_least_squares_takes_fewer_samples_than_unknowns():
     few: Samples = labelled(sensor(2, 3), "z", n_samples=3, seed=0)
-    forces = LeastSquares.fitted(few, component_named("fz")).forces(few.resistance_ohm)
+    forces = LeastSquares.fitted(Columns.of(few, component_named("fz"))).forces(few.resistance_ohm)
     np.testing.assert_allclose(forces[..., 0], few.force_n[..., 2], rtol=1e-9)

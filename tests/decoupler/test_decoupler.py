@@ -9,25 +9,11 @@ import torch
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, train
 from decoupler.training.network import Network
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 SENSOR = sensor(2, 3)
 DATA = labelled(SENSOR, "xyz", n_samples=101, seed=0)
 FEW = TrainingConfig(max_iterations=3)
-
-
-@pytest.mark.parametrize("feature", ["root", "inverse"])
-@pytest.mark.parametrize("net", ["plain", "skip"])
-@pytest.mark.parametrize(("component", "axes"), [("fz", "z"), ("all", "xyz")])
-def test_one_sample_gives_the_bits_of_the_batch(component, axes, net, feature):
-    data = labelled(SENSOR, axes, n_samples=101, seed=0)
-    network = NetworkConfig(hidden=7, net=net, feature=feature)
-    decoupler = train(data, component, network, FEW, response=response(SENSOR))
-    batch = decoupler.forces(data.resistance_ohm)
-    assert batch.shape == (101, 2, 3, 3 if component == "all" else 1)
-    for size in (1, 2, 7):
-        parts = [decoupler.forces(data.resistance_ohm[i : i + size]) for i in range(0, 101, size)]
-        np.testing.assert_array_equal(np.concatenate(parts), batch)
 
 
 @pytest.mark.parametrize("net", ["plain", "skip"])

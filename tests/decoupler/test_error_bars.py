@@ -19,32 +19,6 @@ def noisy(noise):
     return split(replace(EXACT, resistance_ohm=EXACT.resistance_ohm * (1 + noise * errors), noise=noise), 600)
 
 
-@pytest.mark.parametrize("feature", ["inverse", "root"])
-@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
-def test_coverage_of_unseen_samples(feature, noise):
-    """5400 errors, those of a sample alike: 68 % within four points, 95 % within two."""
-    training, test = noisy(noise)
-    model = train(training, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(), response=RESPONSE)
-    missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
-    one, two = model.half_widths(test.resistance_ohm)
-    assert np.mean(missed <= one) == pytest.approx(0.6827, abs=0.04)
-    assert np.mean(missed <= two) == pytest.approx(0.9545, abs=0.02)
-
-
-@pytest.mark.parametrize("feature", ["inverse", "root", "resistance"])
-@pytest.mark.parametrize("net", ["plain", "skip"])
-def test_derivatives_are_those_of_the_forces(feature, net):
-    """Differences over a millionth of the resistances, calibration included; 1e-6 of the largest is their own error."""
-    training, _ = noisy(1e-3)
-    config = NetworkConfig(hidden=6, feature=feature, net=net)
-    model = train(training, "all", config, TrainingConfig(max_iterations=3), response=RESPONSE)
-    R = model.columns(training.resistance_ohm[:2])
-    step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
-    differences = (model.outputs(R + step) - model.outputs(R - step)) / 2
-    found = np.einsum("nom,nm->no", model.derivatives(R), step)
-    np.testing.assert_allclose(found, differences, rtol=0, atol=1e-6 * np.abs(differences).max())
-
-
 def test_a_dead_pillar_is_masked_and_its_unit_named():
     training, test = noisy(0.0)
     dead = np.zeros((2, 3, 3), dtype=bool)

@@ -13,13 +13,10 @@ import pytest
 
 from decoupler import NetworkConfig, TrainingConfig, train, write_model
 from decoupler.export import export_model
-from decoupler.export.c_header import STRICT, compiled_forces, header_text
-from decoupler.export.checked import run_onnx
-from decoupler.export.onnx_file import onnx_model
+from decoupler.export.c_header import STRICT, header_text
 from decoupler.export.portable import ExportError, output_weights_n
 from geometry import DesignError
 from geometry.storage.files import digest
-from tests.decoupler.rounding import float_rounding_n
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tests.house import House
 
@@ -44,34 +41,10 @@ def trained(component: str, feature: str, net: str):
     return model, np.where(DEAD, np.nan, data.resistance_ohm[:20])
 
 
-def require_alike(model, scans):
-    """Require that both forms give the model's forces, for one scan as for many, but for rounding."""
-    for some in (scans, scans[:1]):
-        expected = model.forces(some)
-        for dtype in (np.float64, np.float32):
-            forms = [run_onnx(onnx_model(model, dtype).SerializeToString(), some, dtype)]
-            if CC is not None:
-                forms.append(compiled_forces(header_text(model, dtype), some, expected.shape[1:], dtype, CC))
-            for found in forms:
-                assert found.shape == expected.shape
-                if dtype is np.float64:
-                    assert np.abs(found - expected).max() < ROUNDING * np.abs(expected).max()
-                else:
-                    assert (np.abs(found - expected) < float_rounding_n(model, some)).all()
-
-
-@pytest.mark.parametrize("net", ["plain", "skip"])
-@pytest.mark.parametrize("feature", ["resistance", "root", "inverse"])
-@pytest.mark.parametrize("component", AXES)
-def test_both_forms_give_the_models_forces(component, feature, net):
-    require_alike(*trained(component, feature, net))
-
-
 def test_as_designed_and_nothing_dead():
     """Without gains, offsets and dead pillars the exported forms lack those steps, and still agree."""
     data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
     model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
-    require_alike(model, data.resistance_ohm)
     for name in ("ANY_DEAD", "CONVERTER", "STEPS"):
         assert f"#define TRIPILLAR_{name} 0\n" in header_text(model, np.float64)
 

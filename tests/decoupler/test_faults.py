@@ -9,7 +9,6 @@ from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.model.model_file import read_model, write_model
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -129,13 +128,3 @@ def test_another_gain_of_one_pillar_is_not_told(expected):
     ohms = readings(loads(WINDOW, 100))
     ohms[:, 1, 1, 0] *= 1.02
     assert expected.named(ohms) == ()
-
-
-def test_files_keep_what_faults_are_told_by(model, expected, tmp_path):
-    write_model(model, tmp_path / "model.safetensors")
-    again = FaultTest.of(read_model(tmp_path / "model.safetensors"))
-    ohms = readings(loads(WINDOW, 100))
-    stuck(ohms)
-    assert again is not None
-    assert again.named(ohms)[0] == expected.named(ohms)[0]
-    assert FaultTest.of(replace(model, usual=None)) is None

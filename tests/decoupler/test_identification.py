@@ -9,7 +9,6 @@ from dataset import DatasetSettings, Samples, simulate
 from dataset.measurement import ReadingError
 from decoupler import train
 from decoupler.data.pairs import Pairs
-from decoupler.model.model_file import read_model, write_model
 from decoupler.twin import identify
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import predicted, without_each
@@ -196,13 +195,3 @@ def test_a_pillar_that_was_not_read_is_left_out(response, sensitivities, made):
     assert np.array_equal(model.forces(broken), whole)
     off = np.sqrt(np.mean((whole - test.force_n) ** 2, axis=0))
     assert off[0, 0, 2] < 0.5 * off[1, 2, 2]
-
-
-def test_its_decoder_is_a_model_file_like_any(response, sensitivities, made, tmp_path):
-    model = identify(Pairs.of(measured(made, 5, 3)), response, sensitivities).decoder
-    write_model(model, tmp_path / "own.safetensors")
-    read = read_model(tmp_path / "own.safetensors")
-    test = measured(made, 5, 2)
-    assert np.array_equal(read.forces(test.resistance_ohm), model.forces(test.resistance_ohm))
-    for ours, theirs in zip(read.half_widths(test.resistance_ohm), model.half_widths(test.resistance_ohm), strict=True):
-        assert np.array_equal(ours, theirs)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, read_model, train, write_model
+from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.columns import Resting
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
-from tests.decoupler.test_export import require_alike
 
 SENSOR = sensor(2, 3)
 RNG = np.random.default_rng(0)
@@ -36,13 +35,3 @@ def test_only_where_most_of_a_scan_may_be_at_rest():
     np.testing.assert_array_equal(resting.settled(readings)[0], [1e4, 1e4, 1e4, 10500.0, 10007.0])
     np.testing.assert_array_equal(resting.settled(readings)[1], readings[1])
     assert Resting.read_with(np.full(5, 1e4), None) is None
-
-
-def test_model_file_and_exports_do_the_same(model, tmp_path):
-    write_model(model, tmp_path / "model.safetensors")
-    light = EXACT.resistance_ohm[:3].copy()
-    light[:, :, 1:] = measured(np.full_like(light[:, :, 1:], 1e4), 0.0, 12, RNG)
-    scans = np.concatenate([DATA.resistance_ohm[:3], light, measured(np.full((1, 2, 3, 3), 1e4), 0.0, 12, RNG)])
-    assert np.abs(model.forces(scans) - replace(model, resting=None).forces(scans))[3:].max() > 0.1
-    np.testing.assert_array_equal(read_model(tmp_path / "model.safetensors").forces(scans), model.forces(scans))
-    require_alike(model, scans)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from decoupler import (
+    Decoupler,
     LeastSquares,
     NetworkConfig,
     SampleError,
@@ -18,8 +19,8 @@ from decoupler import (
     pca_floor,
     train,
 )
-from decoupler.data.columns import force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.data.columns import Columns, force_columns
+from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.training import trainer
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -38,7 +39,7 @@ def test_second_order_trainers_reach_the_goal(trainer, net):
     outcome = decoupler.made_from["outcome"]
     assert outcome["reason"] == "goal"
     assert outcome["mse"] <= 1e-7
-    linear = component_errors(LeastSquares.fitted(TRAIN, FX).forces(TEST.resistance_ohm), TEST, FX)["fx"]
+    linear = component_errors(LeastSquares.fitted(Columns.of(TRAIN, FX)).forces(TEST.resistance_ohm), TEST, FX)["fx"]
     assert evaluate(decoupler, TEST)["fx"].rel_err < linear.rel_err / 4
 
 
@@ -217,14 +218,16 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     spread = 1.0 + 0.2 * np.random.default_rng(0).standard_normal(own.influence_mm_per_n.shape)
     other = replace(own, influence_mm_per_n=own.influence_mm_per_n * spread)
     network = NetworkConfig(hidden=4, feature="inverse")
-    columns, forces = pillar_columns(TRAIN.resistance_ohm, FX), force_columns(TRAIN.force_n, FX)
+    columns = Columns.of(TRAIN, FX)
     rest_ohm = ForwardModel.of(own, FX).at_rest_ohm()
     for given, by_calibration, most in ((own, 0.0, 1e-6), (other, 1e-2, 1e-3)):
-        untrained = trainer._untrained(TRAIN, FX, network, columns, forces, ForwardModel.of(given, FX))
-        assert np.abs(untrained.inverse.forward.at_rest_ohm() / rest_ohm - 1.0).max() >= by_calibration
-        light_ohm, light_n, n = trainer._light_samples_too(untrained, columns, forces, TRAIN)
-        at_rest = light_ohm[~light_n.any(axis=1)]
-        assert n == 30
+        forward = ForwardModel.of(given, FX).calibrated(columns)
+        assert np.abs(forward.at_rest_ohm() / rest_ohm - 1.0).max() >= by_calibration
+        inverse = ModelInverse.about(forward, columns.force_n, columns.readable, 0.0)
+        untrained = Decoupler.untrained(columns, network, SENSOR, inverse)
+        light = trainer._with_light_samples(untrained, columns)[len(columns) :]
+        at_rest = light.resistance_ohm[~light.force_n.any(axis=1)]
+        assert len(light) == 30
         assert len(at_rest) > 2
         assert np.abs(at_rest / rest_ohm - 1.0).max() < most
     model = train(TRAIN, "fx", network, response=other)
@@ -232,4 +235,4 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     missed_n = [one.forces(TEST.resistance_ohm) - TEST.force_n[..., :1] for one in (model, model.least_squares)]
     assert np.std(missed_n[0]) < 0.1 * np.std(missed_n[1])
     monkeypatch.setattr(trainer, "MAX_UNEXPLAINED", 1e-9)
-    assert trainer._light_samples_too(untrained, columns, forces, TRAIN)[2] == 0
+    assert trainer._with_light_samples(untrained, columns) is columns

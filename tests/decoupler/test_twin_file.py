@@ -1,9 +1,12 @@
 """Twins as files: read as written, refused in one line, and the samples that are drawn from them."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dataset import DatasetSettings, simulate
 from dataset.simulation import BLOCK
@@ -16,6 +19,7 @@ from geometry.design import Array, SensorDesign
 from geometry.design_file import read_design, write_design
 from geometry.errors import DesignError, FileFormatError
 from geometry.layout import pillar_volumes
+from geometry.storage.seal import BLANK, MARK, sealed
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, with_values
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=2))
@@ -109,10 +113,24 @@ def test_other_samples_are_of_another_sensor(folder, truth):
     ],
 )
 def test_a_twin_that_makes_no_sense_is_refused(folder, tmp_path, old, new, message):
-    text = (folder / "twin.toml").read_text(encoding="utf-8")
-    (tmp_path / "twin.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    text = (folder / "twin.toml").read_bytes().replace(old.encode(), new.encode(), 1)
+    changed = re.sub(MARK + b"[0-9a-f]{64}", BLANK, text)
+    (tmp_path / "twin.toml").write_bytes(b"".join(sealed(changed)))  # as if it had been written so
     with pytest.raises(DesignError, match=message):
         read_twin(tmp_path / "twin.toml")
+
+
+@settings(max_examples=60, deadline=None)
+@given(at=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), cut=st.booleans())
+def test_a_damaged_twin_is_refused(folder, at, bit, cut):
+    """A flipped bit anywhere, and a file that lost its end, but for its first line, which states the hash."""
+    whole = (folder / "twin.toml").read_bytes()
+    place = max(int(at * len(whole)), cut * (whole.index(b"\n") + 1))
+    other = whole[:place] if cut else whole[:place] + bytes([whole[place] ^ 1 << bit]) + whole[place + 1 :]
+    path = folder / "damaged.toml"
+    path.write_bytes(other)
+    with pytest.raises((DesignError, FileFormatError)):
+        read_twin(path)
 
 
 def test_another_decoder_is_refused(folder, tmp_path):

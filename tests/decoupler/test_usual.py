@@ -8,7 +8,6 @@ import pytest
 from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.model.model_file import read_model, write_model
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
@@ -71,11 +70,3 @@ def test_the_limit_is_the_quantile_of_correlated_errors():
         errors = draws @ np.linalg.cholesky(correlation).T
         # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
         assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)
-
-
-def test_files_keep_the_loads_and_old_ones_have_none(model, tmp_path):
-    write_model(model, tmp_path / "model.safetensors")
-    ohms = readings(loads(5, 3))
-    assert np.array_equal(read_model(tmp_path / "model.safetensors").chi2(ohms), model.chi2(ohms))
-    write_model(replace(model, usual=None), tmp_path / "old.safetensors")
-    assert read_model(tmp_path / "old.safetensors").load_test is None

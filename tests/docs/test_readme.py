@@ -75,7 +75,7 @@ def test_a_few_lines_read_a_board(tmp_path, shared_cache, monkeypatch):
     assert len([line for line in program.splitlines() if line]) <= 10
     monkeypatch.chdir(tmp_path)
     response, lines = tp.response(), []
-    tp.write(tp.train(tp.simulate(response, samples=300, noise=0.001, bits=10)), "model.safetensors")
+    tp.write(tp.train(tp.dataset(response, samples=300, noise=0.001, bits=10)), "model.safetensors")
     write_calibration(SensorCalibration.as_designed(6, 6), Path("own.json"))
 
     def printed(line):
@@ -83,7 +83,7 @@ def test_a_few_lines_read_a_board(tmp_path, shared_cache, monkeypatch):
         if len(lines) == 40:
             raise KeyboardInterrupt
 
-    with tp.simulated_board(response, period_s=0.2, link="board"), pytest.raises(KeyboardInterrupt):
+    with tp.board(response, chip="python", period_s=0.2, link="board"), pytest.raises(KeyboardInterrupt):
         exec(compile(program, "README.md", "exec"), {"print": printed})
     forces_n = [float(re.fullmatch(r"[\d.]+ s: Fz +(-?[\d.]+) ± [\d.]+ N", line)[1]) for line in lines]
     assert max(forces_n) > min(forces_n) + 20.0

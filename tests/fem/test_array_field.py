@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import MESH_DEGREE, DesignCell, functionals
+from fem.array.meshed import DesignCell, functionals
 from fem.array.solving import solve_response
 from fem.pictures.arrays import solve_array_field
-from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.design import Array, Material, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import upper_electrodes
 
@@ -55,13 +55,6 @@ def test_cells_move_as_one_body(field, state):
     assert np.abs(right[:, z == 0.0]).max() == 0.0
 
 
-def test_stress_under_the_pads_is_the_traction_on_them(field, state):
-    """Traction is natural: finite elements meet it in the mean, here within 1 % of the load, 0.4 % being measured."""
-    points, weights = square((0.0, 0.0), DESIGN.pad.size_mm, DESIGN.unit.height_mm)
-    stress = weights @ field.observe(points).stress_mpa(state)
-    assert np.abs(stress[:, [4, 3, 2]] - TRACTION).max() < 0.01 * np.abs(TRACTION).max()
-
-
 def test_every_section_carries_the_whole_load(field, state):
     points, weights = square((0.0, 0.0), DESIGN.array.pitch_mm, 0.0)
     total = TRACTION.sum(axis=0) * DESIGN.pad.size_mm**2
@@ -71,43 +64,14 @@ def test_every_section_carries_the_whole_load(field, state):
         assert np.abs(force - total).max() < 0.01 * np.abs(total).max()  # of stresses of a grid of level 2
 
 
-def test_a_wide_thin_slab_pressed_all_over_is_confined_in_its_middle():
-    """σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), u_z = −p z/(λ + 2μ), the rim being far."""
-    rubber = Material(young_mpa=6.1, poisson=0.3)
-    design = SensorDesign(
-        unit=Unit(height_mm=5.0, span_mm=5.0), array=Array(rows=3, cols=3, pitch_mm=34.0), pad=Pad(size_mm=34.0),
-        pillar_material=rubber, matrix_material=rubber,
-    )  # fmt: skip
-    field = solve_array_field(design)
-    state = field.state(np.tile([0.0, 0.0, -2.0], (9, 1)))
-    points = np.random.default_rng(1).uniform([-10, -10, 0.5], [10, 10, 5], (40, 3))
-    observer = field.observe(points)
-    lame, mu = rubber.lame_mpa
-    side = -2.0 * 0.3 / 0.7
-    stress, sunk = observer.stress_mpa(state)[4], observer.displacement_mm(state)[4]
-    # the rim, eight heights away, is felt by exp(−0.74 · 8) = 0.3 % at most
-    assert np.abs(stress - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 2e-3
-    expected = np.outer(points[:, 2], [0.0, 0.0, -2.0 / (lame + 2 * mu)])
-    assert np.abs(sunk - expected).max() < 1e-3 * np.abs(expected).max()
-
-
-def test_answers_add_up(field, state):
-    other = np.roll(TRACTION, 2, axis=0)
-    points, _ = square((1.0, 2.0), 3.0, 6.0)
-    observer = field.observe(points)
-    both = field.state(TRACTION + 2 * other)
-    alone = field.state(other)
-    for seen in (observer.displacement_mm, observer.stress_mpa):
-        assert np.allclose(seen(both), seen(state) + 2 * seen(alone), rtol=0, atol=1e-9)
-
-
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
     monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.array.meshed.MESH_DEGREE", 2)
     design = replace(DESIGN, array=Array(rows=1, cols=1), pillar_material=Material(young_mpa=12.0, poisson=0.45))
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
-    cell = DesignCell(design, functionals(design)).condensed(0, MESH_DEGREE)
+    cell = DesignCell(design, functionals(design)).condensed(0, 2)
     influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 9))
     expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(2, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):

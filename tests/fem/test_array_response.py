@@ -49,13 +49,12 @@ def test_a_response_is_found_again():
 
 
 def test_cells_in_the_middle_of_an_array_answer_like_the_endless_layer():
-    """The layer is exact far from the rim; 7 × 7 units leave 0.1 to 0.2 % of rim in the middle, cells 1 % as asked."""
-    design = SensorDesign(array=Array(rows=7, cols=7))
+    """The layer is exact far from the rim, which leaves little in the middle of 5 × 5 units; cells err by 1 %."""
+    design = SensorDesign(array=Array(rows=5, cols=5))
     cells = solve_response(design, ResponseSettings(tolerance=1e-2))
     layer = solve_response(design, ResponseSettings(method="layer"))
-    found, exact = (blocks(each)[2:5, 2:5, :, 3, 3] for each in (cells, layer))
-    misfit = np.linalg.norm(found - exact, axis=(2, 3)) / np.linalg.norm(exact, axis=(2, 3))
-    assert misfit.max() < 1.2e-2
+    found, exact = (blocks(each)[2, 2, :, 2, 2] for each in (cells, layer))
+    assert np.linalg.norm(found - exact) < 1.2e-2 * np.linalg.norm(exact)
 
 
 VARIED = {
@@ -68,12 +67,11 @@ VARIED = {
     "pillars 40 times as soft": {"pillar": 0.5, "matrix": 20.0},
     "softer matrix under stiff pads": {"matrix": 1.5, "pad": Pad(kind="stiff")},
 }
-LONG = ("pillars 40 times as soft", "softer matrix under stiff pads")
+SHORT = ("wide pitch", "stiff pads")  #: a second or two each; pillars of another rubber: `test_unit_check`
+VARIED = [pytest.param(value, id=key, marks=[pytest.mark.long] * (key not in SHORT)) for key, value in VARIED.items()]
 
 
-@pytest.mark.parametrize(
-    "varied", [pytest.param(value, id=key, marks=[pytest.mark.long] * (key in LONG)) for key, value in VARIED.items()]
-)
+@pytest.mark.parametrize("varied", VARIED)
 def test_estimates_cover_errors_over_designs(varied, shared_cache):
     """The coarsest cell against a finer stage, ports of degree 7, in every place of 2 × 2 units (1 × 2 of a softer
     matrix): no error above its estimate, no estimate idle."""
@@ -133,18 +131,6 @@ def test_unrolling_keeps_offsets_and_rims():
     assert np.array_equal(whole[7, 6, :, :, 6, 7], small[4, 3, :, :, 3, 4])  # at the last
     assert np.array_equal(whole[5, 3, :, :, 4, 4], small[3, 1, :, :, 2, 2])  # in the middle
     assert (whole[0, 0, :, :, 3, 0] == 0).all()  # beyond radius
-
-
-def test_pillars_of_another_rubber_are_solved_from_one_cell(shared_cache):
-    """A matrix ten times softer moves more, and one cell's answer carries to its neighbour."""
-    soft = replace(SMALL, matrix_material=Material(young_mpa=0.61))
-    cells = solve_response(soft, ResponseSettings(tolerance=0.2))
-    assert cells.method == "cells"
-    stiff = solve_response(SMALL, ResponseSettings(tolerance=2e-2))
-    own = [np.linalg.norm(blocks(each)[0, 0, :, 0, 0]) for each in (cells, stiff)]
-    assert 1.5 < own[0] / own[1] < 10
-    first, second = (np.linalg.norm(blocks(cells)[0, unit, :, 0, unit]) for unit in (0, 1))
-    assert abs(first - second) < 0.5 * first
 
 
 @pytest.mark.parametrize("wrong", [{"method": "magic"}, {"tolerance": 0.0}, {"tolerance": float("nan")}])

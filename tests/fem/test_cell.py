@@ -9,7 +9,7 @@ from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
 from fem.array.meshed import BoxCell
 from fem.factor import Factor, checked_solve
-from fem.mirrors import QUARTER, flipped_points, images, parities
+from fem.mirrors import QUARTER, parities
 from geometry.design import Material
 
 RUBBER = [Material()]
@@ -96,20 +96,6 @@ def test_the_inside_belongs_to_the_condensed_cell(plate):
     assert np.allclose(seen[n:], cell.compliance, rtol=0, atol=1e-12)
 
 
-def test_exchanging_x_and_y_twice_changes_nothing(cell):
-    """A square cell of square rectangles is its own exchange, but for which corner the second one lies in."""
-    swap = PORTS.exchanged
-    assert np.array_equal(swap[swap], np.arange(PORTS.n_modes * 3))
-    twice = cell.exchanged(np.arange(2)).exchanged(np.arange(2))
-    assert np.array_equal(twice.stiffness, cell.stiffness)
-    assert np.array_equal(twice.transfer, cell.transfer)
-    points = np.array([[HALF, 2.0, 3.0], [-1.0, -HALF, 5.0], [HALF, HALF, 10.0]])
-    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
-    here = PORTS.values(points) @ q.reshape(-1, 3)
-    there = PORTS.values(points[:, [1, 0, 2]]) @ q[swap].reshape(-1, 3)
-    assert np.allclose(there, here[:, [1, 0, 2]], rtol=0, atol=1e-14)
-
-
 def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
     assert np.array_equal(cell.stiffness, cell.stiffness.T)
     least = np.linalg.eigvalsh(cell.stiffness)[0]
@@ -117,24 +103,6 @@ def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
     assert cell.is_definite
     assert not replace(cell, stiffness=cell.stiffness - 1.01 * least * np.eye(len(cell.stiffness))).is_definite
     assert np.linalg.eigvalsh(cell.compliance).min() > 0
-
-
-def test_an_array_of_one_is_the_cell_but_for_what_its_side_faces_may_do(whole_cell):
-    """Polynomial side faces stiffen a cell, less and less as their degree rises: energy converges from below."""
-    pulls = means(whole_cell, RECTANGLES[:1])
-    rhs = whole_cell.gathered(pulls, (0, 0))
-    u, _ = checked_solve(Factor(whole_cell.matrix((0, 0)), definite=True, upper=True), rhs)
-    free = np.diag(rhs.T @ u)
-    missing = []
-    for degree in (2, 4, 6):
-        ports = PortModes(HALF, HEIGHT, degree, degree)
-        condensed = condense(whole_cell, ports, RECTANGLES[:1])
-        moved, _ = CoupledArray(condensed, 1, 1).moved(np.eye(3)[None])
-        assert np.allclose(moved[0], condensed.free_compliance, rtol=1e-10, atol=1e-16)
-        missing.append((free - np.diag(moved[0])) / free)
-    assert (np.array(missing) > 0).all()
-    assert (np.diff(missing, axis=0) < 0).all()
-    assert np.max(missing[-1]) < 0.01
 
 
 def test_two_coupled_cells_are_one_body_twice_as_long():
@@ -165,24 +133,6 @@ def test_lower_degrees_are_part_of_higher_ones(whole_cell):
     assert cut.ports == low.ports
     assert np.allclose(cut.stiffness, low.stiffness, rtol=0, atol=1e-11 * np.abs(low.stiffness).max())
     assert np.allclose(cut.transfer, low.transfer, rtol=0, atol=1e-11)
-
-
-def test_parities_share_out_every_mode():
-    """Every port displacement is the sum of its parts of each parity, and each part is its own mirror image."""
-    q = np.random.default_rng(0).normal(size=PORTS.n_modes * 3)
-    points = np.array([[HALF, 2.0, 3.0], [HALF, 6.0, 9.0], [1.0, HALF, 5.0], [HALF, HALF, 10.0]])
-    rest, columns = q.copy(), 0
-    for parity in parities(QUARTER):
-        expanded, share = PORTS.of_parity(parity)
-        part = expanded @ (share @ q)
-        assert np.allclose(share @ part, share @ q)
-        for flipped, signs in images(QUARTER, parity):
-            here, there = (PORTS.values(at) @ part.reshape(-1, 3) for at in (points, flipped_points(points, flipped)))
-            assert np.allclose(there, signs * here, rtol=0, atol=1e-13)
-        rest -= part
-        columns += expanded.shape[1]
-    assert np.abs(rest).max() < 1e-14
-    assert columns == len(q)
 
 
 def test_sides_that_all_move_by_ports_are_the_condensed_cell(whole_cell):

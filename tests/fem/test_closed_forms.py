@@ -78,23 +78,6 @@ def test_the_point_forces_satisfy_navier_s_equation(nu):
     assert navier_misfit(lambda p: point_compliance(p, material), POINTS, material).max() < 1e-6
 
 
-def test_equation_14_as_printed_is_no_solution():
-    """The paper's u_x, u_y and u_z, in its axes (z into the body), miss Navier's equation by their own size.
-
-    Its second term of u_x has a z too many, that of u_y a z for a y, and that of u_z the wrong sign, compared with the
-    normal column of `point_compliance`, which satisfies it.
-    """
-    nu = RUBBER.poisson
-
-    def printed(p):
-        x, y, z = p.T * np.array([[1.0], [1.0], [-1.0]])
-        r = np.sqrt(x**2 + y**2 + z**2)
-        u_x, u_y = np.array([x, y]) * z / r**3 - (1 - 2 * nu) * np.array([x * z, z]) / (r * (r + z))
-        return np.stack([u_x, u_y, -(z**2) / r**3 + 2 * (1 - nu) / r], axis=1)[..., None]
-
-    assert navier_misfit(printed, POINTS, RUBBER)[0] > 0.1
-
-
 TARGETS = np.array([[1.2, -1.0, 4.0, 3.0], LOAD, [5.0, 5.0, 7.0, 6.0], [2.0, 1.5, 3.0, 3.0], [0.0, 0.0, 0.5, 0.5]])
 
 
@@ -165,11 +148,11 @@ def test_the_response_holds_every_pair_of_electrode_and_pad(tmp_path):
 
 
 def test_a_large_array_takes_no_memory_to_speak_of():
-    """48 × 48 units have 764 MB of influence, and 95 × 95 offsets."""
-    influence = layer_response(SensorDesign(array=Array(rows=48, cols=48))).influence_mm_per_n
+    """24 × 24 units have 48 MB of influence, and 47 × 47 offsets."""
+    influence = layer_response(SensorDesign(array=Array(rows=24, cols=24))).influence_mm_per_n
     low, high = byte_bounds(influence)
-    assert influence.nbytes > 7e8
-    assert high - low < 2e6
+    assert influence.nbytes > 4e7
+    assert high - low < 5e5
     assert not influence.flags.writeable
 
 

@@ -49,7 +49,10 @@ def test_second_derivatives_are_those_of_whole_solves(coarse, piezo):
 def pressed(coarse):
     """A lone unit of conduction by one coarse mesh, its cell, and the motion of its electrodes."""
     design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
-    interior = design_interior(design, np.vstack([pad_squares(design), electrode_squares(design)]))
+    with pytest.MonkeyPatch.context() as patch:  # all that follows is of this one cell
+        patch.setattr("fem.array.meshed.GRID_LEVEL", 1)
+        patch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+        interior = design_interior(design, np.vstack([pad_squares(design), electrode_squares(design)]))
     seen = CoupledArray(interior.cell, 1, 1).seen(np.eye(interior.cell.stiffness.shape[0] + 3), range(3))[0][0, :, 0]
     electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
     influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)

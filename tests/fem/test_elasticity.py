@@ -4,11 +4,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, LinearForm, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
-from fem.factor import Factor, checked_solve, whole
+from fem.factor import Factor, whole
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from fem.tetrahedra.patch import PatchError, patch_integrals
 from geometry.design import Material
@@ -30,45 +29,6 @@ def solved_with(body: TaylorHood, prescribed: np.ndarray, forces: np.ndarray, kn
     x[~of_free] = Factor(K[~of_free][:, ~of_free].tocsr()).solve(rhs[~of_free, None])[:, 0]
     u[body.free] = x[: len(body.free)]
     return u
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.4999])
-def test_patch_test_on_distorted_tetrahedra(disordered_cube, nu):
-    """A linear field that vanishes on the base, u = a z, prescribed on the boundary, is found inside to 1e-10.
-
-    u = (a_x z, a_y z, a_z z) has constant stress, so every element that passes the patch test gives it exactly.
-    """
-    material, region = [Material(poisson=nu)], one_region(disordered_cube)
-    body = taylor_hood(disordered_cube, material, region)
-    x, y, z = body.basis.doflocs
-    exact = np.stack([0.02 * z, -0.01 * z, 0.03 * z]).T.ravel()
-    outside = (np.isin(x, (0.0, 10.0)) | np.isin(y, (0.0, 10.0)) | np.isin(z, (0.0, 10.0))).repeat(3)
-    u = solved_with(body, exact, np.zeros_like(exact), outside)
-    assert np.abs(u - exact).max() < 1e-10 * np.abs(exact).max()
-
-
-@pytest.mark.parametrize("walls", [True, False], ids=["oedometer", "bar"])
-def test_a_pressed_column_follows_hooke(walls):
-    """Under T on a base that slides: exact on any mesh, as its displacement is linear.
-
-    Between smooth walls it changes its height by T h / M, M = λ + 2μ; free at two of its sides by T h / E, and its
-    width by −ν T a / E.
-    """
-    mesh = box_mesh((2, 2, 5), (2.0, 2.0, 10.0), disorder=0.2)
-    lifted = MeshTet(mesh.p + np.array([[0.0], [0.0], [1.0]]), mesh.t)  # no point at z = 0, so nothing is clamped
-    material, T = Material(poisson=0.49), -0.5
-    lame, mu = material.lame_mpa
-    body = taylor_hood(lifted, [material], one_region(lifted))
-    assert len(body.free) == body.n_displacement
-    x, y, z = body.basis.doflocs - np.array([[0.0], [0.0], [1.0]])
-    along, across = (1 / (lame + 2 * mu), 0.0) if walls else np.array([1, -material.poisson]) / material.young_mpa
-    exact = T * np.stack([across * x, across * y, along * z]).T
-    ends = (0.0, 2.0) if walls else (0.0,)
-    known = np.stack([np.isin(x, ends), np.isin(y, ends), z == 0.0]).T  # planes that only slide
-    forces = np.zeros((body.basis.N, 3))
-    forces[:, 2] = T * patch_integrals(body.basis, np.array([[0.0, 0.0, 2.0, 2.0]])).toarray()[0]
-    u = solved_with(body, np.zeros(body.basis.N * 3), forces.ravel(), known.ravel()).reshape(-1, 3)
-    assert np.abs(u - exact).max() < 1e-11
 
 
 RECTANGLES = np.array([[0.0, 0.0, 10.0, 10.0], [1.3, 2.1, 4.7, 9.9], [4.9, 4.9, 5.1, 5.1], [0.0, 9.0, 10.0, 10.0]])
@@ -123,27 +83,10 @@ def _manufactured(nu: float, n: int) -> float:
     return float(np.sqrt((at_points**2 * quadrature.dx).sum()))
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.4999])
-def test_manufactured_solution_converges_at_the_right_rate(nu):
-    """L2 error falls as h³; coarse meshes must show at least a rate of 2.65."""
-    ratio = _manufactured(nu, 3) / _manufactured(nu, 5)
+def test_manufactured_solution_converges_at_the_right_rate():
+    """L2 error falls as h³, without locking near ν = 0.5; coarse meshes must show at least a rate of 2.65."""
+    ratio = _manufactured(0.4999, 3) / _manufactured(0.4999, 5)
     assert np.log(ratio) / np.log(5 / 3) > 2.65
-
-
-def _pressed_block(nu: float, n: int) -> float:
-    """Mean sinking [mm] of a 4 mm square in the middle of a 10 mm cube under 1 MPa."""
-    mesh = box_mesh((n, n, n), (10.0, 10.0, 10.0))
-    body = taylor_hood(mesh, [Material(poisson=nu)], one_region(mesh))
-    row = sp.kron(patch_integrals(body.basis, np.array([[3.0, 3.0, 7.0, 7.0]])), [[0.0, 0.0, 1.0]])
-    x, _ = checked_solve(Factor(body.matrix), body.loads(-row.T.toarray()))
-    return -float((row @ body.displacements(x))[0, 0] / 16.0)
-
-
-def test_the_mixed_form_does_not_lock():
-    """Locking is an error that grows as ν → 0.5 on a fixed mesh; the reference has half the edges."""
-    error = {nu: abs(_pressed_block(nu, 4) / _pressed_block(nu, 8) - 1) for nu in (0.3, 0.4999)}
-    assert error[0.4999] < 1.2 * error[0.3]
-    assert error[0.4999] < 0.06  # a mesh with 1.6 edges across the patch
 
 
 def test_the_matrix_equals_that_of_stock_forms(disordered_cube):

@@ -7,7 +7,7 @@ import pytest
 
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
-from fem.array.solving import ResponseSettings, array_response
+from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.potentials import unit_conductances
 from fem.finite import samples as finite_samples
 from fem.finite.samples import SampleSolver
@@ -35,9 +35,11 @@ def test_lengths_volumes_and_wires_are_those_of_four_pillars():
     assert crossings(1, 1, FOUR).tolist() == [[0, 0], [1, 0], [1, 1], [2, 1]]
 
 
-def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path):
+def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path, monkeypatch):
     """One rubber sees no pillars: common electrodes move as the paper's; U3 is U1 of the other unit turned by 180°."""
-    found, _, _ = array_response(replace(DESIGN, electrics=Electrics(model="conduction")), SETTINGS)
+    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)  # of conduction alone
+    monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+    found = solve_response(replace(DESIGN, electrics=Electrics(model="conduction")), SETTINGS)
     of_paper, _, _ = array_response(PAPERS, SETTINGS)
     influence = found.influence_mm_per_n
     assert influence.shape == (1, 2, 3, 3, 1, 2, 3)

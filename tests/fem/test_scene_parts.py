@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 from skfem import MeshTet
-from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
-from fem.boxes.boxes import VTK_PLACES, Boxes
 from fem.factor import Factor, checked_solve
 from fem.field import Field
 from fem.methods.plan import make_plan
@@ -31,20 +29,6 @@ BLOCK = Scene(
 MIDDLE = Probe(name="middle", kind="mean", center_mm=(0.0, 0.0), size_mm=(2.0, 2.0))
 
 
-def mean_on_top(part, centre, reach):
-    """Mean σ_zz of the points of the top face well inside a loaded square."""
-    near = np.abs(part.points_mm[:, :2] - centre).max(axis=1) < reach
-    return part.stress_mpa[near & (part.points_mm[:, 2] == part.points_mm[:, 2].max()), 2].mean()
-
-
-def test_the_stress_of_a_block_meets_its_load():
-    parts = solve_scene_parts(BLOCK, stress=True)
-    assert set(parts) == {"body"}
-    assert mean_on_top(parts["body"], [6.0, 6.0], 2.0) == pytest.approx(-1.0, rel=0.05)  # of points, not of an integral
-    far = np.linalg.norm(parts["body"].points_mm - [0.0, 0.0, 6.0], axis=1) < 0.5
-    assert np.abs(parts["body"].stress_mpa[far, 2]).max() < 0.05  # a free corner
-
-
 @pytest.mark.parametrize("planned", [make_plan, on_tetrahedra], ids=["boxes", "tetrahedra"])
 def test_fields_of_every_method_have_their_nodes_in_order(planned):
     """VTK finds the body's volume in the cells; shape functions at a node and probes give what is known there."""
@@ -65,14 +49,6 @@ def test_fields_of_every_method_have_their_nodes_in_order(planned):
     assert np.allclose(field.displacement_at(field.points_mm[some]), field.displacement_mm[some], atol=1e-12)
 
 
-def test_hexahedra_have_vtk_s_order_of_nodes():
-    """VTK itself says where its nodes lie."""
-    cell = vtkGenericCell()
-    cell.SetCellType(Boxes.cell_type)
-    places = np.array(cell.GetParametricCoords()[: 3 * cell.GetNumberOfPoints()]).reshape(-1, 3)
-    assert np.array_equal(2 * places, VTK_PLACES)
-
-
 def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
     """∫ div u q = ∫ p q/λ is one of its equations: projecting gives the unknown itself, to rounding."""
     mesh = MeshTet.init_tensor(*[np.linspace(0.0, 4.0, 4)] * 3)
@@ -85,24 +61,6 @@ def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
     field = Field(mesh=Elements.of_basis(body.basis, region), displacement_mm=u, material=rubbers)
     given = x[len(body.free) :]
     assert np.abs(field.mixed_pressure(u) - given).max() < 1e-9 * np.abs(given).max()
-
-
-def test_an_inclusion_is_a_part_of_its_own_with_a_stress_of_its_own():
-    """Stiffer than the block around it, it carries more."""
-    stiff = Inclusion(
-        base_mm=(6.0, 6.0, 0.0), top_mm=(6.0, 6.0, 6.0), section_mm=(3.0, 3.0), material=Material(young_mpa=61.0)
-    )
-    parts = solve_scene_parts(replace(BLOCK, inclusions=(stiff,)), stress=True)
-    assert set(parts) == {"inclusions", "matrix"}
-    inside, outside = (mean_on_middle(parts[name]) for name in ("inclusions", "matrix"))
-    assert inside < 2 * outside < 0
-    assert all(np.isfinite(part.stress_mpa).all() for part in parts.values())
-
-
-def mean_on_middle(part):
-    points = part.points_mm
-    near = (np.abs(points[:, :2] - 6.0).max(axis=1) < 2.5) & (np.abs(points[:, 2] - 3.0) < 1.5)
-    return part.stress_mpa[near, 2].mean()
 
 
 def test_a_sensor_s_scene_is_its_array_under_the_same_load(pair_field):
@@ -132,7 +90,7 @@ def test_a_sensor_at_finite_strain_moves_as_a_linear_one_under_small_loads():
     """Two ways to one picture: one grid of the whole slab, and superposition on a cell."""
     unit = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"))
     finite = pressed_sensor(replace(unit, pillar_material=FINITE, matrix_material=FINITE), "uniform", 1e-3)
-    parts = solve_scene_parts(finite, stress=False)
+    parts = solve_scene_parts(replace(finite, tolerance=5e-2), stress=False)
     array = solve_array_field(unit)
     linear = sensor_parts(array, array.state(np.array([[0.0, 0.0, -1e-3]])), stress=False)
     assert set(parts) == set(linear) == {"pillars", "matrix", "electrodes", "plates"}

@@ -107,23 +107,6 @@ def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     assert np.abs(found - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 1e-8  # rounding, times λ/μ = 5000 at ν = 0.4999
 
 
-def test_a_clamped_block_hands_its_load_down():
-    """Locking would show here: ν = 0.4999, base clamped. Mean σ_zz of every section is the load over the area."""
-    material = Material(young_mpa=6.1, poisson=0.4999)
-    lines = np.linspace(0.0, 10.0, 7)
-    boxes = Boxes.between([lines, lines, lines])
-    load = DeadLoad(center_mm=(5.0, 5.0), size_mm=(10.0, 10.0), traction_mpa=(0.0, 0.0, -1.0))
-    system = System(RubberBody.of(boxes, [material]), [load])
-    factor = Factor(system.matrix(system.rest_tangent()), definite=True, upper=True)
-    x, _ = checked_solve(factor, system.loads_on(system.rest()).reshape(-1, 1))
-    field = Field(mesh=boxes, displacement_mm=system.displaced(x)[0], material=[material])
-    t, w = np.polynomial.legendre.leggauss(24)
-    for z in (2.0, 5.0, 8.0):
-        points = np.array([[5 * a + 5, 5 * b + 5, z] for a in t for b in t])
-        zz = field.stress_at(points)[:, 2]
-        assert np.outer(w, w).ravel() @ zz / 4 == pytest.approx(-1.0, rel=0.02)  # the grid's own error, 1.7 mm a box
-
-
 def test_von_mises_and_pressure_of_what_is_known():
     shear = np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0])
     squeezed = np.array([-3.0, -3.0, -3.0, 0.0, 0.0, 0.0])

@@ -3,8 +3,10 @@
 import os
 import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from time import sleep
+from types import MappingProxyType
 
 from geometry.pool import open_pool
 from geometry.storage.journal import Journal
@@ -13,19 +15,25 @@ from tripillar.terminal import interrupts
 TASKS = 200
 
 
-def square(number: int, bad: str = "") -> int:
-    """The square of a number; number 3 does what is `bad`."""
+def sleep_with(memory: bytearray) -> None:
+    """Hold memory for a minute."""
+    sleep(60)
+    assert memory
+
+
+def square(number: int, bad: Mapping[int, str] = MappingProxyType({})) -> int:
+    """The square of a number; those in `bad` do what it says."""
     sleep(0.005)
-    if number == 3 and bad:
+    if number in bad:
         deeds = {
             "exits": lambda: os._exit(3),
             "killed": lambda: os.kill(os.getpid(), signal.SIGKILL),
             "hangs": lambda: sleep(60),
-            "grows": lambda: sleep(60 * bool(bytearray(2**30 // 2))),
+            "grows": lambda: sleep_with(bytearray(2**30 // 2)),
             "disk": lambda: (_ for _ in ()).throw(OSError(28, "No space left on device", "cell.npz")),
             "raises": lambda: {}["no such key"],
         }
-        deeds[bad]()
+        deeds[bad[number]]()
     return number**2
 
 

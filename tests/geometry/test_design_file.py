@@ -57,7 +57,7 @@ def designs(draw) -> SensorDesign:
     )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@settings(max_examples=30, deadline=None, derandomize=True, database=None)
 @given(designs())
 def test_every_design_comes_back_to_the_last_bit(design):
     text = design_to_toml(design)

@@ -82,31 +82,36 @@ def test_killed_workers_are_replaced_and_nobody_else_reaches_them(tmp_path, monk
     assert not list(tmp_path.glob(".scratch*"))
 
 
+DEADLY = {
+    "exits": "its worker ended by EXIT(3), the last of {tries}",
+    "killed": "its worker ended by SIGKILL, the last of 3",
+    "grows": "its worker took more than 0.4 GiB, the last of 2",
+    "hangs": "its worker took more than 1 s, the last of 2",
+}
+
+
 @pytest.mark.parametrize(
-    ("bad", "reason"),
-    [
-        ("exits", "its worker ended by EXIT(3), the last of 2"),
-        ("killed", "its worker ended by SIGKILL, the last of 3"),
-        ("hangs", "its worker took more than 1 s, the last of 2"),
-        ("grows", "its worker took more than 0.4 GiB, the last of 2"),
-    ],
+    ("bad", "limit_s", "tries"), [(("killed", "exits", "grows"), 60.0, 2), (("hangs",), 1.0, 2), (("exits",), 60.0, 1)]
 )
-def test_a_task_that_ends_every_worker_fails_and_the_others_go_on(tmp_path, monkeypatch, bad, reason):
-    for name, value in {"TRIES": 2, "KILLS": 3, "LIMIT_S": 1.0, "MEMORY_BYTES": int(0.4 * 2**30)}.items():
+def test_tasks_that_end_every_worker_fail_and_the_others_go_on(tmp_path, monkeypatch, bad, limit_s, tries):
+    """Each is blamed for what it does alone, though they are at work together."""
+    for name, value in {"TRIES": tries, "KILLS": 3, "LIMIT_S": limit_s, "MEMORY_BYTES": int(0.4 * 2**30)}.items():
         monkeypatch.setattr(pools, name, value)
+    numbered = dict(zip((3, 5, 6), bad, strict=False))
     with open_pool(2, log=tmp_path / "log") as pool:
-        found = dict(pool.done(square, range(6), bad))
-    failed = found.pop(3)
-    assert isinstance(failed, WorkerLost)
-    assert str(failed) == reason
-    assert found == {number: number**2 for number in range(6) if number != 3}
+        found = dict(pool.done(square, range(8), numbered))
+    for number, deed in numbered.items():
+        lost = found.pop(number)
+        assert isinstance(lost, WorkerLost)
+        assert str(lost) == DEADLY[deed].format(tries=tries)
+    assert found == {number: number**2 for number in range(8) if number not in numbered}
 
 
 def test_errors_are_results_but_a_full_disk_ends_all(tmp_path):
     with open_pool(1, log=tmp_path / "log") as pool:
-        assert repr(dict(pool.done(square, [3, 4], "raises"))) == "{3: KeyError('no such key'), 4: 16}"
+        assert repr(dict(pool.done(square, [3, 4], {3: "raises"}))) == "{3: KeyError('no such key'), 4: 16}"
         with pytest.raises(OSError, match="No space left"):
-            list(pool.done(square, range(5), "disk"))
+            list(pool.done(square, range(5), {3: "disk"}))
 
 
 def test_a_worker_computes_on_one_thread_and_one_task_needs_no_worker(monkeypatch):
@@ -114,7 +119,7 @@ def test_a_worker_computes_on_one_thread_and_one_task_needs_no_worker(monkeypatc
     assert in_parallel([(threads, 0), (threads, 1)], lambda number: None) == [{1}, {1}]
     assert in_parallel([(os.getpid,)], lambda number: None) == [os.getpid()]
     with pytest.raises(KeyError, match="no such key"):
-        in_parallel([(square, 3, "raises"), (square, 4)], lambda number: None)
+        in_parallel([(square, 3, {3: "raises"}), (square, 4)], lambda number: None)
 
 
 def test_a_job_that_does_not_get_on_says_so(monkeypatch, caplog):
@@ -143,7 +148,7 @@ def test_workers_of_a_scheduler_are_killed_and_a_bad_task_is_given_up(monkeypatc
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
         open_pool(scheduler=cluster.scheduler_address) as pool,
     ):
-        for task, made in pool.done(square, range(60), "exits"):
+        for task, made in pool.done(square, range(60), {3: "exits"}):
             found[task] = made
             if len(found) == 20:
                 os.kill(cluster.workers[0].pid, signal.SIGKILL)

@@ -67,8 +67,8 @@ def test_damaged_surfaces_are_refused(kind, says):
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
-def test_written_surface_passes_the_same_check_when_read(design, tmp_path, suffix):
-    solid = array_solid(design)
+def test_written_surface_passes_the_same_check_when_read(small_design, tmp_path, suffix):
+    solid = array_solid(small_design)
     write_surface(surface_from_solid(solid), tmp_path / f"array.{suffix}")
     check_surface(trimesh.load_mesh(tmp_path / f"array.{suffix}"), solid.volume, "array")
     assert [path.name for path in tmp_path.iterdir()] == [f"array.{suffix}"]

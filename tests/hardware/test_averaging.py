@@ -97,7 +97,7 @@ def test_the_pillar_that_moves_most_is_named():
     ohms = np.repeat(REST_OHM[None], N, axis=0)
     ohms[:, 2, 3, 1] *= np.linspace(1.0, 0.9, N)
     counts = counts_of(ohms, Crossbar(), np.random.default_rng(2))
-    with pytest.raises(FileFormatError, match=r"pillar x of row 2, col 3 changes by 9\.?\d* % within 2 s.* --force"):
+    with pytest.raises(FileFormatError, match=r"pillar x of row 2, col 3 changes by 9\.?\d* % within 2 s.* force=True"):
         require_still(counts, Crossbar(), RATE_HZ, 2.0)
 
 
@@ -115,5 +115,5 @@ def test_so_many_scans_are_enough_and_fewer_are_refused(rate_hz):
     ohms = REST_OHM * np.linspace(1.0, 0.9, n)[:, None, None, None]
     counts = crossbar.counts(ohms)
     assert movement(counts, crossbar, rate_hz)
-    with pytest.raises(FileFormatError, match=rf"{n - 1} scans within 2 s are too few .*: give --seconds \d"):
+    with pytest.raises(FileFormatError, match=rf"{n - 1} scans within 2 s are too few .*: give seconds=\d"):
         require_still(counts[1:], crossbar, rate_hz, 2.0)

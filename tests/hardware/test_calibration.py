@@ -85,7 +85,7 @@ def test_a_file_holds_all_of_it(tmp_path):
 )
 def test_what_is_no_calibration_is_refused(change, says):
     text = change if isinstance(change, str) else json.dumps(opened_json(a_calibration().to_json()) | change)
-    message = r"is no calibration .*: give a file made by 'tripillar calibrate'"
+    message = r"is no calibration .*: give a file made by 'tripillar tare'"
     with pytest.raises(FileFormatError, match=message) as refused:
         SensorCalibration.from_json(text)
     assert says in str(refused.value)

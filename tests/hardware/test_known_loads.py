@@ -119,7 +119,7 @@ def test_what_cannot_be_is_refused_unless_forced(told, acting, times, says):
     pairs = measured(told, acting, times)
     with pytest.raises(FileFormatError, match=says) as refused:
         fitted(pairs)
-    assert str(refused.value).endswith("Or write it as it is with --force.")
+    assert str(refused.value).endswith("Or write it as it is with force=True.")
     assert "\n" not in str(refused.value)
     fitted(pairs, force=True)
 

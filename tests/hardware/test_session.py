@@ -20,7 +20,7 @@ from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
 from tests.hardware.boards import INFO, ScriptedPort, a_wire, recording_from_resistances
 from tests.hardware.models import PillarModel
-from tripillar.cli.board.reading import other_counts
+from tripillar.face.boards import other_counts
 
 HEAD = encode(INFO)
 

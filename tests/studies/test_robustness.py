@@ -14,7 +14,7 @@ from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
 from studies.robustness import identified, study
-from studies.robustness.__main__ import numbers, robustness_table, write
+from studies.robustness.__main__ import write
 from studies.robustness.noise_charts import draw_pairs
 from studies.robustness.truths import TRUTHS, Truth
 from tests.studies.one_process import one_after_another
@@ -105,16 +105,15 @@ def test_table_json_and_pictures_are_written(found, tmp_path):
     assert stored["rows"][0]["ratio"] == pytest.approx(found.rows[0].ratio)
     pictures = sorted(path.name for path in tmp_path.glob("*.png"))
     assert pictures == [f"robustness-{name}.png" for name in ("dead-inverse", "dead-root", "readings")]
-    assert robustness_table(found).row_count == len(found.rows)
     row = study.ErrorRow(part="noise", case="noise 1%", net="inverse", force="fx", error_pct=1.2, limit_pct=1.0)
-    assert numbers(row)[3] == "1.20 > 1.15"  # beyond the bar of the net that is to meet it
-    assert numbers(replace(row, net="root"))[3] == "1.20"
+    assert row.cells["above 1.15"] == "yes"  # the bar of the net that is to meet it
+    assert replace(row, net="root").cells["above 1.15"] == ""
 
 
 def test_ten_pairs_mend_what_manufacturing_spoils(monkeypatch):
-    """A softer, higher 2 × 2 array under shifted pads; rows of a table that a later run replaces."""
+    """A softer, higher 2 × 2 array under shifted pads."""
     small = replace(SensorDesign(), array=Array(rows=2, cols=2))
-    spread = Truth(intended=small, made=as_made(small))
+    spread = Truth(said="", intended=small, made=as_made(small))
     monkeypatch.setitem(TRUTHS, "spread", spread)
     monkeypatch.setattr(identified, "COUNTS", (10,))
     monkeypatch.setattr(identified, "TRAINED", 300)
@@ -132,20 +131,12 @@ def test_a_part_of_the_table_of_truths_replaces_its_own_rows_alone(tmp_path):
     assert [(one["truth"], one["pairs"]) for one in old] == [("spread", 0), ("spread", 10), ("all", 0), ("all", 10)]
     new = identified.merged(old, [row("all", 0, error=9.0)])
     assert [one["error_pct"][0] for one in new] == [1.0, 1.0, 9.0]
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{identified.BEGIN}\nold\n{identified.END}\nafter\n", encoding="utf-8")
-    identified.write_table(new, page)
-    shown = page.read_text(encoding="utf-8")
-    assert shown.startswith("before\n")
-    assert shown.endswith("after\n")
-    assert "| all | contact, 3 × 3 | none | 9 / 1 / 1 |" in shown
-    assert "old" not in shown
     draw_pairs(new, tmp_path / "pairs.png")
     assert (tmp_path / "pairs.png").stat().st_size > 1000
 
 
 def row(truth: str, pairs: int, error: float = 1.0) -> identified.PairRow:
     return identified.PairRow(
-        truth=truth, protocol="contact", pairs=pairs, error_pct=(error, 1.0, 1.0), limit_pct=(1.0, 1.0, 1.0),
-        within_68=(0.7, 0.7, 0.7), within_95=(0.9, 0.9, 0.9), seconds=1.0,
+        truth=truth, protocol="contact", size="3 × 3", pairs=pairs, error_pct=(error, 1.0, 1.0),
+        limit_pct=(1.0, 1.0, 1.0), within_68=(0.7, 0.7, 0.7), within_95=(0.9, 0.9, 0.9), seconds=1.0,
     )  # fmt: skip

@@ -48,7 +48,7 @@ def house(tmp_path_factory):
 def simulating(house, *flags):
     """A simulated board of the small sensor; its port, kept on a link."""
     with subprocess.Popen(
-        house.command("simulate", "--design", "small.toml", "-q", "--json", *flags),
+        house.command("board", "--design", "small.toml", "-q", "--json", *flags),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -89,7 +89,7 @@ def test_info_says_what_the_board_is(house, port):
     expected = {"rows": 1, "cols": 2, "bits": 12, "scan_mode": "ZERO_POTENTIAL", "serial": 7, "sense_ohm": 4700}
     assert {name: told[name] for name in expected} == expected
     assert "serial      7" in house.tripillar("info", port).stdout
-    assert isinstance(house.result("ports")["ports"], list)
+    assert isinstance(house.result("info")["ports"], list)
 
 
 def test_live_gives_the_forces_that_act(house, port):
@@ -146,7 +146,7 @@ def test_record_and_replay(house, port):
     assert len(both.sequence) == both.statistics.ok == told["scans"] + more["scans"]
     assert both.statistics.bad_crc == both.statistics.lost == 0
     for suffix in (".nc", ".mcap") if find_spec("mcap") else (".nc",):
-        converted = house.result("convert", name, "-o", f"press{suffix}")
+        converted = house.result("export", name, "-o", f"press{suffix}")
         assert converted["frames"] == len(both.sequence)
         again = house.result("replay", f"press{suffix}", "--model", MODEL, "--out", f"forces{suffix}")
         assert again["frames"] == len(both.sequence)
@@ -163,7 +163,7 @@ def test_a_damaged_recording_says_where(house, port):
     whole = bytearray((house.folder / "hurt.frames").read_bytes())
     whole[len(whole) // 2] ^= 1
     (house.folder / "hurt.frames").write_bytes(whole)
-    done = house.tripillar("convert", "hurt.frames", "-o", "hurt.csv")
+    done = house.tripillar("export", "hurt.frames", "-o", "hurt.csv")
     assert done.returncode == 0
     assert done.stderr.startswith("warning: hurt.frames: damaged at byte ")
 
@@ -255,7 +255,8 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
             table.append(f"{k},0,{col},{','.join(map(str, force[0, col]))},{moment - 0.01},{moment + 0.01}")
     (house.folder / "loads.csv").write_text("\n".join(table))
     told = house.result(
-        "calibrate", "known.frames", "--loads", "loads.csv", "--design", "small.toml", "-o", "gains.json",
+        "identify", "--as-designed", "--port", "known.frames", "--loads", "loads.csv", "--design", "small.toml",
+        "-o", "gains.json",
         "--noise", "0.0005", "-q",
     )  # fmt: skip
     assert told["loads"] == 12
@@ -266,7 +267,7 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house):
     assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
 
 
-CALIBRATE = "calibrate", "--weights", "--design", "small.toml"
+CALIBRATE = "identify", "--as-designed", "--design", "small.toml", "--port"
 
 
 def test_nobody_at_the_sensor_calibrates_nothing(house, port, monkeypatch):
@@ -313,7 +314,7 @@ def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
 
 def test_bench_measures_the_link(house, port):
     for _ in range(5):  # until the machine does not stand still at the second's begin or end
-        told = house.result("bench", port, "--model", MODEL, "--seconds", "1")
+        told = house.result("info", port, "--model", MODEL, "--seconds", "1")
         if told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2):
             break
     assert told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2)  # two clocks
@@ -326,7 +327,7 @@ def test_bench_measures_a_recording_at_its_rate(house):
     """By the board's clock exactly, however busy the machine; by the host's within 0.3 s of delay in 1 s."""
     stream = recording_from_resistances(np.full((150, 1, 2, 3), 12e3), Info(rows=1, cols=2, rate_hz=150))
     (house.folder / "played.frames").write_bytes(stream)
-    told = house.result("bench", "played.frames", "--seconds", "60")
+    told = house.result("info", "played.frames", "--seconds", "60")
     assert (told["scans"], told["statistics"]["lost"]) == (150, 0)
     assert told["device_rate_hz"] == pytest.approx(150, rel=1e-4)
     assert told["rate_hz"] == pytest.approx(150, rel=0.5)
@@ -339,6 +340,6 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
         assert house.result("info", port)["firmware"] == "1.1.0"
     kind, why = suited_kind(Info(rows=1, cols=2, bits=10, rate_hz=3000))
     assert (kind, "the firmware does not build: " in why) == ("python", True)
-    done = house.tripillar("simulate", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
+    done = house.tripillar("board", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
     assert done.returncode == 2
     assert "RATE: 1 to what the scan time allows" in done.stderr

@@ -1,92 +1,79 @@
 """Options and help that all commands share, completion in a shell, Ctrl-C."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stdout, suppress
-from io import StringIO
-from unittest.mock import patch
+from contextlib import suppress
 
 import psutil
 import pytest
-import typer.main
 
 from geometry.design import Array, SensorDesign
 from geometry.design_file import design_from_toml
 from tests.house import House
-from tripillar.cli.app import app
+from tripillar.cli.app import COMMANDS, GONE, app_of
+from tripillar.cli.help import meaning, options_of
 from tripillar.terminal.progress import Bars
 
-COMMANDS = typer.main.get_command(app).commands
+APP = app_of()
+NAMES = [name for names in COMMANDS.values() for name in names]
+OPTIONS = {name: options_of(APP, name) for name in NAMES}
+MAX_COMMANDS = 21
 
 
-def options(command):
-    return {spelling: option for option in command.params for spelling in (*option.opts, *option.secondary_opts)}
-
-
-def printed_help(words, width):
-    """Print --help in a terminal of so many columns."""
-    with redirect_stdout(StringIO()) as said, patch.dict(os.environ, COLUMNS=str(width)):
-        app([*words, "--help"], standalone_mode=False)
-    return said.getvalue()
-
-
-def unhyphenated(text):
-    """Drop all blanks of a text: a line may end at a word's own hyphen."""
-    return "".join(text.split())
+def flags(name):
+    return {flag for entry in OPTIONS[name] for flag in entry.all_options}
 
 
 def test_flags_are_the_same_everywhere():
     """Numbers come as JSON too; -o is --out; who can be asked to be quiet can be asked to talk."""
-    for name, command in COMMANDS.items():
-        given = options(command)
-        assert "--json" in given, name
+    assert len(NAMES) <= MAX_COMMANDS
+    for name in NAMES:
+        given = flags(name)
+        assert {"--json", "-q", "-v", "--quiet", "--verbose"} <= given, name
         assert ("-o" in given) == ("--out" in given), name
-        assert ("-q" in given) == ("-v" in given) == ("--quiet" in given) == ("--verbose" in given), name
-        for spelling, option in given.items():
-            assert spelling == spelling.lower(), name
-            if spelling not in ("--help", "--json"):
-                assert option.help or option.param_type_name == "argument", f"{name} {spelling} has no help"
-
-
-def test_every_command_stands_under_a_heading_and_says_what_it_does():
-    overview = printed_help([], 120)
-    for name, command in COMMANDS.items():
-        assert command.rich_help_panel, name
-        assert command.help[0].isupper(), name
-        assert command.help.rstrip().endswith("."), name
-        summary = command.help.partition("\n")[0]
-        assert summary.endswith("."), name
-        assert re.search(rf"^  {name} +{re.escape(summary)}$", overview, re.MULTILINE), name
+        assert given == {flag.lower() for flag in given}, name
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_help_prints_every_word_as_written(width):
+def test_help_prints_every_word_as_written(tmp_path, monkeypatch, width):
     """A unit in brackets, such as [s], is no markup; an option's help begins with a noun or a verb, not with "Of"."""
-    for name, command in COMMANDS.items():
-        text = printed_help([name], width)
-        lines = [line for line in text.splitlines() if "|" not in line]  # a list of choices is not broken
-        assert all(len(line) <= width for line in lines), name
-        shown = unhyphenated(text)
-        for option in (option for option in command.params if option.help):
-            assert unhyphenated(option.help) in shown, name
-            assert option.help[0].isupper() or option.help.startswith("--"), name
-            assert option.help.split()[0] not in ("Of", "In", "For", "Its"), name
+    house = House(tmp_path)
+    house.environment["COLUMNS"] = str(width)
+    overview = "".join(house.tripillar("--help").stdout.split())
+    for name in NAMES:
+        text = house.tripillar(name, "--help").stdout
+        assert all(len(line) <= width for line in text.splitlines()), name
+        summary = APP[name].help.strip().partition("\n")[0]
+        assert summary[0].isupper(), name
+        assert summary.endswith("."), name
+        assert "".join(f"{name}{summary}".split()) in overview, name
+        shown = "".join(text.split())
+        for entry in OPTIONS[name]:
+            told = meaning(entry)
+            assert told[0].isupper(), (name, told)
+            assert told.split()[0] not in ("Of", "In", "For", "Its", "True", "False", "As"), (name, told)
+            assert all("".join(word.split()) in shown for word in told.split()), (name, told)
 
 
 def test_the_design_option_goes_with_every_command_that_needs_one():
     """DESIGN's contract: it solves or draws for a sensor, so it can be told which."""
-    for name in ("cad", "mesh", "response", "dataset", "run", "view", "simulate", "calibrate", "train", "crossval"):
-        assert "--design" in options(COMMANDS[name]), name
+    for name in ("cad", "response", "dataset", "run", "view", "board", "identify", "train", "evaluate", "press"):
+        assert "--design" in flags(name), name
 
 
-def test_a_design_of_another_size_is_written_whole():
-    with redirect_stdout(StringIO()) as said:
-        app(["design", "--rows", "2", "--cols", "3"], standalone_mode=False)
-    assert design_from_toml(said.getvalue()) == SensorDesign(array=Array(rows=2, cols=3))
+@pytest.mark.parametrize("name", GONE)
+def test_a_command_that_is_gone_says_the_new_one(tmp_path, name):
+    line = House(tmp_path).refusal(name, "--whatever")
+    assert line.startswith(f"tripillar: {name} is gone: write tripillar ")
+    assert line.split("write tripillar ")[1].split()[0].rstrip(".;") in NAMES
+
+
+def test_a_design_of_another_size_is_written_whole(tmp_path):
+    said = House(tmp_path).tripillar("design", "--rows", "2", "--cols", "3").stdout
+    assert design_from_toml(said) == SensorDesign(array=Array(rows=2, cols=3))
 
 
 def test_version(tmp_path):
@@ -94,21 +81,9 @@ def test_version(tmp_path):
 
 
 def test_the_shell_completes(tmp_path):
-    """The program asks itself, as bash does after --install-completion."""
-    asked = {
-        "tripillar doc": ["doctor"], "tripillar train --net ": ["plain", "skip"], "tripillar solve --exp": ["--explain"]
-    }  # fmt: skip
-    code = (
-        "import os, sys; sys.argv = ['tripillar']; from tripillar.cli.app import main\n"
-        f"for typed in {list(asked)}:\n"
-        "    os.environ |= {'COMP_WORDS': typed, 'COMP_CWORD': str(len(typed.split(' ')) - 1)}\n"
-        "    try: main()\n"
-        "    except SystemExit: print(end=';')\n"
-    )
-    environment = os.environ | {"_TRIPILLAR_COMPLETE": "complete_bash"}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=True)
-    assert [offered.split() for offered in done.stdout.split(";")[:-1]] == list(asked.values())
+    """The script that --install-completion installs knows commands, options and choices."""
+    script = APP.generate_completion(prog_name="tripillar", shell="bash")
+    assert all(word in script for word in ("doctor", "--explain", "varpro"))
 
 
 def test_a_bare_command_prints_its_help(tmp_path):
@@ -163,7 +138,7 @@ def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
     is_at_work = False
     for _ in range(5):  # until it is seen with its workers; it is stopped while it is looked at, lest it ends meanwhile
         with subprocess.Popen(
-            house.command("crossval", "--data", "d.nc", "--component", "fz", "-q"),
+            house.command("evaluate", "--folds", "10", "--data", "d.nc", "--component", "fz", "-q"),
             cwd=tmp_path,
             env=house.environment,
             stderr=subprocess.PIPE,

@@ -117,7 +117,7 @@ def test_more_pairs_than_there_are_is_a_mistake(command, tmp_path):
     assert (code, said) == (2, "tripillar: --pairs 1000 must be at most 40: there are no more.\n")
 
 
-@pytest.mark.parametrize("words", [("train", "--out", "fz.safetensors"), ("crossval", "--folds", "2")], ids=str)
+@pytest.mark.parametrize("words", [("train", "--out", "fz.safetensors"), ("evaluate", "--folds", "2")], ids=str)
 def test_a_component_that_others_disturb_is_named(command, words, monkeypatch):
     """It is no mistake: the net is trained, and the line says what to do."""
     monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)

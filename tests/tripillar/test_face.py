@@ -69,7 +69,7 @@ def test_a_given_response_is_used_and_one_of_another_design_refused(monkeypatch)
     design = tp.SensorDesign()
     design = replace(design, array=replace(design.array, rows=1, cols=2))
     known, other = (tp.response(one, method="layer") for one in (design, replace(design, pad=Pad(size_mm=11.0))))
-    samples = tp.simulate(known, "contact-fz", 60, noise=1e-3)
+    samples = tp.dataset(known, "contact-fz", 60, noise=1e-3)
     monkeypatch.setattr("tripillar.pipeline.run.array_response", lambda *_: pytest.fail("solved"))
     quick = {"hidden": 2, "max_iterations": 2}
     assert tp.train(replace(samples, design=None), response=known, **quick).network.feature == "inverse"
@@ -80,7 +80,7 @@ def test_a_given_response_is_used_and_one_of_another_design_refused(monkeypatch)
         lambda given: tp.train(samples, response=given, **quick),
         lambda given: tp.train(samples, net="plain", response=given, **quick),
         lambda given: tp.evaluate(model, samples[40:], response=given),
-        lambda given: tp.crossval(samples, response=given),
+        lambda given: tp.evaluate(None, samples, folds=2, response=given),
     ):
         with pytest.raises(tp.TriPillarError, match=r"^the response is of another design than samples: [^\n]*\.$"):
             call(other)

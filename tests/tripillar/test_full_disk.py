@@ -132,7 +132,7 @@ def test_a_limit_on_the_size_of_files_is_one_line(name, inputs):
 
 def test_a_mesh_that_cannot_be_kept_is_one_line(inputs, full, monkeypatch):
     monkeypatch.setenv("TRIPILLAR_CACHE", "full")
-    last = said_by(["mesh", *DESIGN])
+    last = said_by(["cad", "--mesh", *DESIGN, "--out", "solids"])
     assert last.startswith("tripillar: full/mesh-")
     assert "disk is full" in last
     assert [path.name for path in full.iterdir()] == ["filler"]

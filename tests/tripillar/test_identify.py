@@ -16,8 +16,8 @@ from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
-from tripillar.face import identifying
-from tripillar.face.checks import Caller
+from tripillar.face import identifying, twins
+from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -48,7 +48,7 @@ def _derivatives(design, bars, tolerances=None):
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
+    monkeypatch.setattr(twins, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
@@ -95,16 +95,8 @@ def test_a_data_set_without_a_design_decides_alone(house):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ((), "give --data FILE or --port PORT; --next alone says where to begin"),
-        (("--data", "pairs.csv"), "give --out FILE for the model, or --next"),
-        (("--data", "pairs.csv", "--port", "x", "-o", "m.safetensors"), "give --data or --port, not both"),
-        (("--data", "pairs.csv", "--loads", "loads.csv", "-o", "m.safetensors"), "--loads and --keep go with --port"),
-        (("-o", "m.safetensors", "--next", "1"), "--out needs pairs"),
         (("--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
-        (("--data", "pairs.csv", "-o", "m.safetensors", "--pairs", "5"), "--pairs 5 must be at most 4"),
-        (("--data", "pairs.csv", "--next", "-1"), "--next -1 must be from 0 to 100"),
-        (("--data", "pairs.csv", "-o", "pairs.csv"), "is read by this command"),
-        (("--data", "pairs.csv", "-o", "m.safetensors", "--have", "pad:5kg"), "--have goes with --next"),
+        (("--data", "pairs.csv", "-o", "sensor.safetensors", "--twin", "sensor.toml"), "is read by this command"),
         (("--next", "1", "--have", "pad:5lb"), "'pad:5lb' is no load that one can have: write kind:size such as"),
         (("--next", "1", "--have", "plate:20kg,"), "'' is no load that one can have"),
         (("--next", "1", "--have", "air:-30kPa"), "'air:-30kPa' is no load that one can have"),
@@ -168,7 +160,8 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     assert by_command["excess"] == twin.posterior.excess
     monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
     many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
-    assert identifying.identify(many, DESIGN, caller=Caller(say=said.append)).n_pairs == 7
+    with called_by(Caller(say=said.append)):
+        assert identifying.identify(many, DESIGN).n_pairs == 7
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
 
 

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 #: modules that ask for the system load, and work, where it is none of POSIX; libraries are loaded before
 WITHOUT_POSIX = """
 import concurrent.futures.process, ctypes, mmap, multiprocessing.spawn, os, select, signal, subprocess, sys
-import netCDF4, numpy, psutil, serial.tools.list_ports, serial.urlhandler.protocol_socket, typer, xarray
+import netCDF4, numpy, psutil, serial.tools.list_ports, serial.urlhandler.protocol_socket, cyclopts, xarray
 from pathlib import Path
 sys.platform = "win32"
 made, set_blocking = os.pipe(), os.set_blocking

@@ -1,4 +1,4 @@
-"""`tripillar press`: one JSON object, a data set of one sample, a picture; one line for a mistake."""
+"""`tripillar press`: one JSON object, a data set of one sample, a picture."""
 
 import json
 
@@ -36,20 +36,3 @@ def test_a_needle_is_said_to_be_beyond_linear_strain(house):
     done = house.tripillar("press", "--shape", "sphere", "--radius", "0.01", "--depth", "0.5", "--design", "small.toml")
     assert done.returncode == 0, done.stderr
     assert "linear strain ends near 0.5; press less deep" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (("--shape", "ball.obj"), "must be sphere, cylinder, flat"),
-        (("--shape", "sphere"), "needs --radius"),
-        (("--shape", "sphere", "--radius", "5", "--size", "3"), "--size is not of --shape sphere"),
-        (("--shape", "flat", "--size", "3", "--at", "here"), "--at here: must be two numbers"),
-        (("--shape", "sphere", "--radius", "5", "--at", "99,0"), "misses the sensor"),
-        (("--shape", "none.stl"), "no such file"),
-        (("--shape", "sphere", "--radius", "5", "--out", "contact.txt"), "must be a file that ends in .nc"),
-        (("--shape", "sphere", "--radius", "5", "--picture", "contact.jpg"), "must be a file that ends in .png"),
-    ],
-)
-def test_mistakes_are_one_line(house, options, told):
-    assert told in house.refusal("press", "--depth", "0.5", "--design", "small.toml", *options)

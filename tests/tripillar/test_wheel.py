@@ -81,7 +81,7 @@ def test_the_wheel_alone_runs_what_the_readme_promises(wheel, tmp_path):
     with run.left_running("view", "small.toml", "--serve", "--http-port", "0", "--json", "-q") as told:
         page = urllib.request.urlopen(json.loads(told)["url"], timeout=WAIT_S).read().decode()
         assert "<style" in page or "page.css" in page
-    with run.left_running("simulate", "--design", "small.toml", "--link", "board", "--json", "-q"):
+    with run.left_running("board", "--design", "small.toml", "--link", "board", "--json", "-q"):
         assert json.loads(run("info", "board", "--json"))["cols"] == 2
         lines = run("live", "board", "--model", "model.safetensors", "--seconds", "1", "--json").splitlines()
         assert len(lines) > 5

@@ -1,1 +1,1 @@
-"""The command line, one file a group of commands."""
+"""The command line: `app.py` names its commands, `door.py` makes a command of a job, `help.py` prints what they do."""

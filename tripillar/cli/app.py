@@ -1,70 +1,92 @@
-"""TriPillar's command line: a sub-command for each job, in the order of the pipeline.
+"""TriPillar's command line: a sub-command for each job of `tripillar.face`, in the order of the pipeline.
 
 Results go to stdout (with --json as one object), progress and messages to stderr. A user's mistake is one line and exit
-code 2. Each command imports its stage when it runs, so that help is instant and training loads no CAD.
+code 2. A command's job is loaded when it is named, its stage when it runs: help is instant, and training loads no CAD.
 """
 
-from collections.abc import Callable
-from importlib import metadata
-from typing import Annotated
+import sys
+from importlib import import_module, metadata
 
-import typer
+from cyclopts import App, Group
 
-from tripillar.cli.board.fitting import calibrate, tare
-from tripillar.cli.board.reading import bench, convert, info, live, ports, record, replay
-from tripillar.cli.board.simulating import simulate
-from tripillar.cli.exporting import export
-from tripillar.cli.identifying import identify
-from tripillar.cli.learning import crossval, dataset, evaluate, train
-from tripillar.cli.pressing import press
-from tripillar.cli.solving import cad, design, mesh, response, solve
-from tripillar.cli.studying import doctor, optimize, run, sweep
-from tripillar.cli.viewing import SeveralPressures, view
-from tripillar.terminal.console import BOARD, LEARNING, SOLVING, STUDYING, UnderHeadings
-from tripillar.terminal.entry import run as run_app
+from geometry.errors import DesignError
+from tripillar.cli.door import command_of
+from tripillar.cli.help import Columns
+from tripillar.terminal.entry import run
 
-app = typer.Typer(
-    cls=UnderHeadings,
-    invoke_without_command=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # which would take a unit in brackets, [s], for markup
-    context_settings={"max_content_width": 120},
-)
-
-
-def show_version(asked: bool) -> None:
-    """Print the version and end, if asked to."""
-    if asked:
-        print(f"tripillar {metadata.version('tripillar')}")
-        raise typer.Exit
-
-
-@app.callback()
-def root(
-    context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
-
-    `tripillar COMMAND --help` explains a command. New here? Begin with `tripillar doctor`, then `tripillar design`.
-    """
-    if context.invoked_subcommand is None:
-        print(context.get_help())
-
-
-COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    SOLVING: (design, cad, mesh, solve, response, press),
-    LEARNING: (dataset, train, evaluate, crossval, identify, export),
-    STUDYING: (run, view, sweep, optimize, doctor),
-    BOARD: (ports, info, live, bench, record, convert, replay, tare, calibrate, simulate),
+#: jobs by heading of the help and name of the command: the module of `tripillar.face`, and the function if it is
+#: called otherwise
+COMMANDS = {
+    "From a design to its response": {
+        "design": "bodies", "cad": "bodies", "solve": "bodies", "response": "bodies", "press": "pressing",
+    },
+    "From data to a model": {
+        "dataset": "samples", "train": "learning", "evaluate": "learning", "identify": "identifying",
+        "export": "exporting",
+    },
+    "Studies, pictures, help": {
+        "run": "studying", "view": "viewing", "sweep": "studying", "doctor": "studying",
+    },
+    "A sensor on the table": {
+        "info": "boards", "live": "boards:watch", "record": "boards", "replay": "boards", "tare": "taring",
+        "board": "simulating",
+    },
+}  # fmt: skip
+#: commands that are gone, and what to write instead
+GONE = {
+    "mesh": "cad --mesh --out DIR",
+    "crossval": "evaluate --folds 10 --data FILE",
+    "optimize": "sweep FILE --optimize",
+    "ports": "info",
+    "bench": "info PORT --seconds 10",
+    "convert": "export RECORDING --out FILE",
+    "calibrate": "identify --as-designed --port PORT --out FILE.json",
+    "simulate": "board",
+    "fine-tune": "identify --data PAIRS.nc --design sensor.toml --out own.safetensors; it needs no model",
 }
-for heading, commands in COMMANDS.items():
-    for command in commands:
-        app.command(rich_help_panel=heading, cls=SeveralPressures if command is view else None)(command)
+ABOUT = """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
+
+`tripillar COMMAND --help` explains a command. New here? Begin with `tripillar doctor`, then `tripillar design`."""
+
+
+def app_of(*names: str) -> App:
+    """The program with these commands; default: with all."""
+    app = App(
+        name="tripillar",
+        help=ABOUT,
+        help_format="plaintext",  # a unit in brackets, [s], is no markup
+        help_formatter=Columns(),
+        result_action="return_value",
+        version=lambda: f"tripillar {metadata.version('tripillar')}",
+        version_flags="--version",
+        group_parameters=Group("Options", sort_key=1),
+        group_arguments=Group("Arguments", sort_key=0),
+        exit_on_error=False,
+        print_error=False,
+    )
+    for number, (heading, commands) in enumerate(COMMANDS.items()):
+        group = Group(heading, sort_key=number)
+        for place, name in enumerate(commands):
+            if not names or name in names:
+                module, _, function = commands[name].partition(":")
+                job = getattr(import_module(f"tripillar.face.{module}"), function or name)
+                app.command(command_of(job), name=name, group=group, sort_key=place)
+    return app
+
+
+def called() -> int:
+    """Run what was typed; its exit code."""
+    words = sys.argv[1:]
+    if words and words[0] in GONE:
+        raise DesignError(f"{words[0]} is gone: write tripillar {GONE[words[0]]}.")
+    known = {name for commands in COMMANDS.values() for name in commands}
+    app = app_of(*({words[0]} & known if words else ()))
+    if not words:
+        app.help_print([])
+        return 0
+    return int(app(words) or 0)
 
 
 def main() -> None:
     """Run the command line."""
-    run_app(app)
+    run(called)

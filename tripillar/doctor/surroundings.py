@@ -140,7 +140,7 @@ def serial_ports() -> Check:
         advice = f"no permission for {', '.join(refused)}: sudo usermod -aG dialout $USER, then log in again."
         return Check(name="serial ports", state="wrong", found=", ".join(found), advice=advice)
     if not found:
-        advice = "plug the board in; without one, 'tripillar simulate' is one."
+        advice = "plug the board in; without one, 'tripillar board' is one."
         return Check(name="serial ports", state="optional", found="none", advice=advice)
     return Check(name="serial ports", state="ok", found=", ".join(found))
 

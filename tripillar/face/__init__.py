@@ -1,6 +1,8 @@
-"""The functions that `import tripillar` gives: each job of the command line, with plain arguments and good defaults.
+"""The jobs: each is one public function, in Python and, by its signature and docstring, on the command line.
 
-`bodies.py` solves and shows, `learning.py` makes samples and networks after the checks of `checks.py`, `boards.py`
-reads sensors, `files.py` writes. The commands of learning call `learning.py`, too. Responses come from the cache that
-the commands use. Every function loads its stage when it is called.
+Files are inputs as good as objects (`inputs.py`); notes, progress and answers go to the caller (`caller.py`).
+`bodies.py` designs, draws and solves, `pressing.py` presses shapes, `samples.py` makes samples, `learning.py` trains
+and tests after the checks of `checks.py`, `identifying.py` finds one sensor and `taring.py` its zero, `boards.py` reads
+sensors, `simulating.py` is one, `viewing.py` shows, `studying.py` sweeps, `exporting.py` writes. Every function loads
+its stage when it is called.
 """

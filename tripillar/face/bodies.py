@@ -1,66 +1,111 @@
-"""Solve and show: the response of an array, any scene, pictures."""
+"""Describe, draw and solve: a design, its solids and mesh, the response of an array, any scene."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from geometry.design import SensorDesign
+from cyclopts import Parameter
+
+from geometry.design import Array, SensorDesign
+from geometry.design_file import design_to_toml, write_design
+from tripillar.face.caller import Caller, current
+from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, require_there, to_fill, to_write
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
-    from fem.scene.scene import Scene
     from fem.scene.solution import Solution
-    from tripillar.viewer.showing import Camera, Colour, LoadKind
 
 
-def response(
-    design: SensorDesign | None = None,
-    *,
-    tolerance: float | None = None,
-    method: Literal["cells", "layer"] = "cells",
-) -> "ArrayResponse":
-    """Compute how far a newton on each pad moves each electrode; from the cache if it is there.
+def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols) -> SensorDesign:
+    """Write a design file: the paper's sensor, every number with its meaning.
 
     Parameters
     ----------
-    design : SensorDesign, optional
-        Default: the paper's sensor.
-    tolerance : float, optional
-        Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber than the matrix.
-    method : str
-        ``cells`` couples copies of one condensed cell; ``layer`` is an approximate closed form.
-
-    Returns
-    -------
-    ArrayResponse
-        ``influence_mm_per_n``, shape (rows, cols, 2, 3, rows, cols, 3): unit, electrode U1 or U2, axis of the
-        displacement; unit and axis of the load. ``error_estimate`` is relative.
+    out : path, optional
+        File to write (.toml); default: print it.
+    rows : int
+        Number of units along y.
+    cols : int
+        Number of units along x.
 
     Examples
     --------
-    >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> tp.response(design).influence_mm_per_n.shape
-    (1, 2, 2, 3, 1, 2, 3)
+    >>> design(rows=2, cols=3).n_units
+    6
     """
-    from fem.array.solving import ResponseSettings, array_response
+    caller, path = current(), to_write("out", out)
+    sensor = SensorDesign(array=Array(rows=rows, cols=cols))
+    if path is not None:
+        write_design(sensor, path)
+    files = [] if path is None else [path]
+    caller.answer(lambda: asdict(sensor), "" if files else design_to_toml(sensor).removesuffix("\n"), *files)
+    return sensor
 
-    settings = ResponseSettings(method=method, tolerance=tolerance)
-    return array_response(SensorDesign() if design is None else design, settings)[0]
+
+def cad(
+    design: DesignLike | None = None,
+    *,
+    out: File,
+    mesh: bool = False,
+) -> list[Path]:
+    """Draw the sensor's solids and its casting mould as STEP and STL files.
+
+    The solids are pillars, unit, array, slab and matrix; the mould is what you cast the sensor in.
+
+    Parameters
+    ----------
+    design : SensorDesign or path, optional
+        Design file (TOML); default: the paper's sensor.
+    out : path
+        Folder for STEP and STL files.
+    mesh : bool
+        Mesh the whole array with tetrahedra, too, and judge their shape; kept in the cache, it is written as mesh.vtu.
+
+    Returns
+    -------
+    list of Path
+        Files that were written.
+    """
+    caller, folder = current(), to_fill(out)
+    sensor = design_of(design)
+    from geometry.mould import write_cad
+
+    files, note = [Path(path) for path in write_cad(sensor, folder)], ""
+    result: dict[str, object] = {}
+    if mesh:
+        from geometry.storage.files import write_bytes
+        from tripillar.pipeline.run import meshed
+
+        stage = meshed(sensor, caller.bars)
+        note = stage.note
+        result = {"mesh": {"reused": stage.reused, "seconds": stage.seconds, "note": note}}
+        files.append(folder / "mesh.vtu")
+        write_bytes(files[-1], stage.files[0].read_bytes())
+    caller.answer(lambda: {"files": [str(path) for path in files]} | result, note, *files)
+    return files
 
 
-def solve(scene: "Scene | Path | str", *, tolerance: float | None = None) -> "Solution":
-    """Solve a scene: a block, pillar, unit or array under loads.
+def solve(
+    scene: SceneLike,
+    /,
+    *,
+    explain: bool = False,
+    tolerance: float | None = None,
+    vtu: File | None = None,
+) -> "Solution":
+    """Solve a scene: a block, pillar, unit or array under loads, to a tolerance.
 
     Parameters
     ----------
     scene : Scene or path
-        A scene, or its file (TOML).
+        Scene file (TOML): a body, its loads, its probes.
+    explain : bool
+        Print what is computed, what is skipped, and why.
     tolerance : float, optional
         Relative error wanted of the probes; default: the scene's.
+    vtu : path, optional
+        VTU file for the displacement of the whole body.
 
     Returns
     -------
@@ -77,70 +122,105 @@ def solve(scene: "Scene | Path | str", *, tolerance: float | None = None) -> "So
     >>> scene = {
     ...     "body": {"kind": "block", "size_mm": [4.0, 4.0, 10.0]},
     ...     "material": {"young_mpa": 5.0, "poisson": 0.0},
-    ...     "load": [{**top, "traction_mpa": [0.0, 0.0, -1.0]}],
+    ...     "load": [{**top, "traction_mpa": [0.0, 0.0, -0.1]}],
     ...     "probe": [{**top, "name": "top", "kind": "mean"}],
     ... }
     >>> round(float(tp.solve(scene_from_dict(scene)).probes["top"][2]), 6)
-    -2.0
+    -0.2
     """
-    from fem.methods.solving import solve_scene
+    caller, path = current(), to_write("vtu", vtu, ".vtu", read=(scene,))
+    require_there(scene, what="a scene file; see docs/scenes.md")
+    from fem.methods.plan import make_plan
+    from fem.methods.solving import beyond_linear, follow
     from fem.scene.scene_file import read_scene
+    from fem.scene.solution import solution_as_plain, write_field
+    from tripillar.face.tables import solution_table
 
-    asked = read_scene(Path(scene)) if isinstance(scene, str | Path) else scene
-    return solve_scene(asked if tolerance is None else replace(asked, tolerance=tolerance))[0]
+    body = read_scene(Path(scene)) if isinstance(scene, Path | str) else scene
+    if tolerance is not None:
+        body = replace(body, tolerance=tolerance)
+    plan = make_plan(body, field=path is not None)
+    if explain:
+        caller.tell(*plan.lines)
+    solution = follow(plan, body, field=path is not None)
+    if path is not None and solution.field is not None:
+        write_field(solution.field, path)
+    if explain and not caller.as_json:
+        caller.tell(*solution.steps)
+    far = beyond_linear(body, solution)
+    caller.answer(
+        lambda: solution_as_plain(solution, plan.lines),
+        lambda: [solution_table(solution)],
+        *([] if path is None else [path]),
+    )
+    _warn_above(body.tolerance, solution.error_estimate, caller, "; explain=True says why")
+    caller.say(f"warning: {far}" if far else "")
+    return solution
 
 
-def view(
-    body: "SensorDesign | Scene | Path | str | None" = None,
-    save: Path | str | None = None,
+def response(
+    design: DesignLike | None = None,
     *,
-    pressure_mpa: float | Sequence[float] = 3.0,
-    load: "LoadKind" = "indenter",
-    colour: "Colour" = "displacement",
-    scale: float | None = 1.0,
-    camera: "Camera" = "iso",
-) -> dict[str, float]:
-    """Show a sensor or a scene deformed: in a window, or as a file.
+    out: Annotated[File | None, Parameter(required=True)] = None,
+    tolerance: float | None = None,
+    method: Literal["cells", "layer"] = "cells",
+) -> "ArrayResponse":
+    """Compute how far a newton on each pad moves each electrode.
+
+    This is the array's influence matrix. Data sets, networks and pictures are made from it; it stays in the cache.
 
     Parameters
     ----------
-    body : SensorDesign, Scene or path, optional
-        What is shown, or its file (TOML); default: the paper's sensor.
-    save : path, optional
-        File to write: .png, .html, .mp4 or .vtm; default: open a window.
-    pressure_mpa : float or sequence of float
-        Pressure at the indenter's middle or on every pad; of several each gets a picture. A scene has its own loads.
-    load : str
-        ``indenter``, a round one over the middle of the array, or ``uniform``, all pads alike.
-    colour : str
-        Quantity shown as colour: displacement, vertical, mises or pressure.
-    scale : float, optional
-        Factor of the displacement as drawn; None chooses one that shows it well.
-    camera : str
-        Direction to look from: iso, top, front or side.
+    design : SensorDesign or path, optional
+        Design file (TOML); default: the paper's sensor.
+    out : path, optional
+        NetCDF file to write.
+    tolerance : float, optional
+        Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.
+    method : str
+        Method: copies of one condensed cell, or an approximate closed form.
 
     Returns
     -------
-    dict of float
-        Largest displacement [mm] by the name of the picture.
+    ArrayResponse
+        ``influence_mm_per_n``, shape (rows, cols, 2, 3, rows, cols, 3): unit, electrode U1 or U2, axis of the
+        displacement; unit and axis of the load. ``error_estimate`` is relative.
 
     Examples
     --------
-    >>> from pathlib import Path
-    >>> from tempfile import mkdtemp
     >>> import tripillar as tp
     >>> from dataclasses import replace
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> list(tp.view(design, Path(mkdtemp()) / "pressed.vtm", pressure_mpa=2.0))
-    ["2 MPa at the indenter's middle"]
+    >>> tp.response(design).influence_mm_per_n.shape
+    (1, 2, 2, 3, 1, 2, 3)
     """
-    from tripillar.terminal.progress import Bars
-    from tripillar.viewer.showing import show_deformed
-    from tripillar.viewer.sights import largest_mm, read_body
+    caller, path = current(), to_write("out", out, read=(design,))
+    sensor = design_of(design)
+    from fem.array.response import write_response
+    from fem.array.solving import ResponseSettings
+    from tripillar.pipeline.run import respond
 
-    shown = read_body(Path(body)) if isinstance(body, str | Path) else body or SensorDesign()
-    pressures = (pressure_mpa,) if isinstance(pressure_mpa, int | float) else tuple(pressure_mpa)
-    target = None if save is None else Path(save)
-    panels, _ = show_deformed(shown, target, pressures, load, colour, scale, camera, Bars(quiet=True))
-    return {name: max(largest_mm(part.displacement_mm) for part in parts.values()) for name, parts in panels.items()}
+    stage, solved = respond(sensor, caller.bars, ResponseSettings(method=method, tolerance=tolerance))
+    if path is not None:
+        write_response(solved, path)
+    result = {
+        "file": str(path),
+        "reused": stage.reused,
+        "seconds": solved.seconds,
+        "method": solved.method,
+        "unknowns": solved.unknowns,
+        "residual": solved.residual,
+        "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
+        "mesh_hash": solved.mesh_hash,
+    }
+    caller.answer(lambda: result, stage.note, *([] if path is None else [path]))
+    if tolerance is not None and result["error_estimate"] is not None:
+        _warn_above(tolerance, solved.error_estimate, caller)
+    return solved
+
+
+def _warn_above(tolerance: float, error: float, caller: Caller, more: str = "") -> None:
+    """Say that an estimated error is above the tolerance, if it is."""
+    if not error <= tolerance:
+        caller.say(f"warning: the estimated error {error:.1e} stays above the tolerance {tolerance:g}{more}")

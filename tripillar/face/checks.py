@@ -1,40 +1,18 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, field
-
 from dataset import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
-from decoupler.data.repeats import distinct
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
-from tripillar.terminal.progress import Bars
+from tripillar.face.caller import Caller
 
 #: share of its pairs that a sensor's own response explains, gains and noise aside: of one that is off by manufacture
 #: 0.998 and more, with pads of the other kind 0.92 to 0.95
 OWN_EXPLAINED = 0.97
-
-
-def warn(note: str) -> None:
-    """Give a note to Python's warnings."""
-    if note:
-        warnings.warn(note.removeprefix("warning: "), stacklevel=2)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Caller:
-    """The command line, which names its files, or Python: gets messages and progress."""
-
-    samples: str = "samples"  #: name of the samples in messages
-    model: str = "model"  #: name of the model in messages
-    go_on: str = "force=True"  #: what makes a job go on although the samples look wrong
-    say: Callable[[str], None] = warn  #: takes a message, which may be empty
-    bars: Bars = field(default_factory=lambda: Bars(quiet=True))
 
 
 def joint_model(response: ArrayResponse | None) -> ForwardModel | None:
@@ -42,7 +20,7 @@ def joint_model(response: ArrayResponse | None) -> ForwardModel | None:
     return None if response is None else ForwardModel.of(response, COMPONENTS["all"])
 
 
-def heed(doubted: str | None, force: bool, caller: Caller) -> dict[str, str]:
+def heed(doubted: str | None, name: str, force: bool, caller: Caller) -> dict[str, str]:
     """Refuse samples that are doubted; with `force` warn, and return what the model is to remember of it.
 
     Raises
@@ -53,44 +31,48 @@ def heed(doubted: str | None, force: bool, caller: Caller) -> dict[str, str]:
     if doubted is None:
         return {}
     if not force:
-        raise SampleError(f"{caller.samples}: {doubted}. Nothing was done; {caller.go_on} goes on all the same.")
-    caller.say(f"warning: {caller.samples}: {doubted}")
+        raise SampleError(f"{name}: {doubted}. Nothing was done; force=True goes on all the same.")
+    caller.say(f"warning: {name}: {doubted}")
     return {"forced": doubted}
 
 
-def mention(data: Samples, component: Component, forward: ForwardModel | None, caller: Caller) -> None:
+def mention(data: Samples, name: str, component: Component, forward: ForwardModel | None, caller: Caller) -> None:
     """Say which forces the component leaves out although they act, and how many samples are given twice."""
     left_out = disturbance(data, component, forward)
     if left_out is not None:
-        caller.say(f"{caller.samples}: {left_out}")
-    repeated = len(data.force_n) - len(distinct(data, component).force_n)
+        caller.say(f"{name}: {left_out}")
+    repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
-        caller.say(f"{caller.samples}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
+        caller.say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
 
 
-def mention_another_sensor(data: Samples, component: Component, forward: ForwardModel | None, caller: Caller) -> None:
+def mention_another_sensor(
+    data: Samples, name: str, component: Component, forward: ForwardModel | None, caller: Caller
+) -> None:
     """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
     share = None if forward is None else explained(data, component, forward)
     if share is not None and share < OWN_EXPLAINED:
         caller.say(
-            f"{caller.samples}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
+            f"{name}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
             f"sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
         )
 
 
-def warn_of_test(decoupler: Decoupler, data: AnySamples, response: ArrayResponse | None, caller: Caller) -> None:
+def warn_of_test(
+    decoupler: Decoupler, model: str, data: AnySamples, name: str, response: ArrayResponse | None, caller: Caller
+) -> None:
     """Say why errors on these samples may mislead: training samples, a forced model, doubtful data."""
     story, component = decoupler.made_from, decoupler.component
     identified_on = "identified_on" in story and Pairs.of(data[: story["pairs"]]).content_hash
     if data.content_hash == story.get("data_hash") or (identified_on and identified_on == story["identified_on"]):
-        told = f"{caller.model} was trained on these samples: its errors on others are larger"
-        caller.say(f"warning: {caller.samples}: {told}")
+        told = f"{model} was trained on these samples: its errors on others are larger"
+        caller.say(f"warning: {name}: {told}")
     if "forced" in story:
-        caller.say(f"warning: {caller.model} was made by force of doubtful samples: {story['forced']}")
+        caller.say(f"warning: {model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
     own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
     few = drawn(data)
     doubted = doubt(few, component, own)
     if doubted is not None:
-        caller.say(f"warning: {caller.samples}: {doubted}")
-    mention(few, component, judge, caller)
+        caller.say(f"warning: {name}: {doubted}")
+    mention(few, name, component, judge, caller)

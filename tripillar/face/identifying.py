@@ -1,75 +1,131 @@
-"""Identify one sensor from measured pairs, checked first, and say what to measure next; the command calls this, too."""
+"""Identify one sensor from measured pairs, checked first, and say what to measure next; or find its gains alone."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
-from geometry.errors import DesignError, FileFormatError, require_type
+from geometry.errors import DesignError, require_type
+from tripillar.face.caller import Caller, current
+from tripillar.face.inputs import (
+    DesignLike,
+    File,
+    ModelLike,
+    PairsLike,
+    Protocol,
+    SamplesLike,
+    design_of,
+    model_of,
+    name_of,
+    require_above_0,
+    require_there,
+    samples_of,
+    to_write,
+)
+from tripillar.face.twins import MAX_NEXT, identified, next_loads_of
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
     from decoupler.data.enough import AnySamples
-    from decoupler.data.load_table import KnownLoad
     from decoupler.data.pairs import Pairs
-    from decoupler.inverse.posterior import Posterior as ForcePosterior
-    from decoupler.model.decoupler import Decoupler
     from decoupler.twin.identification import Twin
     from decoupler.twin.next_load import NextLoad
-    from fem.array.response import ArrayResponse
-    from fem.array.sensitivities import ResponseSensitivities
-    from geometry.layout import FloatArray
-    from tripillar.face.checks import Caller
-    from tripillar.terminal.progress import Bars
+    from hardware.readout.calibration import Electronics, SensorCalibration
 
-MAX_NEXT = 100  #: loads that are proposed in advance
+    Tolerances = Mapping[str, float]
+else:
+    Tolerances = Annotated[None, Parameter(parse=False)]  # of the command line those of the design's file
 
 
 def identify(
-    pairs: "AnySamples | Pairs",
-    design: SensorDesign | Path | str | None = None,
+    data: PairsLike | None = None,
+    design: DesignLike | None = None,
     *,
-    usual: str | None = None,
-    tolerances: Mapping[str, float] | None = None,
-    finite: "AnySamples | Decoupler | None" = None,
-    next_loads: int = 0,
-    have: str | Path | None = None,
+    out: File | None = None,
+    twin: File | None = None,
+    port: str | None = None,
+    loads: File | None = None,
+    keep: File | None = None,
+    as_designed: bool = False,
+    calibration: File | None = None,
+    switch_ohm: float | None = None,
+    line_ohm: float | None = None,
+    noise: float | None = None,
+    pairs: int | None = None,
+    usual: Protocol | None = None,
+    tolerances: Tolerances | None = None,
+    finite: SamplesLike | None = None,
+    model: ModelLike | None = None,
+    next_loads: Annotated[int, Parameter(name="--next")] = 0,
+    have: str | None = None,
+    seconds: float = 1.0,
+    baud: int = 1_000_000,
+    timeout: float = 4.0,
     force: bool = False,
-    caller: "Caller | None" = None,
-) -> "Twin":
-    """Identify one sensor from measured pairs of forces and resistances, few or many.
+) -> "Twin | SensorCalibration | tuple[NextLoad, ...]":
+    """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
+
+    One pair is enough to begin with; the design's table ``[tolerance]`` counts, and next loads alone say where to
+    begin. Which command suits? `tare` zeroes a sensor with nothing on it; `identify --as-designed` finds gains and
+    offsets of its pillars for models that there are; `identify` makes a model of this very sensor, which errs least.
 
     Parameters
     ----------
-    pairs : Samples, StoredSamples or Pairs
-        Measured on the sensor; of more than 20,000 samples a random draw is taken. `decoupler.data.pairs.Pairs` also
-        say how well forces are known.
-    design : SensorDesign or path of a design file, optional
-        What was meant; default: the one that the samples state. Without one the pairs alone decide. Of a file its table
-        ``[tolerance]`` counts, too.
+    data : Samples, StoredSamples, Pairs or path, optional
+        Measured pairs: a data set (.nc), or a table of loads with readings (.csv); of more than 20,000 samples a random
+        draw is taken.
+    design : SensorDesign or path, optional
+        Design file (TOML); default: the one that a data set states, or none; the paper's with a table.
+    out : path, optional
+        Model file to write (.safetensors); as designed a calibration file (.json).
+    twin : path, optional
+        Twin to write (.toml): the design as it was found, with deviations.
+    port : str, optional
+        Board to measure pairs on, or a recording; with a table of loads or typed weights.
+    loads : path, optional
+        Table (CSV) of the loads to put on: load,row,col,fz_n and more; in a recording with from_s,to_s, too; default:
+        weights, asked for in grams.
+    keep : path, optional
+        Table (CSV) that measured pairs are added to at once, and continued from; default: beside the model.
+    as_designed : bool
+        Take the design as exact, and find gain and offset of each pillar alone; one load should be none at all.
+    calibration : path, optional
+        Calibration file to take switches and wires from; gains and tare are made anew.
+    switch_ohm, line_ohm
+        As of `taring.tare`.
+    noise : float, optional
+        Relative noise of a resistance, as designed; default: as measured.
+    pairs : int, optional
+        Number of pairs to use, from the first on; default: all.
     usual : str, optional
-        Protocol of loads like those that the sensor will meet; default: of samples their own, else contact.
+        Loads that it will meet; default: of a data set its own, else contact.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
-    finite : Samples or Decoupler, optional
-        Samples of the design at finite strain, displacements included, or a model that was trained on such.
+    finite : Samples, StoredSamples or path, optional
+        Samples of the design at finite strain (.nc), displacements included.
+    model : Decoupler or path, optional
+        Model of the design at finite strain, trained on such samples, in their place.
     next_loads : int
-        Number of loads to propose to measure next, in the twin's ``next_loads``.
-    have : str or path, optional
-        What these are made of, such as ``"plate:20kg,pad:15kg,string:3kg,air:30kPa"``, or a table (.csv) of loads;
-        default: what a kitchen has, see docs/decoder.md.
+        Number of loads to propose to measure next.
+    have : str, optional
+        List of what you have, for next loads: plate:20kg,pad:15kg,string:3kg,air:30kPa; or a table (CSV); default: what
+        a kitchen has, see docs/decoder.md.
+    seconds : float
+        Time to average over under each load [s].
+    baud, timeout
+        As of `boards.info`.
     force : bool
-        True goes on although the pairs look wrong; the decoder remembers why they did.
-    caller : Caller, optional
-        As of `tripillar.train`.
+        Go on although the pairs look wrong; the decoder remembers why they did.
 
     Returns
     -------
     Twin
         ``decoder``, a model for this very sensor, and ``parameters``: value and standard deviation of each uncertain
-        parameter of the design. `tripillar.write` writes both.
+        parameter of the design; ``next_loads``. `tripillar.write` writes both. As designed a `SensorCalibration`;
+        without pairs the next loads alone.
 
     Raises
     ------
@@ -89,7 +145,7 @@ def identify(
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
     >>> soft = replace(tp.response(design), influence_mm_per_n=1.1 * tp.response(design).influence_mm_per_n)
-    >>> own = tp.simulate(soft, samples=120, seed=2, noise=0.001, gain_spread=0.1)
+    >>> own = tp.dataset(soft, samples=120, seed=2, noise=0.001, gain_spread=0.1)
     >>> twin = tp.identify(own[:20])
     >>> young_mpa, deviation = twin.parameters["rubber.young_mpa"]
     >>> abs(young_mpa - design.pillar_material.young_mpa / 1.1) < 3 * deviation
@@ -101,182 +157,192 @@ def identify(
     >>> sorted(path.name for path in folder.iterdir())
     ['own.safetensors', 'own.toml']
     """
-    from dataset.samples import Samples
-    from dataset.stored import StoredSamples
-    from decoupler.data.enough import drawn
-    from decoupler.data.pairs import Pairs
-    from decoupler.twin.identification import identify
-    from tripillar.face.checks import Caller
+    caller = current()
+    given = (data, loads, design, finite, model)
+    _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
+    if have is not None and not next_loads:
+        raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
+    require_above_0(seconds=seconds, timeout=timeout)
+    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=given)
+    twin = to_write("twin", twin, ".toml", read=(*given, out))
+    require_there(*given, loads, calibration, what="what is to be read")
+    if finite is not None and model is not None:
+        raise DesignError("give finite= or model=, not both: each holds the design at finite strain.")
+    if pairs is not None and pairs < 1:
+        raise DesignError(f"pairs={pairs} must be at least 1.")
+    if not 0 <= next_loads <= MAX_NEXT:
+        raise DesignError(f"next_loads={next_loads} must be from 0 to {MAX_NEXT}.")
+    if noise is not None and not 0 < noise < 1:
+        raise DesignError(f"noise={noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
+    sensor, tolerances = _sensor(data, design, tolerances)
+    electronics = _electronics(calibration, switch_ohm, line_ohm)
+    name, serial = name_of(data or port, "samples"), 0
+    read: AnySamples | Pairs | None = None
+    if port is not None:
+        settings = {"baud": baud, "timeout": timeout}
+        beside = None if out is None or as_designed or Path(port).is_file() else out.with_suffix(".csv")
+        kept = beside if keep is None else Path(keep)
+        table = None if loads is None else Path(loads)
+        read, serial = _measured(port, table, sensor or SensorDesign(), electronics, kept, seconds, force, settings)
+    elif data is not None:
+        read = _pairs(data, sensor)
+    if as_designed:
+        assert read is not None
+        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force, caller)
+    if read is None:
+        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances, caller)
+        caller.answer(lambda: {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
+        return first
+    if pairs is not None:
+        if pairs > len(read):
+            raise DesignError(f"pairs={pairs} must be at most {len(read)}: there are no more.")
+        read = read[:pairs]
+    at_finite = model_of(model) if model is not None else None if finite is None else samples_of(finite, False)
+    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force, caller)
+    result: dict[str, Any] = {
+        "pairs": found.n_pairs,
+        "parameters": {name: list(value) for name, value in found.parameters.items()},
+        "excess": found.excess,
+    }
+    lines = [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in found.parameters.items()]
+    lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.excess:.3g}")
+    if out is not None:
+        from decoupler.model.model_file import write_model
+        from decoupler.twin.twin_file import write_twin
 
-    caller = caller or Caller()
-    if not isinstance(pairs, Samples | StoredSamples):
-        require_type("pairs", pairs, Pairs, "give samples, or decoupler.data.pairs.Pairs")
-    few = pairs if isinstance(pairs, Pairs) else drawn(pairs)
-    if len(few) < len(pairs):
-        caller.say(f"{caller.samples}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
-    sensor, tolerances = sensor_of(design, tolerances)
-    sensor = sensor or (pairs.design if isinstance(pairs, Samples | StoredSamples) else None)
-    rows, cols = few.force_n.shape[1:3]
-    if sensor is not None and (sensor.array.rows, sensor.array.cols) != (rows, cols):
-        raise DesignError(
-            f"{caller.samples} is of {rows} × {cols} units, the design of {sensor.array.rows} × {sensor.array.cols}: "
-            "give the design of this array."
-        )
-    if sensor is None and (usual is not None or finite is not None or next_loads):
-        asked = "usual loads" if usual is not None else "finite strain" if finite is not None else "next loads"
-        raise DesignError(f"{asked} are those of a design: give the design.")
-    usual = usual or ("contact" if isinstance(pairs, Pairs) and sensor is not None else None)
-    if sensor is not None and next_loads:
-        _possible(sensor, next_loads, have)  # a list that makes no sense is refused before anything takes time
-    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, caller.bars, tolerances)
-    checked, forced = checked_pairs(few, response, force, caller)
-    loads_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
-    at_strain = None if finite is None or response is None else _at_strain(finite, response, caller)
-    advance = caller.bars.begin("identify", total=1)
-
-    def passed(share: float) -> None:
-        advance(share, f"{len(checked)} pairs")
-
-    twin = identify(checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain, progress=passed)
-    if sensor is not None and next_loads:
-        proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, caller.bars, checked, twin)
-        twin = replace(twin, next_loads=proposed)
-    return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
-
-
-def checked_pairs(
-    pairs: "Samples | Pairs", response: "ArrayResponse | None", force: bool, caller: "Caller"
-) -> "tuple[Pairs, dict[str, str]]":
-    """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
-    from decoupler.data.columns import component_named
-    from decoupler.data.pairs import Pairs
-    from decoupler.data.repeats import distinct
-    from decoupler.evaluation.plausibility import doubt
-    from decoupler.inverse.forward_model import ForwardModel
-    from decoupler.inverse.sample_checks import without_stuck
-    from decoupler.twin.identification import acting
-    from hardware.readout.known_loads import doubt_about
-    from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor
-
-    if isinstance(pairs, Pairs):
-        doubted = None if response is None else doubt_about(pairs, response)
-        if doubted and not force:
-            raise FileFormatError(f"{doubted} Or take the pairs as they are with {caller.go_on}.")
-        return pairs, {"forced": doubted} if doubted else {}
-    component, judge = component_named(acting(Pairs.of(pairs))), joint_model(response)
-    forced = heed(_contacts(pairs) or doubt(pairs, component, judge), force, caller)
-    mention(pairs, component, judge, caller)
-    mention_another_sensor(pairs, component, judge, caller)
-    own = None if response is None else ForwardModel.of(response, component)
-    return Pairs.of(distinct(without_stuck(pairs, component, own), component)), forced
-
-
-def _contacts(pairs: "Samples") -> str | None:
-    """Say in a line that samples are of contacts by shape; None if they are of loads on pads."""
-    from dataset.protocols import INDENT
-
-    if pairs.made_from.get("protocol") != INDENT:
-        return None
-    return f"the protocol '{INDENT}' presses shapes, and a sensor is identified from loads on its pads: measure such"
-
-
-def sensor_of(
-    design: SensorDesign | Path | str | None, tolerances: Mapping[str, float] | None
-) -> tuple[SensorDesign | None, Mapping[str, float] | None]:
-    """A design, or that of a file with the deviations that it states."""
-    if design is None or isinstance(design, SensorDesign):
-        return design, tolerances
-    return read_design(Path(design)), read_tolerances(Path(design)) if tolerances is None else tolerances
-
-
-def with_derivatives(
-    design: SensorDesign, bars: "Bars", tolerances: Mapping[str, float] | None = None
-) -> "tuple[ArrayResponse, ResponseSensitivities]":
-    """The response of a design and its derivatives, from the cache or solved."""
-    from fem.array.sensitivities import response_sensitivities
-    from tripillar.pipeline.run import respond
-
-    _, response = respond(design, bars)
-    advance = bars.begin("sensitivities", total=1)
-    sensitivities, _, reused = response_sensitivities(design, None, lambda step: advance(0, step))
-    advance(1, "reused" if reused else "")
-    return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
-
-
-def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: "Caller") -> "ForcePosterior":
-    """The posterior of a design at finite strain, of a model or learned from samples."""
-    from dataset.stored import in_memory
-    from decoupler.data.columns import component_named
-    from decoupler.model.decoupler import Decoupler
-    from decoupler.training.finite_strain import posterior_of, with_strain_maps
-
-    if isinstance(finite, Decoupler):
-        if finite.posterior is None or finite.ensemble is not None:
-            raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
-        size, of, found = (finite.rows, finite.cols), finite.design, finite.posterior
-    else:
-        samples = in_memory(finite)
-        samples = samples[samples.is_finite]
-        size, of, found = samples.shape, samples.design, None
-    design = response.design
-    meant = design.array.rows, design.array.cols
-    if size != meant:
-        raise DesignError(
-            f"finite strain is of {size[0]} × {size[1]} units, the design of {meant[0]} × {meant[1]}: give one of this "
-            "design."
-        )
-    if of is not None and of != design:
-        raise DesignError("finite strain is of another design than the pairs': give one of this design.")
-    if found is None:
-        caller.say("learning finite strain from the samples")
-        found = posterior_of(with_strain_maps(response, component_named("all"), samples), samples)
+        write_model(found.decoder, out)
+        result["file"] = str(out)
+        if twin is not None:
+            write_twin(found, twin, out)
+            result["twin"] = str(twin)
+    if next_loads:
+        result["next"] = [vars(one) for one in found.next_loads]
+        lines += _proposed(found.next_loads)
+    caller.answer(lambda: result, "\n".join(lines), *([] if out is None else [out]))
     return found
 
 
-def _possible(design: SensorDesign, count: int, have: str | Path | None) -> "list[KnownLoad]":
-    """Loads that can be made of what is at hand, or of a table."""
-    from decoupler.data.load_table import read_loads
-    from decoupler.twin.next_load import KITCHEN, loads_at_hand
-
-    if not 0 <= count <= MAX_NEXT:
-        raise DesignError(f"{count} next loads: ask for 0 to {MAX_NEXT}.")
-    if have is not None and Path(have).suffix == ".csv":
-        return read_loads(Path(have), design.array.rows, design.array.cols, design.pad.size_mm**2)
-    return loads_at_hand(KITCHEN if have is None else str(have), design)
-
-
-def next_loads_of(
-    design: SensorDesign,
-    count: int,
-    have: str | Path | None = None,
-    usual: str = "contact",
-    tolerances: Mapping[str, float] | None = None,
-    bars: "Bars | None" = None,
-    measured: "Pairs | None" = None,
-    twin: "Twin | None" = None,
-) -> "tuple[NextLoad, ...]":
-    """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
-    from decoupler.data.columns import component_named
-    from decoupler.twin.expectation import Expectation
-    from decoupler.twin.next_load import next_loads
-    from tripillar.terminal.progress import Bars
-
-    possible, usual_n = _possible(design, count, have), usual_loads(design, usual)
-    if twin is not None and twin.decoder.component.name == "all":
-        expected, state = twin.posterior.expected, twin.posterior.state
-    else:
-        response, sensitivities = with_derivatives(design, bars or Bars(quiet=True), tolerances)
-        expected = Expectation.of(response, sensitivities, component_named("all"))
-        state = expected.mean()
-    return next_loads(expected, state, measured, possible, usual_n, count)
+def _require_sense(
+    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int,
+    caller: Caller,
+) -> None:  # fmt: skip
+    """Refuse options that do not go together."""
+    if data is not None and port is not None:
+        raise DesignError("give data= or port=, not both.")
+    if port is None and (loads is not None or keep is not None):
+        raise DesignError("loads= and keep= go with port= alone: pairs of data= have their loads.")
+    if data is None and port is None and not next_loads:
+        raise DesignError("give data= or port=; next_loads= alone says where to begin.")
+    if caller.is_typed and out is None and not next_loads:
+        raise DesignError("give out= for the model, or next_loads= for the loads to measure.")
+    if out is not None and data is None and port is None:
+        raise DesignError("out= needs pairs: give data= or port= too.")
+    if twin is not None and out is None:
+        raise DesignError("twin= names the model file that it goes with: give out= too.")
 
 
-def usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
-    """Random loads of a protocol, (n, rows, cols, 3) [N]."""
-    from dataset.protocols import PROTOCOLS
-    from decoupler.data.usual_loads import loads_of
-    from decoupler.twin.identification import LOADS
+def _proposed(loads: "tuple[NextLoad, ...]") -> list[str]:
+    """Proposals as lines of text."""
+    if not loads:
+        return ["next: every load of the list is measured"]
+    before = f"expected error of a force before: {100 * loads[0].error_before:.3g} % of the usual ones"
+    return [before, *(f"next: {each.load}; then {100 * each.error:.3g} %" for each in loads)]
 
-    if protocol not in PROTOCOLS:
-        raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(PROTOCOLS)}.")
-    return loads_of(protocol, design, LOADS)
+
+def _is_table(data: object) -> bool:
+    """Whether a file is a table of loads, not of samples."""
+    from dataset.table import holds_samples
+
+    return isinstance(data, Path | str) and Path(data).suffix == ".csv" and not holds_samples(Path(data))
+
+
+def _sensor(
+    data: "PairsLike | None", design: "DesignLike | None", tolerances: Mapping[str, float] | None
+) -> tuple[SensorDesign | None, Mapping[str, float] | None]:
+    """The design: the stated one with its tolerances, else that of samples, which may have none, else the paper's."""
+    if isinstance(design, Path | str):
+        stated = read_tolerances(Path(design)) if tolerances is None else tolerances
+        return read_design(Path(design)), stated
+    if design is not None or data is None or _is_table(data):
+        return design_of(design), tolerances
+    samples = samples_of(data) if isinstance(data, Path | str) else data
+    return getattr(samples, "design", None), tolerances
+
+
+def _pairs(data: "PairsLike", sensor: SensorDesign | None) -> "AnySamples | Pairs":
+    """Pairs of a table, of a data set, or as given."""
+    from dataset.samples import Samples
+    from dataset.stored import StoredSamples
+    from decoupler.data.load_table import read_pairs
+    from decoupler.data.pairs import Pairs
+
+    if isinstance(data, Path | str):
+        if sensor is None or not _is_table(data):
+            return samples_of(data)
+        return read_pairs(Path(data), sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
+    if not isinstance(data, Samples | StoredSamples):
+        require_type("data", data, Pairs, "give samples, or decoupler.data.pairs.Pairs")
+    return data
+
+
+def _electronics(calibration: "File | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":
+    """The electronics of a calibration file, changed by what options say."""
+    from hardware.readout.calibration import Electronics, read_calibration
+
+    known = Electronics() if calibration is None else read_calibration(Path(calibration)).electronics
+    given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
+    return replace(known, **{name: ohms for name, ohms in given.items() if ohms is not None})
+
+
+def _measured(
+    port: str,
+    loads: Path | None,
+    sensor: SensorDesign,
+    electronics: "Electronics",
+    keep: Path | None,
+    seconds: float,
+    force: bool,
+    settings: dict[str, Any],
+) -> "tuple[Pairs, int]":
+    """Pairs that are measured on a board now, or found in a recording, and the board's serial number."""
+    from tripillar.face.measured_loads import measured_in_recording, measured_live
+
+    if not Path(port).is_file():
+        return measured_live(port, loads, sensor, electronics, seconds, force, keep, **settings)
+    if keep is not None:
+        raise DesignError("keep= is for a board: pairs of a recording are kept already.")
+    if loads is None:
+        raise DesignError("a recording needs loads= with the columns from_s and to_s.")
+    return measured_in_recording(Path(port), loads, sensor, electronics, force)
+
+
+def _calibrated(
+    pairs: "AnySamples | Pairs",
+    sensor: SensorDesign,
+    electronics: "Electronics",
+    serial: int,
+    noise: float | None,
+    out: Path | None,
+    force: bool,
+    caller: Caller,
+) -> "SensorCalibration":
+    """Gain and offset of every pillar, the design taken as exact."""
+    from decoupler.data.pairs import Pairs
+    from hardware.readout.calibration import write_calibration
+    from hardware.readout.known_loads import calibrated
+    from tripillar.pipeline.run import respond
+
+    if not isinstance(pairs, Pairs):
+        raise DesignError("as_designed=True takes pairs of a board, a recording or a table: a data set has no circuit.")
+    found, residual = calibrated(pairs, respond(sensor, caller.bars)[1], electronics, serial, noise, force)
+    if out is not None:
+        write_calibration(found, out)
+    gains, offsets_ohm = ([float(each.min()), float(each.max())] for each in (found.gain, found.offset_ohm))
+    result = {"file": str(out), "loads": len(pairs), "noise": found.made_from["noise"], "gain": gains}
+    result |= {"offset_ohm": offsets_ohm, "residual": residual}
+    text = (
+        f"{len(pairs)} loads: gains {gains[0]:.3f} to {gains[1]:.3f}, offsets {offsets_ohm[0]:.0f} to "
+        f"{offsets_ohm[1]:.0f} Ω; what is left: {100 * residual:.2f} %"
+    )
+    caller.answer(lambda: result, text, *([] if out is None else [out]))
+    return found

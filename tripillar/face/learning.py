@@ -1,135 +1,104 @@
-"""Make samples, and train and test networks on samples that are checked first; the commands call these, too."""
+"""Train and test networks on samples that are checked first."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from tripillar.face.bodies import response as response_of
+from tripillar.face.caller import Caller, current
+from tripillar.face.inputs import (
+    DesignLike,
+    File,
+    ModelLike,
+    SamplesLike,
+    design_of,
+    model_of,
+    name_of,
+    require_there,
+    samples_of,
+    to_write,
+)
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.data.enough import AnySamples
     from decoupler.evaluation.assessment import Assessment
     from decoupler.evaluation.crossval import Fold
-    from decoupler.evaluation.metrics import ForceErrors
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.settings import Net, NetworkConfig, Trainer, TrainingConfig
-    from decoupler.twin.twin_file import TwinFile
+    from decoupler.model.settings import NetworkConfig, TrainingConfig
     from fem.array.response import ArrayResponse
-    from tripillar.face.checks import Caller
+
+    SeveralSamples = SamplesLike | Sequence[SamplesLike]
+    Response = ArrayResponse
+else:
+    SeveralSamples = list[Path]
+    Response = Annotated[None, Parameter(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
+Net = Literal["plain", "skip"]
+Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
-
-
-def simulate(
-    sensor: "SensorDesign | ArrayResponse | TwinFile | None" = None,
-    protocol: str = "three-axis",
-    samples: int = 1000,
-    *,
-    seed: int = 0,
-    noise: float = 0.0,
-    bits: int | None = None,
-    **settings: Any,
-) -> "Samples":
-    """Simulate labelled samples: forces on the pads, and the resistances they give.
-
-    Parameters
-    ----------
-    sensor : SensorDesign, ArrayResponse or TwinFile, optional
-        Default: the paper's sensor. Of a twin (`decoupler.twin.read_twin`) each sample is another draw of what its
-        pairs leave open.
-    protocol : str
-        Kind of loads: independent-fz, independent-fx, contact-fz, contact-fx, contact, three-axis, light-fz, light-fx
-        or light.
-    samples : int
-        Number of samples.
-    seed : int
-        Seed of the random loads and noise.
-    noise : float
-        Standard deviation of a reading, relative to the resistance.
-    bits : int, optional
-        Bits of the converter; default: exact readings.
-    **settings
-        Further fields of `dataset.DatasetSettings`, such as cap, gain_spread, offset_ohm or dead_pillars.
-
-    Returns
-    -------
-    Samples
-        ``force_n`` and ``resistance_ohm``, shape (samples, rows, cols, 3), and what lies between.
-
-    Examples
-    --------
-    >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = tp.simulate(design, "contact", 50, noise=0.001, bits=12, gain_spread=0.1)
-    >>> len(samples), samples.resistance_ohm.shape
-    (50, (50, 1, 2, 3))
-    """
-    import dataset
-    from fem.array.response import ArrayResponse
-
-    asked = dataset.DatasetSettings(protocol=protocol, samples=samples, seed=seed, noise=noise, bits=bits, **settings)
-    if not isinstance(sensor, SensorDesign | ArrayResponse | None):
-        from decoupler.twin.twin_file import TwinFile
-        from decoupler.twin.twin_samples import simulate_twin
-
-        require_type("sensor", sensor, TwinFile, "give a design, a response or what decoupler.twin.read_twin gave")
-        return simulate_twin(sensor, response_of(sensor.design), asked)
-    given = response_of(sensor) if sensor is None or isinstance(sensor, SensorDesign) else sensor
-    return dataset.simulate(given, asked)
+GOAL = Parameter(name="--goal")
+ITERATIONS = Parameter(name="--iterations")
+DATA = "a data set of 'tripillar dataset', or measured samples"
 
 
 def train(
-    samples: "AnySamples",
+    data: SeveralSamples,
     component: Component | None = None,
     *,
-    net: "Net" = "skip",
+    out: Annotated[File | None, Parameter(required=True)] = None,
+    net: Net = "skip",
     hidden: int = 17,
-    trainer: "Trainer" = "varpro",
+    trainer: Trainer = "varpro",
     feature: Feature = "auto",
+    goal_mse: Annotated[float | None, GOAL] = None,
+    max_iterations: Annotated[int, ITERATIONS] = 0,
     seed: int = 0,
-    design: SensorDesign | None = None,
-    response: "ArrayResponse | None" = None,
+    design: DesignLike | None = None,
+    response: Response | None = None,
     force: bool = False,
-    caller: "Caller | None" = None,
     **settings: Any,
 ) -> "Decoupler":
     """Train a network that turns resistances into forces.
 
     Parameters
     ----------
-    samples : Samples or StoredSamples
-        Simulated or measured; leave those for tests out. Of more than 20,000 a random draw is learned from.
+    data : Samples, StoredSamples or path, or several
+        Data set to train on; several of one sensor, linear and at finite strain, count as one. Leave samples for tests
+        out; of more than 20,000 a random draw is learned from.
     component : str, optional
-        Forces that the network tells: fz, fx, fy or all; default: those that act.
+        Forces that the network tells, along one axis or all; default: those that act.
+    out : path, optional
+        Model file to write (.safetensors).
     net : str
-        ``plain``, as in the paper, or ``skip`` with a linear map past the hidden layer.
+        Network: plain, as in the paper, or with a linear skip past the hidden layer.
     hidden : int
         Number of hidden nodes.
     trainer : str
-        ``varpro`` (variable projection), ``lm`` (Levenberg-Marquardt) or ``momentum``, the paper's.
+        Method of training: variable projection, Levenberg-Marquardt, or the paper's (momentum).
     feature : str
-        Inputs of the network: ``inverse`` (of the response, solved for if need be), ``root`` (√R) or ``resistance``;
-        ``auto`` takes the inverse if the response explains the samples, else √R. From samples at finite strain (all
-        forces, with displacements) the maps of finite strain are learned, and a net of 60 nodes on draws of them; what
-        is linear the response says, whatever linear samples stand beside.
+        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses. From samples at
+        finite strain (all forces, with displacements) the maps of finite strain are learned, and a net of 60 nodes on
+        draws of them.
+    goal_mse : float, optional
+        Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own.
+    max_iterations : int
+        Largest number of iterations; 0: the trainer's own.
     seed : int
         Seed of the random start.
-    design : SensorDesign, optional
-        Of samples that state none; default: the response's, or the paper's, if its array has their size.
+    design : SensorDesign or path, optional
+        Design file (TOML) for data that state none; default: the paper's sensor, if its array has their size.
     response : ArrayResponse, optional
-        Of the sensor; default: solved with the default tolerance if need be.
+        Response of the sensor; default: solved with the default tolerance if need be.
     force : bool
-        True trains although the samples look wrong; the model remembers why they did.
-    caller : Caller, optional
-        Takes messages and shows progress; default: Python's warnings, and no progress.
+        Go on although the data look wrong; a model remembers why they did.
     **settings
-        Further fields of `decoupler.TrainingConfig`, such as goal_mse or max_iterations.
+        Further fields of `decoupler.TrainingConfig`, such as patience or held_out.
 
     Returns
     -------
@@ -150,7 +119,7 @@ def train(
     >>> from dataclasses import replace
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = tp.simulate(design, samples=200, noise=0.001)
+    >>> samples = tp.dataset(design, samples=200, noise=0.001)
     >>> model = tp.train(samples, hidden=4)
     >>> model.component.name, model.network.feature
     ('all', 'inverse')
@@ -159,44 +128,86 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
+    caller = current()
+    sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
+    require_there(*sources, what=DATA)
+    out = to_write("out", out, ".safetensors", read=(*sources, design))
+    stated = None if design is None else design_of(design)
     from decoupler.model.settings import TrainingConfig
-    from tripillar.face.checks import Caller
 
-    training, caller = TrainingConfig(trainer=trainer, seed=seed, **settings), caller or Caller()
-    few = _enough(samples, seed, caller, "train the network")
-    parts, network, solved, forced = _checked(few, component, net, hidden, feature, design, response, force, caller)
+    training = TrainingConfig(trainer=trainer, seed=seed, goal_mse=goal_mse, max_iterations=max_iterations, **settings)
+    samples, name = _together(sources), name_of(sources[0], "samples")
+    few = _enough(samples, seed, name, caller, "train the network")
+    parts, network, solved, forced = _checked(
+        few, name, component, NetworkSettings(net, hidden, feature), stated, response, force, caller
+    )
     from decoupler import train  # loads torch: only once the samples are found right
+    from decoupler.model.model_file import write_model
 
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
-    return replace(model, made_from=model.made_from | forced)
+    model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
+    if out is not None:
+        write_model(model, out)
+    _mention_untrusted(model, caller)
+
+    def result() -> dict[str, Any]:
+        from decoupler.evaluation.metrics import evaluate as errors_on
+
+        told = {name: model.made_from["outcome"][name] for name in ("iterations", "mse", "reason")}
+        errors = {force: asdict(values) for force, values in errors_on(model, samples).items()}
+        untrusted = [f"{force} row {row} col {col}" for row, col, force in model.untrusted()]
+        made = {"file": str(out), "feature": model.network.feature} | told | {"seconds": seconds}
+        return made | {"training_errors": errors, "untrusted": untrusted}
+
+    outcome = model.made_from["outcome"]
+    text = f"{outcome['iterations']} iterations in {seconds:.1f} s to mse {outcome['mse']:.2e} ({outcome['reason']})"
+    caller.answer(result, text, *([] if out is None else [out]))
+    return model
 
 
 def evaluate(
-    model: "Decoupler",
-    samples: "AnySamples",
+    model: Annotated[ModelLike | None, Parameter(required=False)],
+    data: SamplesLike,
     *,
-    limits: bool = True,
-    response: "ArrayResponse | None" = None,
-    caller: "Caller | None" = None,
+    limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
+    folds: int | None = None,
+    component: Component | None = None,
+    net: Net = "skip",
+    hidden: int = 17,
+    trainer: Trainer = "varpro",
+    feature: Feature = "auto",
+    goal_mse: Annotated[float | None, GOAL] = None,
+    seed: int = 0,
+    design: DesignLike | None = None,
+    response: Response | None = None,
+    force: bool = False,
+    **settings: Any,
 ) -> "dict[str, Assessment]":
-    """Errors of a model on samples that it has not seen, beside what the readings allow.
+    """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
+
+    Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
+    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it; folds run
+    in parallel processes, which import the program that calls: it calls below ``if __name__ == "__main__":``.
 
     Parameters
     ----------
-    model : Decoupler
-    samples : Samples or StoredSamples
+    model : Decoupler or path, or None
+        Model file; not with folds.
+    data : Samples, StoredSamples or path
+        Data set to test on, which the model has not seen; with folds, of more than 20,000 samples a random draw.
     limits : bool
-        False leaves the limits out, for which the response is needed.
-    response : ArrayResponse, optional
-        As of `train`.
-    caller : Caller, optional
-        As of `train`.
+        Compute the least error that the readings allow, too.
+    folds : int, optional
+        Number of parts to cross-validate, each tested once; the paper uses 10.
+    component, net, hidden, trainer, feature, goal_mse, seed, design, response, force, **settings
+        As of `train`, with folds.
 
     Returns
     -------
     dict of Assessment
-        By force: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and limit, and more.
+        By force: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and limit, and more; with
+        folds the errors alone, their mean over the folds.
 
     Raises
     ------
@@ -211,142 +222,146 @@ def evaluate(
     >>> from dataclasses import replace
     >>> design = tp.SensorDesign()
     >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> model = tp.train(tp.simulate(design, samples=1000, seed=1, noise=0.001), hidden=4)
-    >>> found = tp.evaluate(model, tp.simulate(design, samples=100, seed=2, noise=0.001))
+    >>> model = tp.train(tp.dataset(design, samples=1000, seed=1, noise=0.001), hidden=4)
+    >>> found = tp.evaluate(model, tp.dataset(design, samples=100, seed=2, noise=0.001))
     >>> list(found), found["fz"].ratio < 1.15
     (['fx', 'fy', 'fz'], True)
-    """
-    from decoupler import assess, require_same_sensor
-    from tripillar.face.checks import Caller, warn_of_test
-
-    caller = caller or Caller()
-    require_same_sensor(model, samples, Path(caller.model), Path(caller.samples))
-    for name, design in ((caller.samples, samples.design), (caller.model, model.design)):
-        if design is None:
-            caller.say(f"{name} states no design that can be read: only the array's size was compared")
-    solved = _response(samples, samples.design or model.design, response, caller) if limits else None
-    warn_of_test(model, samples, solved, caller)
-    return assess(model, samples, solved)
-
-
-def crossval(
-    samples: "AnySamples",
-    component: Component | None = None,
-    folds: int = 10,
-    *,
-    net: "Net" = "skip",
-    hidden: int = 17,
-    trainer: "Trainer" = "varpro",
-    feature: Feature = "auto",
-    seed: int = 0,
-    design: SensorDesign | None = None,
-    response: "ArrayResponse | None" = None,
-    force: bool = False,
-    **settings: Any,
-) -> "dict[str, ForceErrors]":
-    """Cross-validate: test every sample once, by a network that never saw it; folds in parallel processes.
-
-    These processes import the program that calls: it calls below ``if __name__ == "__main__":``.
-
-    Parameters
-    ----------
-    samples : Samples or StoredSamples
-        Of more than 20,000 a random draw is split.
-    folds : int
-        Number of parts, each tested once.
-    component, net, hidden, trainer, feature, seed, design, response, force, **settings
-        As of `train`.
-
-    Returns
-    -------
-    dict of ForceErrors
-        By force, the mean over the folds: rel_err, rmse_n, full_scale_pct.
-
-    Examples
-    --------
-    >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
-    >>> samples = tp.simulate(design, "contact-fz", 60)
-    >>> tp.crossval(samples, folds=2, hidden=4)["fz"].rel_err < 0.0261  # the paper's of ten folds of 2000
+    >>> tested = tp.evaluate(None, tp.dataset(design, "contact-fz", 60), folds=2, hidden=4)
+    >>> tested["fz"].errors.rel_err < 0.0261  # the paper's of ten folds of 2000
     True
     """
-    import numpy as np
+    caller = current()
+    require_there(model, what="a model file of 'tripillar train'")
+    require_there(data, what=DATA)
+    if (model is None) == (folds is None):
+        raise DesignError("give model=, or folds= to cross-validate: one of them.")
+    stated = None if design is None else design_of(design)
+    name = name_of(data, "samples")
+    if folds is not None:
+        from decoupler.model.settings import TrainingConfig
 
-    from decoupler.evaluation.crossval import over_folds
-    from decoupler.model.settings import TrainingConfig
-    from tripillar.face.checks import Caller
+        training = TrainingConfig(trainer=trainer, goal_mse=goal_mse, seed=seed, **settings)
+        form = NetworkSettings(net, hidden, feature)
+        return _cross_validated(
+            samples_of(data), name, component, folds, training, form, stated, response, force, caller
+        )
+    if component is not None or design is not None:
+        raise DesignError("component= and design= are of folds=: a model has its own.")
+    assert model is not None
+    from decoupler import assess, require_same_sensor
+    from decoupler.evaluation.assessment import as_plain
+    from tripillar.face.checks import warn_of_test
+    from tripillar.face.tables import assessment_table
 
-    training = TrainingConfig(trainer=trainer, seed=seed, **settings)
-    _, tested = folds_of(samples, component, folds, training, net, hidden, feature, design, response, force, Caller())
-    return over_folds(tested, np.mean)
+    named = name_of(model, "model")
+    decoupler, samples = model_of(model), samples_of(data)
+    require_same_sensor(decoupler, samples, Path(named), Path(name))
+    for label, known in ((name, samples.design), (named, decoupler.design)):
+        if known is None:
+            caller.say(f"{label} states no design that can be read: only the array's size was compared")
+    solved = _response(samples, name, samples.design or decoupler.design, response, caller) if limits else None
+    warn_of_test(decoupler, named, samples, name, solved, caller)
+    assessed = assess(decoupler, samples, solved)
+    _mention_untrusted(decoupler, caller)
+    caller.answer(lambda: as_plain(assessed), lambda: [assessment_table(assessed)])
+    return assessed
 
 
-def folds_of(
+class NetworkSettings(NamedTuple):
+    """Form of a network as it was asked for; its inputs may yet have to be chosen."""
+
+    net: Net
+    hidden: int
+    feature: Feature
+
+
+def _cross_validated(
     samples: "AnySamples",
+    name: str,
     component: Component | None,
     folds: int,
     training: "TrainingConfig",
-    net: "Net",
-    hidden: int,
-    feature: Feature,
+    form: NetworkSettings,
     design: SensorDesign | None,
     response: "ArrayResponse | None",
     force: bool,
-    caller: "Caller",
-) -> "tuple[NetworkConfig, list[Fold]]":
-    """The network of a cross-validation, with the inputs that were chosen, and the result of each fold."""
+    caller: Caller,
+) -> "dict[str, Assessment]":
+    """Errors of networks trained on all folds but the one that tests them."""
+    import numpy as np
+
     from decoupler import cross_validate
     from decoupler.data.enough import ENOUGH
-    from decoupler.evaluation.crossval import split_folds
+    from decoupler.evaluation.assessment import Assessment
+    from decoupler.evaluation.crossval import over_folds, split_folds, summary
+    from tripillar.face.tables import crossval_table
 
     split_folds(min(len(samples), ENOUGH), folds, training.seed)  # refuses too many before anything takes time
-    samples = _enough(samples, training.seed, caller, "are split")
-    parts, network, solved, _ = _checked(samples, component, net, hidden, feature, design, response, force, caller)
+    few = _enough(samples, training.seed, name, caller, "are split")
+    parts, network, solved, _ = _checked(few, name, component, form, design, response, force, caller)
     advance = caller.bars.begin(f"{folds} folds", total=folds)
-    return network, cross_validate(samples, parts, network, training, folds, solved, lambda _: advance(1, ""))
+    tested: list[Fold] = cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
+    caller.answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
+    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
+    return {force: Assessment(errors=errors, **nothing) for force, errors in over_folds(tested, np.mean).items()}
 
 
-def _enough(samples: "AnySamples", seed: int, caller: "Caller", purpose: str) -> "Samples":
+def _together(sources: "Sequence[SamplesLike]") -> "AnySamples":
+    """The samples of one source, or of several joined; at finite strain with their displacements."""
+    from dataset import in_memory
+    from dataset.samples import joined, require_samples
+
+    several = [samples_of(each) for each in sources]
+    for each in several:
+        require_samples("samples", each)
+    if any(each.is_finite.any() for each in several):  # these learn from displacements, too
+        several = [samples_of(each, labels_only=False) for each in sources]
+    return several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
+
+
+def _mention_untrusted(model: "Decoupler", caller: Caller) -> None:
+    """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
+    for row, col, name in model.untrusted() if caller.is_typed and not caller.as_json else []:
+        caller.say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
+
+
+def _enough(samples: "AnySamples", seed: int, name: str, caller: Caller, purpose: str) -> "Samples":
     """The samples, or a draw of those that are too many; says so."""
     from decoupler.data.enough import drawn
 
     few = drawn(samples, seed)
     if len(few) < len(samples):
-        caller.say(f"{caller.samples}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+        caller.say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
     return few
 
 
 def _checked(
     samples: "Samples",
+    name: str,
     component: Component | None,
-    net: "Net",
-    hidden: int,
-    feature: Feature,
+    form: NetworkSettings,
     design: SensorDesign | None,
     response: "ArrayResponse | None",
     force: bool,
-    caller: "Caller",
+    caller: Caller,
 ) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
-    from dataset.samples import require_samples
     from decoupler import component_named
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.model.settings import NetworkConfig
     from decoupler.training.suited import suited_component, suited_feature
     from tripillar.face.checks import heed, joint_model, mention
 
-    require_samples("samples", samples)
+    net, feature = form.net, form.feature
     automatic, named = feature == "auto", component or suited_component(samples)
-    network, parts = NetworkConfig(hidden=hidden, net=net), component_named(named)
+    network, parts = NetworkConfig(hidden=form.hidden, net=net), component_named(named)
     sensor = samples.design or design
     if sensor is None and response is None and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    forced = heed(nothing_to_learn(samples, parts), force, caller)
+    forced = heed(nothing_to_learn(samples, parts), name, force, caller)
     note, solved = "", None
     if net == "skip" if automatic else feature == "inverse":
-        solved = _response(samples, sensor, response, caller)
+        solved = _response(samples, name, sensor, response, caller)
     chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
     if automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
@@ -355,13 +370,13 @@ def _checked(
         note = f"the data state no design, but the response of {which} explains them and is used"
     judging = solved
     if samples.design is not None or design is not None or response is not None:
-        judging = _response(samples, sensor, response, caller) if solved is None else solved
+        judging = _response(samples, name, sensor, response, caller) if solved is None else solved
     elif chosen != "inverse":
         judging = None  # a guessed design that does not explain the samples cannot judge them
     judge = joint_model(judging)
-    forced |= heed(None if forced else doubt(samples, parts, judge), force, caller)
+    forced |= heed(None if forced else doubt(samples, parts, judge), name, force, caller)
     caller.say(note)
-    mention(samples, parts, judge, caller)
+    mention(samples, name, parts, judge, caller)
     return named, replace(network, feature=chosen), solved, forced
 
 
@@ -370,7 +385,11 @@ def _fits(design: SensorDesign, samples: "AnySamples") -> bool:
 
 
 def _response(
-    samples: "AnySamples", design: SensorDesign | None, given: "ArrayResponse | None", caller: "Caller"
+    samples: "AnySamples",
+    name: str,
+    design: SensorDesign | None,
+    given: "ArrayResponse | None",
+    caller: Caller,
 ) -> "ArrayResponse | None":
     """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
     from fem.array.response import ArrayResponse
@@ -381,7 +400,7 @@ def _response(
     require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
     if not _fits(given.design, samples) or (design is not None and given.design != design):
         raise DesignError(
-            f"the response is of another design than {caller.samples}: solve one with tripillar.response of their "
-            "design, or give none."
+            f"the response is of another design than {name}: solve one with tripillar.response of their design, or "
+            "give none."
         )
     return given

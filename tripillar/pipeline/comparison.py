@@ -14,7 +14,7 @@ import numpy as np
 
 from dataset import Imperfections, Samples
 from dataset.measurement import ReadingError
-from decoupler.data.columns import COMPONENTS, Component
+from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.assessment import light_touches
 from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
@@ -92,7 +92,7 @@ def compare(
     ours = next(label for label, model in models.items() if model.inverse is not None)
     narrow = models[paper].network.hidden
     (name,) = component.forces
-    least_squares = LeastSquares.fitted(training, component)
+    least_squares = LeastSquares.fitted(Columns.of(training, component))
     decouplers: dict[str, Forces] = {}
     if test.design is not None:
         decouplers[HOOKE] = partial(hooke_forces, design=test.design, component=component)

@@ -8,6 +8,7 @@ from fem.array.solving import ResponseSettings, response_cache_key
 from fem.array.substructured import cell_cache_key
 from geometry.mesh import mesh_cache_key, suited_settings
 from geometry.pool import Pool
+from geometry.storage.files import cache_folder
 from geometry.storage.journal import Journal
 from tripillar.sweep.judge import failed_row, row_of
 from tripillar.sweep.rows import Row
@@ -19,6 +20,15 @@ def kept_rows(samples: Sequence[Sample], journal: Journal, retry: bool = False) 
     """Rows of earlier runs by cache_key; with `retry`, without those that failed."""
     found = {sample.cache_key: journal.read(sample.cache_key, lambda plain: Row(**plain)) for sample in samples}
     return {cache_key: row for cache_key, row in found.items() if row is not None and not (retry and row.failed)}
+
+
+def are_cached(samples: Sequence[Sample], judging: Judging) -> bool:
+    """Whether all responses are in the cache and nothing is trained: sooner judged here than workers load Python."""
+    if judging.train:
+        return False
+    settings, cache = ResponseSettings(tolerance=judging.tolerance), cache_folder()
+    keys = [response_cache_key(sample.design, settings) for sample in samples if sample.design is not None]
+    return all((cache / f"response-{key}.nc").exists() for key in keys)
 
 
 def judge_all(

@@ -17,11 +17,12 @@ from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
 SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
-GREY, FRONT, BEST = "#9a9a9a", "#d55e00", 5  #: designs out of bounds, the front, and how many are drawn thick
+GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
+BEST, FEW = 5, 4  #: designs drawn thick: so many, or one in so many of a small sweep
 AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
 BESIDE = ("range_n", "crosstalk_1", "condition")  #: metrics of the parallel axes, after the keys
 HOPELESS = 100.0  #: times the least value of a metric; worse designs are drawn at the edge
-PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}  #: behind texts
+PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.8}  #: behind texts
 PALE = 0.55  #: strength of colour of the lines that are not among the best
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
@@ -71,8 +72,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     variable = telling_variable(sound, sweep)
     shade = np.array([row.values[variable.name] for row in sound])
     norm = LogNorm() if _is_wide(shade) else Normalize()
-    figure = Figure(figsize=(11.5, 5.2), dpi=120, layout="constrained")
-    for axes, (name, more) in zip(figure.subplots(1, 2, sharey=True), AGAINST, strict=True):
+    against = [pair for pair in AGAINST if np.ptp(column(sound, pair[0])) > 0] or [AGAINST[0]]
+    figure = Figure(figsize=(4.5 + 3.5 * len(against), 5.2), dpi=120, layout="constrained")
+    panels = figure.subplots(1, len(against), sharey=True, squeeze=False)[0]
+    for axes, (name, more) in zip(panels, against, strict=True):
         other = column(sound, name)
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
@@ -91,7 +94,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         axes.set(**{f"{axis}scale": "log" for axis, values in (("x", other), ("y", error)) if _is_wide(values)})
         axes.grid(visible=True, which="major", alpha=0.25)
     figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
-    figure.axes[1].legend(fontsize=9, loc="best")
+    figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
     counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int(is_clipped.sum())}
     parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
@@ -108,7 +111,7 @@ def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     from matplotlib.figure import Figure
 
     sound = [row for row in rows if not row.failed]
-    best = {row.cache_key for row in ranked(rows, sweep)[:BEST]}
+    best = {row.cache_key for row in ranked(rows, sweep)[: min(BEST, -(-len(sound) // FEW))]}
     kept: list[tuple[str, FloatArray, bool]] = []  # label, values and whether they are cut of each axis
     for variable in sweep.variables:
         kept.append((variable.label, np.array([row.values[variable.name] for row in sound]), False))

@@ -4,72 +4,76 @@ import io
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-import typer
+import cyclopts
 
 from geometry.errors import TriPillarError
 from geometry.storage.files import FULL, cache_folder, explained
 from geometry.storage.unfinished import remove_leftovers
 from tripillar.terminal import interrupts
 
-#: kinds of pydantic's errors, in which typer says what a value is not
-KINDS = {
-    "float_parsing": "must be a number",
-    "int_parsing": "must be a whole number",
-    "int_from_float": "must be a whole number",
-}
+
+def say(note: str) -> None:
+    """A message on stderr, if there is one."""
+    if note:
+        print(note, file=sys.stderr)
+
+
+def wrote(files: Iterable[Path]) -> None:
+    """Name every file written, last of all, on stderr."""
+    for path in files:
+        print(path, file=sys.stderr)
 
 
 def run_alone(function: Callable[..., None]) -> NoReturn:
-    """Run a function as a program of its own, `python -m studies...`, as `typer.run` does."""
+    """Run a function as a program of its own, `python -m studies...`."""
     interrupts.install()
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    app.command()(function)
-    run(app)
+    app = cyclopts.App(
+        help_format="plaintext", help_formatter="plain", result_action="return_value", version_flags=(),
+        default_parameter=cyclopts.Parameter(negative=()), exit_on_error=False, print_error=False,
+    )  # fmt: skip
+    app.default(function)
+    run(lambda: int(app(sys.argv[1:]) or 0))
 
 
-def run(app: typer.Typer) -> NoReturn:
-    """Run the command that was asked for; a user's mistake ends with one line on stderr and exit code 2."""
+def run(called: Callable[[], int]) -> NoReturn:
+    """Run what was asked for; a user's mistake ends with one line on stderr and exit code 2."""
     for folder in (cache_folder(), Path(tempfile.gettempdir())):
         remove_leftovers(folder)
-    code = _run(app)
+    code = _run(called)
     interrupts.leave_to_finish()
     sys.exit(code)
 
 
-def _run(app: Any) -> int:
-    """The exit code of a command."""
+def _run(called: Callable[[], int]) -> int:
+    """The exit code of what is called."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # Ω and ρ, whatever the console's own encoding; file names that are not UTF-8
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
     try:
-        code = app(standalone_mode=False)
+        code = called()
         sys.stdout.flush()  # where a full disk shows
-        return int(code or 0)
-    except typer.exceptions.TyperException as error:
+        return code
+    except cyclopts.CycloptsError as error:
         message = _in_one_line(error)
     except TriPillarError as error:
         message = str(error)
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:  # such as "| head": nobody reads any more
-            message = ""
             _leave_stdout()
-        elif error.errno in FULL:
+            return 1
+        if error.errno in FULL:
             message = explained(error)
             _leave_stdout()
         else:
             message = str(error)
     except MemoryError:
         message = "not enough memory: ask for fewer samples, hidden nodes or units."
-    except typer.Abort:
-        return 130
-    if not message:  # a bare command has printed its help
-        return 0
     print(f"tripillar: {message}", file=sys.stderr)
     return 2
 
@@ -81,19 +85,23 @@ def _leave_stdout() -> None:
 
 
 def _in_one_line(error: Any) -> str:
-    """The message of one of typer's exceptions; empty for a bare command, which has printed its help."""
-    message = " ".join(error.format_message().split())
-    faults: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
-    if faults and faults[0]["type"] in KINDS:
-        message = f"{_spelled(error.param)} {faults[0]['input']} {KINDS[faults[0]['type']]}."
-    elif faults and " is not one of " in message:
-        allowed = message.partition(" is not one of ")[2].replace("'", "")
-        message = f"{_spelled(error.param)} {faults[0]['input']} must be one of {allowed}"
-    context = getattr(error, "ctx", None)
-    message += "." if message[-1:].isalnum() or message.endswith(")") else ""
-    return f"{message} See '{context.command_path} --help'." if message and context else message
-
-
-def _spelled(parameter: Any) -> str:
-    """An option as it is typed, or the name of an argument."""
-    return parameter.opts[0] if parameter.param_type_name == "option" else parameter.name
+    """What is wrong with what was typed, and where its help is."""
+    message = " ".join(str(error).split()).partition(" Available commands")[0]
+    argument, token = error.argument, getattr(error, "token", None)
+    if isinstance(error, cyclopts.MissingArgumentError) and argument is not None:
+        typed = argument.name if error.keyword is None else error.keyword
+        message = (
+            f"{typed} is missing: {(argument.parameter.help or '').partition(';')[0].rstrip('.')}."
+            if error.keyword is None
+            else f"{typed} needs a value."
+        )
+    elif isinstance(error, cyclopts.CoercionError) and argument is not None and token is not None:
+        kind = error.target_type
+        choices = argument.get_choices(force=True)
+        must = "a whole number" if kind is int else "a number" if kind is float else "of another kind"
+        must = f"one of {', '.join(choices)}" if choices else must
+        message = f"{token.keyword or argument.name} {token.value} must be {must}."
+    elif isinstance(error, cyclopts.UnusedCliTokensError):
+        message = f"unexpected extra argument: {' '.join(error.unused_tokens or ())}."
+    command = " ".join(("tripillar", *(error.command_chain or ())))
+    return f"{message.replace(chr(34), chr(39))} See '{command} --help'."

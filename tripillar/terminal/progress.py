@@ -30,6 +30,7 @@ class Bars:
     def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
         self._console = Console(stderr=True, quiet=quiet)
         self._verbose = verbose
+        self.is_quiet = quiet  #: whether nothing is to be shown
         self._start_s = self._begun_s = perf_counter()
         self._progress = Progress(
             SpinnerColumn(finished_text="✓"),

@@ -1,5 +1,4 @@
-"""Other programs on the same scenes, each used as its experts would.
+"""Other programs on the same scenes, each used as its experts would: NGSolve, FElupe.
 
-All solve the whole body on two threads. Open `scikit_fem.py`, `ngsolve_peer.py` or `calculix.py`; they share the grids
-of `grids.py`.
+Open `ngsolve_peer.py` first; `conduction.py` and `contact.py` hold two solvers of the product to NGSolve.
 """

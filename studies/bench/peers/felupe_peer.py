@@ -3,6 +3,7 @@
 FElupe is under the GPL and no dependency of the project: the extra `bench` or `pip install felupe` brings it.
 """
 
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,11 @@ from fem.system import System
 from geometry.layout import FloatArray
 
 STEPS = 8  #: of the load; FElupe's Newton has the pressure as a field of its own, but no step control
+
+
+def missing() -> str:
+    """The wheel, where it is not installed."""
+    return "" if find_spec("felupe") else "felupe is not installed (pip install 'tripillar[bench]')"
 
 
 def felupe_displacements(body: RubberBody, loads: list[Load], state: State, steps: int = STEPS) -> FloatArray:

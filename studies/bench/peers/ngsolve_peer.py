@@ -1,18 +1,18 @@
-"""NGSolve as an expert would use it: netgen's graded or hp-refined meshes, orders 2 to 6, its own solver.
+"""NGSolve as an expert would use it: netgen's graded or hp-refined meshes, orders 3 to 6, its own solver.
 
 Patch outlines and inclusions are glued into the body, so that the mesh conforms to them and is refined there: either by
-local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges, or on mapped hexahedra. The same
-solver, at high order, makes the benchmark's references: mesh, functions (integrated Legendre polynomials), assembly,
-condensation and sparse Cholesky factors are NGSolve's, none of it is what `fem` solves by.
+local edge sizes, or by NGSolve's own geometric hp-refinement toward marked edges. The same solver, at high order, makes
+the benchmark's references: mesh, functions (integrated Legendre polynomials), assembly, condensation and sparse
+Cholesky factors are NGSolve's, none of it is what `fem` solves by.
 """
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,10 @@ from fem.scene.solution import Stopwatch
 from geometry.design import Material
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender
-from studies.bench.peers.grids import Lines, Solved, fits_boxes, geometric_lines, is_homogeneous, lean, scene_lines
+from studies.bench.scenes import Solved, is_linear
 
-Form = Literal["displacement", "reduced", "mixed"]
 RESIDUAL = 1e-8  #: largest relative residual of a reference after refinement
 PLACES = 8  #: Gauss points along each side of a probe to which no mesh conforms
-MIN_LAME = 1e-9  #: least λ over μ in the mixed form, which divides by λ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,21 +137,6 @@ def tetrahedra(scene: Scene, n: float, hp: int = 0) -> Any:
     return glued_mesh(scene, rectangles, prisms, base_mm, largest_mm, 0.4, (hp, 0.15, singular))
 
 
-def structured(scene: Scene, lines: Lines) -> Any:
-    """Hexahedra on the lines of a grid, sheared where the body leans."""
-    from ngsolve.meshes import MakeStructured3DMesh
-
-    counts = [len(line) - 1 for line in lines]
-
-    def mapped(*share: float) -> tuple[float, ...]:
-        # vertices are whole shares of each line, up to rounding
-        x, y, z = (float(line[round(s * count)]) for line, count, s in zip(lines, counts, share, strict=True))
-        dx, dy = lean(scene, z).tolist()
-        return x + dx, y + dy, z
-
-    return MakeStructured3DMesh(hexes=True, nx=counts[0], ny=counts[1], nz=counts[2], mapping=mapped)
-
-
 def _face(corners: Sequence[float], z_mm: float) -> Any:
     """A rectangle of OpenCASCADE at some height; corners x0, y0, x1, y1."""
     from netgen.occ import Axes, Pnt, WorkPlane, X, Z
@@ -175,31 +158,17 @@ def _solid(one: Prism) -> Any:
 
 
 class System:
-    """An elastic body on a mesh: assembled at once, then factored, then solved for any loads.
+    """An elastic body on a mesh, what lies inside elements condensed: assembled, then factored, then solved."""
 
-    The displacement form condenses what lies inside elements; in its reduced kind the volumetric part is integrated one
-    order lower. The mixed form adds a continuous pressure one order below the displacement (Taylor-Hood).
-    """
-
-    def __init__(self, scene: Scene, mesh: Any, order: int, form: Form) -> None:
+    def __init__(self, scene: Scene, mesh: Any, order: int) -> None:
         import ngsolve as ng
-        from ngsolve import ET, IntegrationRule
 
-        lame, mu = _moduli(scene, mesh, MIN_LAME if form == "mixed" else 0.0)
-        V = ng.VectorH1(mesh, order=order, dirichlet="bottom")
-        self.mesh, self.form = mesh, form
-        self.space = V * ng.H1(mesh, order=order - 1) if form == "mixed" else V
-        trial, test = self.space.TnT()
-        u, v = (trial[0], test[0]) if form == "mixed" else (trial, test)
+        lame, mu = _moduli(scene, mesh)
+        self.space = ng.VectorH1(mesh, order=order, dirichlet="bottom")
+        u, self.virtual = self.space.TnT()
         self.a = ng.BilinearForm(self.space, symmetric=True, condense=True)
-        self.a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) * ng.dx
-        if form == "mixed":
-            p, q = trial[1], test[1]
-            self.a += (p * ng.div(v) + q * ng.div(u) - p * q / lame) * ng.dx
-        else:
-            rules = {ET.HEX: IntegrationRule(ET.HEX, 2 * order - 1)} if form == "reduced" else {}
-            self.a += lame * ng.div(u) * ng.div(v) * (ng.dx(intrules=rules) if rules else ng.dx)
-        self.virtual = v
+        self.a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(self.virtual))) * ng.dx
+        self.a += lame * ng.div(u) * ng.div(self.virtual) * ng.dx
         self.a.Assemble()
 
     def load(self, scene: Scene) -> Any:
@@ -233,28 +202,23 @@ class System:
         w.vec.data += self.a.inner_solve * f.vec
         return w
 
-    def displacement(self, w: Any) -> Any:
-        return w.components[0] if self.form == "mixed" else w
 
-
-def solve_by_ngsolve(
-    scene: Scene, n: float, make_mesh: Callable[[Scene, float], Any], form: Form, order: int | None = None
-) -> Solved:
-    """Mesh, assemble, factor by NGSolve's sparse Cholesky, solve; without an order `n` is the order."""
+def solve_by_ngsolve(scene: Scene, n: float, order: int, hp: int = 0) -> Solved:
+    """Mesh, assemble, factor by NGSolve's sparse Cholesky, solve."""
     import ngsolve as ng
 
     threads = int(os.environ.get("OMP_NUM_THREADS", "2"))
     ng.SetNumThreads(threads)
     watch = Stopwatch()
-    mesh = make_mesh(scene, n)
+    mesh = tetrahedra(scene, n, hp)
     watch.spent("mesh")
     with ng.TaskManager() if threads > 1 else nullcontext():  # a task manager of one thread would only cost
-        system = System(scene, mesh, order or int(n), form)
+        system = System(scene, mesh, order)
         f = system.load(scene)
         watch.spent("assemble")
         inverse = system.factor()
         watch.spent("factor")
-        u = system.displacement(system.solve(inverse, f))
+        u = system.solve(inverse, f)
         probes = {probe.name: mean_over(u, probe.rectangle) for probe in scene.mean_probes}
         watch.spent("solve")
     return Solved(probes, system.space.ndof, watch.seconds)
@@ -276,7 +240,7 @@ def solve_references(scenes: Sequence[Scene], grading: Grading) -> list[NgsolveS
     if len({(one.body, one.material, one.inclusions) for one in scenes}) > 1:
         raise ValueError("scenes of one solve must have the same body and materials.")
     mesh = reference_mesh(scenes, grading)
-    system = System(first, mesh, grading.order, "displacement")
+    system = System(first, mesh, grading.order)
     inverse = system.factor()
     found = []
     for scene in scenes:
@@ -287,15 +251,11 @@ def solve_references(scenes: Sequence[Scene], grading: Grading) -> list[NgsolveS
     return found
 
 
-def _moduli(scene: Scene, mesh: Any, least: float) -> tuple[Any, Any]:
-    """λ and μ of each element of a mesh that conforms to the scene's prisms; λ ≥ least · μ."""
+def _moduli(scene: Scene, mesh: Any) -> tuple[Any, Any]:
+    """λ and μ of each element of a mesh that conforms to the scene's prisms."""
     import ngsolve as ng
 
-    def both(material: Material) -> tuple[float, float]:
-        lame, mu = material.lame_mpa
-        return max(lame, least * mu), mu
-
-    found = [ng.CF(value) for value in both(scene.material)]
+    found = [ng.CF(value) for value in scene.material.lame_mpa]
     for region, material in _other_rubber(scene):
         (x, y, z), (a, b) = region.base_mm, region.section_mm
         slope = (np.array(region.top_mm) - np.array(region.base_mm)) / region.height_mm
@@ -305,7 +265,7 @@ def _moduli(scene: Scene, mesh: Any, least: float) -> tuple[Any, Any]:
         inside = ng.CF(1.0)
         for one in beside:
             inside = ng.IfPos(one, inside, ng.CF(0.0))
-        found = [ng.IfPos(inside, ng.CF(own), other) for own, other in zip(both(material), found, strict=True)]
+        found = [ng.IfPos(inside, ng.CF(own), other) for own, other in zip(material.lame_mpa, found, strict=True)]
     constant = [ng.GridFunction(ng.L2(mesh, order=0)) for _ in found]
     for one, value in zip(constant, found, strict=True):
         one.Set(value)
@@ -360,30 +320,13 @@ def missing() -> str:
     return "" if find_spec("ngsolve") else "ngsolve is not installed (pip install 'tripillar[bench]')"
 
 
-VARIANTS: tuple[tuple[str, Callable[[Scene, float], Any], Form, int | None, tuple[float, ...]], ...] = (
-    ("P3 tetrahedra, local sizes", tetrahedra, "displacement", 3, (1, 1.5, 2, 3, 4)),
-    ("Taylor-Hood P2-P1 tetrahedra, local sizes", tetrahedra, "mixed", 2, (1, 2, 3, 4, 5)),
-    ("P4, hp-refined", partial(tetrahedra, hp=2), "displacement", 4, (1, 1.5, 2)),
-    (
-        "Q3 hexahedra, reduced, graded",
-        lambda scene, n: structured(scene, scene_lines(scene, n, graded=True)),
-        "reduced", 3, (1, 1.5, 2, 3, 4),
-    ),
-    (
-        "hexahedra of rising order, reduced, geometric",
-        lambda scene, n: structured(scene, geometric_lines(scene, 2)),
-        "reduced", None, (2, 3, 4, 5),
-    ),
-)  #: name, mesh, form, order (None: the setting), settings  # fmt: skip
 CONTENDERS = [
     Contender(
-        name=f"NGSolve {name}",
-        family="NGSolve",
-        solve=partial(solve_by_ngsolve, make_mesh=make_mesh, form=form, order=order),
-        settings=settings,
-        covers=is_homogeneous if form == "mixed" else fits_boxes,  # a continuous pressure does not suit two rubbers
-        missing=missing,
-        imports=("ngsolve", "ngsolve.meshes", "netgen.occ"),
+        name=f"NGSolve, {name}", family="NGSolve", solve=partial(solve_by_ngsolve, order=order, hp=hp),
+        settings=settings, covers=is_linear, missing=missing, imports=("ngsolve", "netgen.occ"),
     )
-    for name, make_mesh, form, order, settings in VARIANTS
-]
+    for name, order, hp, settings in (
+        ("third order", 3, 0, (1, 1.5, 2, 3, 4)),
+        ("fourth order, hp-refined", 4, 2, (1, 1.5, 2)),
+    )
+]  # fmt: skip

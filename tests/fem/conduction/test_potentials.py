@@ -51,13 +51,12 @@ def test_bar_under_uniform_strain_follows_its_length_and_section(F):
     assert resistance(bar, F) == pytest.approx(5.0 * F[2, 2] / area, rel=1e-12)
 
 
-@pytest.mark.parametrize("angle", [60, 45])
-def test_prism_sheared_to_a_rhombus_has_the_resistance_of_a_square(angle):
+def test_prism_sheared_to_a_rhombus_has_the_resistance_of_a_square():
     """A rhombus is its own conjugate: between opposite sides a sheet of one ohm per square is one ohm.
 
     Its obtuse corners are singular: the graded mesh leaves 1e-3.
     """
-    cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    cosine, sine = np.cos(np.pi / 3), np.sin(np.pi / 3)
     square = box(graded(0, 1, 0, 1), [0.0, 0.5], graded(0, 1, 0, 1), 3)
     assert resistance(square, [[1, 0, cosine], [0, 1, 0], [0, 0, sine]]) == pytest.approx(1 / 0.5, rel=1e-3)
 
@@ -69,15 +68,6 @@ def test_strip_electrode_on_a_wide_end_adds_its_constriction():
     mesh = box(graded(-b, b, -e, e), [0.0, t], np.concatenate([graded(0, 1, 0), [2.0, 3.0, length]]), 4, *ends)
     expected = length / (2 * b * t) + np.log(1 / np.sin(np.pi * e / (2 * b))) / (np.pi * t)
     assert resistance(mesh) == pytest.approx(expected, rel=5e-4)
-
-
-def test_oblique_pillar_between_its_whole_ends_follows_conformal_mapping():
-    """The current cuts the corners: an end cut at 45° shortens a strip by ln 2/π of its width, both by 6.24 % here."""
-    width, h = 2 * np.sqrt(2), 10.0
-    z = np.concatenate([graded(0, 1, 0), np.arange(2.0, h - 1), graded(h - 1, h, h)])
-    mesh = box(graded(0, width, 0, width), [0.0, 2.0], z, 3)
-    expected = (np.sqrt(2) * h / 2 - 2 * np.log(2) / np.pi) / 2
-    assert resistance(mesh, [[1, 0, 1], [0, 1, 0], [0, 0, 1]]) == pytest.approx(expected, rel=1e-3)
 
 
 def test_piezoresistive_bar_follows_its_coefficients():
@@ -106,6 +96,7 @@ def test_unit_at_rest():
     assert np.linalg.eigvalsh(found.matrix_mm)[1] > 0
 
 
+@pytest.mark.long
 def test_electrodes_narrower_than_pillars_are_as_near_as_they_say():
     """Against 1.3760 and 2.0426 ρ/mm of meshes that crowd at the electrodes' edges across the figures, too."""
     found = unit_conductances(Unit(pillar_width_mm=3.0, electrode_mm=2.0))

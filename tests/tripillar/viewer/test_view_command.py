@@ -14,7 +14,6 @@ from fem.array.solving import array_response
 from fem.pictures.deformation import DeformedPicture
 from geometry.design import Array, SensorDesign
 from tests.house import House
-from tripillar.cli.viewing import repeated
 from tripillar.viewer import saving, showing
 from tripillar.viewer.sights import linear_note, panels_of, pillar_strain, read_body, suited_scale
 
@@ -67,16 +66,6 @@ def test_a_scene_is_drawn_under_its_own_load(house):
 def test_without_a_display_a_file_is_asked_for(house):
     house.environment = {k: v for k, v in house.environment.items() if k != "DISPLAY"}
     assert "no display" in house.refusal("view", "small.toml")
-
-
-def test_numbers_after_a_pressure_are_pressures():
-    assert repeated(["--pressure", "1", "3", "5", "--save", "7"], "--pressure") == [
-        *["--pressure", "1", "--pressure", "3", "--pressure", "5", "--save", "7"]
-    ]
-    assert repeated(["--pressure=1", "3", "a.toml", "5"], "--pressure") == [
-        *["--pressure=1", "--pressure", "3", "a.toml", "5"]
-    ]
-    assert repeated(["a.toml", "3"], "--pressure") == ["a.toml", "3"]
 
 
 @pytest.mark.parametrize(("kind", "extra"), [(".mp4", "film"), (".html", "page")])

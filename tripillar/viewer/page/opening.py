@@ -1,4 +1,4 @@
-"""The options of `tripillar view --serve`, and from them to a page in the browser."""
+"""From the options of `tripillar view --serve` to a page in the browser."""
 
 import asyncio
 import json
@@ -6,9 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from geometry.errors import DesignError, FileFormatError
 
@@ -19,26 +17,6 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 HTTP_PORT = 8080
-
-ServeOption = Annotated[
-    bool, typer.Option("--serve", help="Serve a page with sliders, on which the array deforms live.")
-]
-HostOption = Annotated[
-    str | None, typer.Option(help=f"Address that --serve listens on; default: {LOOPBACK}, this machine alone.")
-]
-HttpPortOption = Annotated[
-    int | None, typer.Option(help=f"Port of the page of --serve; 0: any free one; default: {HTTP_PORT}.")
-]
-SensorOption = Annotated[
-    str | None,
-    typer.Option("--port", help="Sensor to show on the page of --serve: a port as of 'live', or a recording."),
-]
-PageModelOption = Annotated[
-    Path | None, typer.Option("--model", help="Model file that reads the forces of --port, which needs one.")
-]
-SensorCalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="Calibration file of the sensor on --port.")
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +57,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     from fem.pictures.arrays import solve_array_field
     from geometry.design import SensorDesign, with_model
     from tripillar.pipeline.run import respond
-    from tripillar.terminal.console import say
+    from tripillar.terminal.entry import say
     from tripillar.viewer.page.finite import FiniteStrain
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.scene import Superposition
@@ -130,7 +108,7 @@ def _design_for(model: "Decoupler", name: str, given: "SensorDesign | None") -> 
     """
     from geometry.design import SensorDesign
     from geometry.storage.files import digest
-    from tripillar.terminal.console import say
+    from tripillar.terminal.entry import say
 
     design = given or model.design or SensorDesign()
     rows, cols = design.array.rows, design.array.cols

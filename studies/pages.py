@@ -1,0 +1,199 @@
+"""Tables of docs/results.md from what runs wrote: ``python -m studies.pages OUT`` takes new numbers from a folder.
+
+A run writes JSON; what pages show of it is kept in docs/numbers/, and stands in the page between comments
+``<!-- numbers: NAME -->`` and ``<!-- end -->``. A test finds a page that is older than its numbers.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from geometry.storage.files import write_json, write_text
+from tripillar.terminal.entry import run_alone, wrote
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = "results.md"
+BLOCK = re.compile(r"(?<=<!-- numbers: )(\w+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
+OURS = "skip net from the response (ours)"
+SHOWN = {  #: decouplers of the table of `tripillar run`, with what the page calls them
+    "least squares on √R": "least squares on √R",
+    OURS: OURS,
+    "plain 17 (the paper's)": "plain 17 (the paper's); its PCA floor {floor}",
+}
+TOUCHED = {  #: of the table of touches
+    "plain 17 (the paper's)": "plain 17",
+    OURS: "ours, own response",
+    "ours, as made, identified": "ours, as made, identified",
+    "ours, as made, identified, zeroed at rest": "the same, zeroed at rest (mean of 32 readings)",
+    "limit of the readings": "limit of the readings",
+}
+TOUCHES_OF = "contact-fz"
+PAIRS = (0, 10, 200)  #: of the table of truths
+
+Numbers = Any  #: parsed JSON
+
+
+def train_table(found: Numbers) -> str:
+    """Errors of decouplers by protocol, as `tripillar run` prints them."""
+    rows = []
+    for one in found["comparisons"]:
+        labels = [f"`{one['protocol']}`", f"paper: {percent(one['paper_rel_err'])}", ""]
+        entries = {entry["decoupler"]: entry for entry in one["entries"]}
+        for label, (name, said) in zip(labels, SHOWN.items(), strict=True):
+            entry = entries[name]
+            errors = [_percent_of(entry[kind]) for kind in ("errors", "as_read", "as_made", "identified")]
+            at_rest = "" if entry["at_rest_n"] is None else newtons(entry["at_rest_n"])
+            said = said.format(floor=percent(one["plain_floor"]["rel_err"]))
+            rows.append([label, said, *errors[:2], at_rest, *errors[2:]])
+    return markdown(("data", "decoupler", "exact", "0.1 %, 12 bits", "at rest [N]", "as made", "identified"), rows, 2)
+
+
+def touches_table(found: Numbers) -> str:
+    """Errors of one touched pad, exact and as read."""
+    (one,) = (one for one in found["comparisons"] if one["protocol"] == TOUCHES_OF)
+    touches = {touch["decoupler"]: touch for touch in one["touches"]}
+    rows = []
+    for name, said in TOUCHED.items():
+        pairs = zip(touches[name]["exact_n"], touches[name]["read_n"], strict=True)
+        rows.append([said, *(f"{newtons(exact)} / {newtons(read)}" for exact, read in pairs)])
+    return markdown(("", "0.1 N", "1 N", "5 N", "20 N"), rows, 1)
+
+
+def truths_table(found: Numbers) -> str:
+    """Sensors that are not the simulator, before and after some pairs."""
+    rows = []
+    for row in found:
+        if row["pairs"] in PAIRS:
+            labels = ["", ""] if row["pairs"] else [row["truth"], f"{row['protocol']}, {row['size']}"]
+            shares = [_slashed((100 * share for share in row[name]), ".0f") for name in ("within_68", "within_95")]
+            limit = "" if row["pairs"] else _slashed(row["limit_pct"], ".3g")  # the same after any number of pairs
+            rows.append([*labels, str(row["pairs"] or "none"), _slashed(row["error_pct"], ".3g"), limit, *shares])
+    return markdown(("truth", "loads", "pairs", "error", "Bayes limit", "within 68 %", "within 95 %"), rows, 7)
+
+
+def readings_table(found: Numbers) -> str:
+    """Errors by noise and bits."""
+    rows = []
+    for part in ("noise", "converter"):
+        chosen = [row for row in found["rows"] if row["part"] == part]
+        for case in dict.fromkeys(row["case"] for row in chosen):
+            ours, root = (
+                [row for row in chosen if (row["case"], row["net"]) == (case, n)] for n in ("inverse", "root")
+            )
+            shares = [sorted(round(100 * row["coverage"][k]) for row in ours) for k in (0, 1)]
+            spans = [f"{low}" if low == high else f"{low} to {high}" for low, *_, high in shares]
+            errors = [_slashed((row[name] for row in ours), ".3f") for name in ("error_pct", "limit_pct")]
+            rows.append([case.replace("%", " %"), *errors, *spans, _slashed((row["error_pct"] for row in root), ".1f")])
+    return markdown(("readings", "error", "limit", "within 68 %", "within 95 %", "net on √R"), rows, 6)
+
+
+def dead_table(found: Numbers) -> str:
+    """Errors of units with a dead pillar or wire, and of the others, beside the Bayes limit."""
+    rows = []
+    for part in dict.fromkeys(row["part"] for row in found["rows"] if row["part"].startswith("dead")):
+        cells = []
+        for label in ("its units", "others"):
+            chosen = [
+                row
+                for row in found["rows"]
+                if (row["part"], row["net"]) == (part, "inverse") and row["case"].startswith(label)
+            ]
+            error, bayes = (", ".join(f"{row[name]:.1f}" for row in chosen) for name in ("error_pct", "bayes_pct"))
+            cells.append(f"{error} / {bayes}")
+        rows.append([part.removeprefix("dead "), *cells])
+    return markdown(("dead", "its units: net / Bayes limit", "other units: net / Bayes limit"), rows, 3)
+
+
+#: by the name in a page: the file of its numbers, and how they are laid out
+TABLES: dict[str, tuple[str, Callable[[Numbers], str]]] = {
+    "train": ("train.json", train_table),
+    "touches": ("train.json", touches_table),
+    "truths": ("truths.json", truths_table),
+    "readings": ("robustness.json", readings_table),
+    "dead": ("robustness.json", dead_table),
+}
+#: by file of numbers: what a run calls it
+RUNS = {
+    "train.json": "table.json",
+    "truths.json": "robustness/robustness-pairs.json",
+    "robustness.json": "robustness/robustness.json",
+}
+#: entries of a run's file that no page shows
+UNSHOWN = {"made_from", "stages", "rise", "named", "seconds"}
+
+
+def filled(page: str, folder: Path) -> str:
+    """A page with the tables of the numbers in a folder."""
+
+    def table(block: re.Match[str]) -> str:
+        file, laid_out = TABLES[block[1]]
+        numbers = json.loads((folder / file).read_text(encoding="utf-8"))
+        return f"{block[1]}{block[2]}\n{laid_out(numbers)}\n\n"
+
+    return BLOCK.sub(table, page)
+
+
+def fill(
+    out: Annotated[Path | None, Parameter(help="Folder of a run, such as out; default: no new numbers.")] = None,
+    docs: Annotated[Path, Parameter(help="Folder of the pages.")] = DOCS,
+) -> None:
+    """Take the numbers that a run wrote, and fill the tables of the pages."""
+    files = []
+    for name, written in RUNS.items():
+        if out is not None and (out / written).exists():
+            write_json(_kept(json.loads((out / written).read_text(encoding="utf-8"))), docs / "numbers" / name)
+            files.append(docs / "numbers" / name)
+    page = docs / PAGE
+    write_text(filled(page.read_text(encoding="utf-8"), docs / "numbers"), page)
+    wrote([*files, page])
+
+
+def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], n_texts: int) -> str:
+    """A table whose first columns are texts, the others numbers to the right."""
+    rules = ["---"] * n_texts + ["---:"] * (len(headers) - n_texts)
+    return "\n".join(re.sub(r"\|  (?=\|)", "| ", f"| {' | '.join(row)} |") for row in (headers, rules, *rows))
+
+
+def percent(fraction: float) -> str:
+    """Two decimals below 10 %, as the paper prints; then three digits.
+
+    >>> percent(0.0198), percent(0.1153), percent(3.04)
+    ('1.98 %', '11.5 %', '304 %')
+    """
+    value = 100 * fraction
+    return f"{value:.2f} %" if value < 10 else f"{value:.1f} %" if value < 30 else f"{value:.0f} %"
+
+
+def newtons(value: float) -> str:
+    """Two digits, down to a thousandth of a newton.
+
+    >>> [newtons(value) for value in (0.0, 0.0026, 0.114, 9.04, 337.2)]
+    ['0', '0.003', '0.11', '9.0', '337']
+    """
+    decimals = 0 if value >= 10 or value == 0 else 1 if value >= 1 else 2 if value >= 0.1 else 3
+    return f"{value:.{decimals}f}"
+
+
+def _percent_of(errors: Numbers) -> str:
+    return "" if errors is None else percent(errors["rel_err"])
+
+
+def _slashed(values: Iterable[float], spec: str) -> str:
+    return " / ".join(format(value, spec) for value in values)
+
+
+def _kept(numbers: Numbers) -> Numbers:
+    """What pages show of a run's file, to six digits."""
+    if isinstance(numbers, dict):
+        return {name: _kept(one) for name, one in numbers.items() if name not in UNSHOWN}
+    if isinstance(numbers, list):
+        return [_kept(one) for one in numbers]
+    return float(f"{numbers:.6g}") if isinstance(numbers, float) else numbers
+
+
+if __name__ == "__main__":
+    run_alone(fill)

@@ -1,0 +1,201 @@
+"""What every decoder keeps, whatever sensor it decodes and whatever it learned from.
+
+The same bits from its file and for a scan alone, the same forces in torch, ONNX and C, derivatives that are slopes, and
+deviations that hold on scans that it has not seen.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from dataset import Imperfections, Samples
+from decoupler import Decoupler, NetworkConfig, TrainingConfig, component_named, read_model, train, write_model
+from decoupler.data.columns import DEAD_OHM, pillar_columns
+from decoupler.data.pairs import Pairs
+from decoupler.evaluation.faults import FaultTest
+from decoupler.export import export_model
+from decoupler.export.c_header import compiled_forces, header_text
+from decoupler.export.checked import run_onnx
+from decoupler.export.onnx_file import onnx_model
+from decoupler.export.portable import ExportError
+from decoupler.inverse.forward_model import ForwardModel
+from decoupler.model.tensors import in_torch
+from decoupler.twin import identify
+from geometry.design import Electrics
+from geometry.errors import DesignError
+from tests.decoupler import test_finite_strain as finite
+from tests.decoupler.rounding import float_rounding_n
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.test_forward_model import conducted
+
+CC = shutil.which("cc")
+SENSOR = sensor(2, 3)
+RESPONSE = response(SENSOR)
+AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
+DEAD = np.zeros((2, 3, 3), dtype=bool)
+DEAD[0, 1], DEAD[1, 2, 0] = True, True
+DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002, "drift_offset_ohm": 50.0}
+ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
+SCANS = 7  #: looked at one by one
+
+
+@dataclass(frozen=True)
+class Case:
+    """A decoder, and scans of its sensor that it has not seen."""
+
+    model: Decoupler
+    test: Samples
+
+
+def read(data: Samples, seed: int = 0, **errors: float) -> Samples:
+    """Samples as a specimen with gains, offsets, noise and converter shows them."""
+    settings = Imperfections(specimen=1, **errors)
+    drawn = settings.apply(data.resistance_ohm, np.random.default_rng(seed))
+    return replace(data, resistance_ohm=drawn, noise=settings.noise, bits=settings.bits)
+
+
+def linear(component: str = "all", net: str = "skip", feature: str = "inverse", n: int = 600, **errors: float) -> Case:
+    data = read(labelled(SENSOR, AXES[component], n + 200, seed=0), **errors)
+    network = NetworkConfig(hidden=6, net=net, feature=feature)
+    return Case(train(data[:n], component, network, TrainingConfig(), response=RESPONSE), data[n:])
+
+
+def dead(feature: str) -> Case:
+    """Dead pillars and a specimen's gains and offsets, read by a converter."""
+    data = read(labelled(SENSOR, "xyz", 500, seed=0), gain_spread=0.2, offset_ohm=200.0, noise=1e-3, bits=12)
+    data = replace(data, resistance_ohm=np.where(DEAD, np.nan, data.resistance_ohm), dead=DEAD)
+    return Case(train(data[:300], "all", NetworkConfig(hidden=5, feature=feature), response=RESPONSE), data[300:])
+
+
+def conducting() -> Case:
+    given = conducted(0.5)
+    data = labelled(SENSOR, "xyz", 500, seed=0)
+    ohms = ForwardModel.of(given, component_named("all")).resistances(data.force_n.reshape(500, -1))
+    data = read(replace(data, resistance_ohm=ohms.reshape(data.resistance_ohm.shape)), noise=1e-3)
+    return Case(train(data[:300], "all", NetworkConfig(feature="inverse"), response=given), data[300:])
+
+
+def drifting() -> Case:
+    """The design states drifts, and the training data have none."""
+    stated = replace(SENSOR, electrics=Electrics(**DRIFTS))
+    data = replace(labelled(SENSOR, "xyz", 2200, seed=0), design=stated, noise=1e-3)
+    model = train(read(data[:2000], noise=1e-3), response=replace(RESPONSE, design=stated))
+    return Case(model, read(data[2000:], noise=1e-3, **DRIFTS))
+
+
+def identified() -> Case:
+    data = read(labelled(SENSOR, "xyz", 220, seed=0), gain_spread=0.1, offset_ohm=100.0, noise=1e-3)
+    return Case(identify(Pairs.of(data[:20]), RESPONSE).decoder, data[20:])
+
+
+def at_finite_strain() -> Case:
+    return Case(finite.learned(), finite.samples(finite.law(1.0), noise=1e-3)[1000:])
+
+
+#: by what is particular about each; noise-free ones learn nothing but what the response leaves
+CASES: dict[str, Callable[[], Case]] = {
+    "fz-plain-resistance": lambda: linear("fz", "plain", "resistance"),
+    "fx-plain-root": lambda: linear("fx", "plain", "root", noise=1e-3),
+    "fy-skip-root": lambda: linear("fy", "skip", "root", noise=1e-3, bits=12),
+    "all-plain-inverse": lambda: linear("all", "plain", "inverse", noise=1e-3),
+    "all-skip-root": lambda: linear("all", "skip", "root", noise=1e-3),
+    "exact": linear,
+    "noise": lambda: linear(noise=1e-3),
+    "much-noise": lambda: linear(noise=1e-2),
+    "converter": lambda: linear(noise=1e-3, bits=12),
+    "dead-inverse": lambda: dead("inverse"),
+    "dead-root": lambda: dead("root"),
+    "conduction": conducting,
+    "drifts": drifting,
+    "identified": identified,
+    "finite-strain": at_finite_strain,
+}
+made = cache(lambda name: CASES[name]())
+
+
+@pytest.fixture(params=CASES)
+def case(request) -> Case:
+    return made(request.param)
+
+
+def test_its_file_gives_the_same_bits(case, tmp_path):
+    """Forces, deviations, tests of loads and of pillars, the mark to beat."""
+    write_model(case.model, tmp_path / "model.safetensors")
+    again, ohms = read_model(tmp_path / "model.safetensors"), case.test.resistance_ohm[:40]
+    assert again.made_from == case.model.made_from
+    weights = np.ones((ohms[0].size // 3 * len(again.component.axes), 1))
+    answers = [
+        lambda model: model.forces(ohms),
+        lambda model: model.half_widths(ohms),
+        lambda model: model.deviations(ohms, weights)[1],
+        lambda model: model.untrusted(),
+        lambda model: model.load_test and model.chi2(ohms),
+        lambda model: model.least_squares and model.least_squares.forces(ohms),
+        lambda model: (test := FaultTest.of(model)) and test.named(ohms),
+    ]
+    for answer in answers:
+        np.testing.assert_array_equal(answer(again), answer(case.model))
+
+
+def test_a_scan_alone_gives_the_bits_of_the_batch(case):
+    ohms = case.test.resistance_ohm
+    batch = case.model.forces(ohms)
+    assert batch.shape == (*ohms.shape[:3], len(case.model.component.axes))
+    for size in (1, 3):
+        parts = [case.model.forces(ohms[start : start + size]) for start in range(0, 2 * SCANS, size)]
+        np.testing.assert_array_equal(np.concatenate(parts)[: 2 * SCANS], batch[: 2 * SCANS])
+
+
+def test_deviations_hold_on_unseen_scans(case):
+    """200 scans: errors of one scan go together, so that the shares are known to some points."""
+    model, truth = case.model, case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
+    trusted = np.ones(truth.shape[1:], dtype=bool)
+    for row, col, name in model.untrusted():
+        trusted[row, col, model.component.forces.index(name)] = False
+    off = np.abs(model.forces(case.test.resistance_ohm) - truth)
+    one, two = model.half_widths(case.test.resistance_ohm)
+    assert 0.6 < (off <= one)[:, trusted].mean() < 0.78
+    assert (off <= two)[:, trusted].mean() > 0.92
+
+
+def test_derivatives_are_slopes(case):
+    """Differences over a millionth of the resistances; 1e-6 of the largest is their own error."""
+    model = replace(case.model, resting=None)  # which is a step
+    R = model.columns(case.test.resistance_ohm[:2])
+    step = 1e-6 * R * np.random.default_rng(0).standard_normal(R.shape)
+    differences = (model.first_answers(R + step) - model.first_answers(R - step)) / 2
+    found = np.einsum("nom,nm->no", model.derivatives(R), step)
+    np.testing.assert_allclose(found, differences, rtol=0, atol=1e-6 * np.abs(differences).max())
+
+
+def test_other_forms_give_its_forces(case, tmp_path):
+    """Torch, ONNX and C, one scan as many, but for rounding; what learned finite strain says that it has none."""
+    model, scans = case.model, case.test.resistance_ohm[:SCANS]
+    if model.posterior is not None:
+        with pytest.raises(ExportError, match="not exported yet"):
+            export_model(model, tmp_path / "model.h")
+        with pytest.raises(DesignError, match="not known in torch yet"):
+            in_torch(model, torch.zeros((), dtype=torch.float64))
+        return
+    rest_ohm = model.rest_resistances()
+    scans = np.concatenate([scans, rest_ohm[None] + 1.0])  # which a converter cannot tell from rest
+    columns = torch.from_numpy(pillar_columns(scans, model.component, model.dead))
+    assert model.dead is None or (columns == DEAD_OHM).any()
+    tensors = in_torch(model, columns.new_zeros(())).first_answers(columns).numpy()
+    for some in (scans, scans[:1]):
+        expected = model.forces(some)
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(tensors[: len(some)].reshape(expected.shape), expected, atol=ROUNDING * largest)
+        for dtype in (np.float64, np.float32):
+            forms = [run_onnx(onnx_model(model, dtype).SerializeToString(), some, dtype)]
+            if CC is not None:
+                forms.append(compiled_forces(header_text(model, dtype), some, expected.shape[1:], dtype, CC))
+            allowed = ROUNDING * largest if dtype is np.float64 else float_rounding_n(model, some)
+            for found in forms:
+                assert found.shape == expected.shape
+                assert (np.abs(found - expected) < allowed).all()

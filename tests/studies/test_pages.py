@@ -1,0 +1,29 @@
+"""Pages show the numbers that runs wrote."""
+
+import json
+
+from studies.pages import BLOCK, DOCS, PAGE, TABLES, fill, filled
+
+
+def test_no_page_is_older_than_its_numbers():
+    page = (DOCS / PAGE).read_text(encoding="utf-8")
+    assert {block[1] for block in BLOCK.finditer(page)} == set(TABLES)
+    assert filled(page, DOCS / "numbers") == page, "run python -m studies.pages"
+
+
+def test_new_numbers_of_a_run_come_into_the_page(tmp_path):
+    docs, out = tmp_path / "docs", tmp_path / "out" / "robustness"
+    (docs / "numbers").mkdir(parents=True)
+    out.mkdir(parents=True)
+    row = {"truth": "pads", "protocol": "contact", "size": "6 × 6", "pairs": 10, "seconds": 1.0}
+    row |= {"error_pct": [1.23456789, 2, 3], "limit_pct": [1, 1, 1], "within_68": [0.7] * 3, "within_95": [0.95] * 3}
+    (out / "robustness-pairs.json").write_text(json.dumps([row, row | {"pairs": 3}]), encoding="utf-8")
+    (docs / PAGE).write_text("before\n<!-- numbers: truths -->\nold\n<!-- end -->\nafter\n", encoding="utf-8")
+    fill(tmp_path / "out", docs)
+    shown = (docs / PAGE).read_text(encoding="utf-8").splitlines()
+    assert (shown[0], shown[-1]) == ("before", "after")
+    assert [line for line in shown if "| 10 |" in line] == ["| | | 10 | 1.23 / 2 / 3 | | 70 / 70 / 70 | 95 / 95 / 95 |"]
+    assert not any("old" in line or "| 3 |" in line for line in shown)
+    (kept,) = json.loads((docs / "numbers" / "truths.json").read_text(encoding="utf-8"))[:1]
+    assert kept["error_pct"][0] == 1.23457
+    assert "seconds" not in kept

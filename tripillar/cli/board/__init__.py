@@ -1,1 +1,0 @@
-"""The commands of a connected sensor, or of one that is simulated."""

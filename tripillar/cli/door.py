@@ -1,0 +1,238 @@
+"""From a job, a public function with a typed signature and a NumPy docstring, to a command.
+
+Positional-only parameters are arguments, all others flags: `depth_mm` is --depth, its unit is in the help. What a
+docstring says of a parameter is its help. Refusals name parameters as Python has them, `hidden=0`, and are spelled as
+typed here, `--hidden 0`. With --json, -v or -q it says how the answer and progress are printed.
+"""
+
+import inspect
+import json
+import math
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from cyclopts import Parameter, Token
+from docstring_parser import parse
+
+from geometry.errors import DesignError, TriPillarError
+from tripillar.face.caller import Caller, Shown, called_by
+from tripillar.face.inputs import require_above_0
+from tripillar.terminal.entry import say, wrote
+from tripillar.terminal.progress import Bars
+
+Job = Callable[..., Any]
+#: options that every command has
+COMMON = {
+    "json": Annotated[
+        bool,
+        Parameter(
+            negative=(), show_default=False, help="Print the result as one JSON object on stdout; of live one a line."
+        ),
+    ],
+    "verbosity": Annotated[
+        bool | None,
+        Parameter(
+            name=("--verbose", "-v"),
+            negative=("--quiet", "-q"),
+            help="Print a line for each step and its time, or no progress at all.",
+        ),
+    ],
+}
+SECONDS = Annotated[float, Parameter(show_default=False, help="Seconds after which to stop; default: on Ctrl-C.")]
+UNIT = re.compile(r"_(mm|mpa|s|hz|deg|n)$")  #: at the end of a parameter's name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Typed(Caller):
+    """Somebody who typed a command: notes go to stderr, the answer to stdout once the job is done."""
+
+    answers: list[tuple[Callable[[], dict[str, Any]], Shown, Sequence[Path], int]] = field(default_factory=list)
+
+    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path, code: int = 0) -> None:
+        """Keep the answer for `show`."""
+        self.answers.append((result, text, files, code))
+
+    def tell(self, *lines: str) -> None:
+        """Print lines on how the job is done, where they are in nobody's way."""
+        print(*lines, sep="\n", file=sys.stderr if self.as_json else sys.stdout)
+
+    def show(self, indent: int | None = 2) -> None:
+        """Print the answer; without an indent JSON is one line."""
+        for result, text, _, _ in self.answers:
+            if self.as_json:
+                print(json.dumps(result(), indent=indent), flush=True)
+            elif callable(text):
+                from tripillar.terminal.tables import show
+
+                for table in text():
+                    show(table)
+            elif text:
+                print(text, flush=True)
+
+    def end(self) -> int:
+        """Name every file written, last of all, on stderr; gives the exit code."""
+        for _, _, files, _ in self.answers:
+            wrote(files)
+        return max((code for *_, code in self.answers), default=0)
+
+
+def command_of(job: Job) -> Callable[..., int]:
+    """The command of a job, whose signature and docstring the parser reads."""
+    told, parameters, flags = meanings(job), [], {}
+    absent: dict[str, Any] = {}  # of what Python must be given and a command need not
+    for given in inspect.signature(job).parameters.values():
+        hint, marks = hoisted(given.annotation)
+        if given.kind is given.VAR_KEYWORD or any(mark.parse is False for mark in marks):
+            continue
+        is_argument = given.kind is given.POSITIONAL_ONLY
+        default = given.default
+        if default is given.empty and any(mark.required is False for mark in marks):
+            default = absent[given.name] = None
+        name = next((next(iter(mark.name)) for mark in marks if mark.name), flag_of(given.name))
+        flags[given.name] = given.name if is_argument else name
+        names = () if is_argument else ("--out", "-o") if name == "--out" else (name,)
+        shown = not (default is None or default in ((), math.inf) or isinstance(default, bool))
+        own = Parameter(
+            name=names or None,
+            negative=(),
+            help=told.get(given.name),
+            show_default=shown,
+            converter=whole if hint in WHOLE else None,
+        )
+        parameters.append(
+            inspect.Parameter(
+                given.name,
+                given.POSITIONAL_ONLY if is_argument else given.KEYWORD_ONLY,
+                default=default,
+                annotation=Annotated[hint, own, *marks],
+            )
+        )
+    serves = inspect.isgeneratorfunction(inspect.unwrap(job))
+    common = ({"seconds": SECONDS} if serves else {}) | COMMON
+    flags |= {name: flag_of(name) for name in common}
+    defaults = {"seconds": math.inf, "json": False, "verbosity": None}
+    parameters += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint)
+        for name, hint in common.items()
+    ]
+
+    def command(*arguments: Any, **options: Any) -> int:
+        as_json, verbosity = options.pop("json", False), options.pop("verbosity", None)
+        seconds = options.pop("seconds", math.inf) if serves else math.inf
+        bars = Bars(quiet=verbosity is False, verbose=verbosity is True)
+        typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=as_json, is_typed=True)
+        with refusals(flags), called_by(typed):
+            if serves:
+                require_above_0(seconds=seconds)
+                with job(*arguments, **absent | options):
+                    with bars:
+                        pass
+                    typed.show(indent=None)
+                    wait(seconds)
+            else:
+                with bars:
+                    job(*arguments, **absent | options)
+                typed.show()
+        return typed.end()
+
+    parsed = parse(inspect.getdoc(job) or "")
+    paragraphs = [parsed.short_description or "", *(parsed.long_description or "").split("\n\n")]
+    command.__doc__ = "\n\n".join(" ".join(each.split()) for each in paragraphs).replace("``", "'")
+    command.__name__ = job.__name__
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def flag_of(name: str) -> str:
+    """The flag of a parameter: its unit is left to the help.
+
+    >>> flag_of("depth_mm"), flag_of("sense_ohm")
+    ('--depth', '--sense-ohm')
+    """
+    return "--" + UNIT.sub("", name).replace("_", "-")
+
+
+def meanings(job: Job) -> dict[str, str]:
+    """Help of each parameter by the docstring; "As of `train`", or `learning.train`, takes what is said there."""
+    found: dict[str, str] = {}
+    for each in parse(inspect.getdoc(job) or "").params:
+        text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
+        elsewhere = re.match(r"As of '(\w+\.)?(\w+)'", text)
+        others: dict[str, str] = {}
+        if elsewhere:
+            home = inspect.getmodule(job)
+            module = home if elsewhere[1] is None else import_module(f"tripillar.face.{elsewhere[1].rstrip('.')}")
+            others = meanings(getattr(module, elsewhere[2]))
+        for name in each.arg_name.split(", "):
+            found[name] = others.get(name, text)
+    return found
+
+
+def hoisted(annotation: Any) -> tuple[Any, list[Parameter]]:
+    """A type and what is said of it, also where it is said of a member of a union with None."""
+    marks: list[Parameter] = []
+    if get_origin(annotation) is Annotated:
+        annotation, *said = get_args(annotation)
+        marks += [each for each in said if isinstance(each, Parameter)]
+    if get_origin(annotation) in (Union, UnionType):
+        members = [hoisted(member) for member in get_args(annotation)]
+        annotation = Union[tuple(hint for hint, _ in members)]  # noqa: UP007  # of as many as there are
+        marks += [mark for _, inner in members for mark in inner]
+    return annotation, marks
+
+
+def whole(hint: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
+    """Whole numbers that were typed; 1.5 is none."""
+    numbers = tuple(int(token.value) for token in tokens)
+    return numbers if get_origin(hint) is not None and get_origin(hint) not in (Union, UnionType) else numbers[0]
+
+
+WHOLE = (int, int | None, Sequence[int])
+
+
+def spelled(text: str, flags: Mapping[str, str]) -> str:
+    """A text with parameters as they are typed on the command line.
+
+    >>> spelled("hidden=0 must be at least 1", {"hidden": "--hidden"})
+    '--hidden 0 must be at least 1'
+    >>> spelled("leave goal= and force=True out", {"goal": "--goal", "force": "--force"})
+    'leave --goal and --force out'
+    """
+    for name, flag in flags.items():
+        no = "--no-" + flag.removeprefix("--")
+        text = re.sub(rf"\b{name}=True\b", flag, text)
+        text = re.sub(rf"\b{name}=False\b", no, text)
+        text = re.sub(rf"\b{name}=['\"]([^'\"]*)['\"]", rf"{flag} \1", text)
+        text = re.sub(rf"\b{name}=(?=[^\s,;:)])", f"{flag} ", text)
+        text = re.sub(rf"\b{name}=", flag, text)
+    return text
+
+
+@contextmanager
+def refusals(flags: Mapping[str, str]) -> Iterator[None]:
+    """Spell refusals that name parameters as they are typed."""
+    try:
+        yield
+    except OSError:
+        raise  # of a file, which it names
+    except TriPillarError as error:
+        raise DesignError(spelled(str(error), flags)) from error
+
+
+def wait(seconds: float) -> None:
+    """Wait for the end of the time, Ctrl-C or a termination."""
+    from hardware.session import ended_by_signal
+
+    end_s = time.monotonic() + seconds
+    with ended_by_signal() as is_ended:
+        while not is_ended() and time.monotonic() < end_s:
+            time.sleep(0.1)

@@ -1,0 +1,162 @@
+"""A board that is not there: a simulated sensor that is pressed, behind a port that sends what a real one would."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from geometry.design import SensorDesign
+from geometry.errors import DesignError
+from tripillar.face.caller import Caller, current
+from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, to_write
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
+    from hardware.boards.simulated import Motion
+    from hardware.link.frames import Info
+
+    SensorLike = DesignLike | ArrayResponse
+else:
+    SensorLike = Path
+
+
+@contextmanager
+def board(
+    design: SensorLike | None = None,
+    *,
+    chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
+    link: File | None = None,
+    scene: SceneLike | None = None,
+    pressure_mpa: float | None = None,
+    period_s: float = 6.0,
+    mode: Literal["zero-potential", "grounded", "divider"] = "zero-potential",
+    rate_hz: int = 150,
+    sense_ohm: int | None = None,
+    switch_ohm: float | None = None,
+    line_ohm: float | None = None,
+    noise: float = 0.0,
+    bits: int = 10,
+    gain_spread: float = 0.0,
+    offset_ohm: Annotated[float, Parameter(name="--offset")] = 0.0,
+    specimen: int = 0,
+    serial: int = 0,
+    truth: File | None = None,
+) -> Iterator[str]:
+    """Simulate a board: a port that sends what a real one would.
+
+    Where simavr is installed, the very firmware runs on a simulated chip. The port is a pseudo-terminal.
+
+    Parameters
+    ----------
+    design : SensorDesign, ArrayResponse or path, optional
+        Design file (TOML); default: the paper's sensor.
+    chip : str
+        Board to be: the firmware on a simulated chip, or the same frames from Python.
+    link : path, optional
+        Link of this name to the port, to be kept while it runs.
+    scene : Scene or path, optional
+        Scene file (TOML) of an array, pressed again and again.
+    pressure_mpa : float, optional
+        Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
+        rest; default: 3.
+    period_s : float
+        Period of the press and slide, or of the scene [s].
+    mode : str
+        Circuit that reads the array.
+    rate_hz : int
+        Number of scans a second.
+    sense_ohm : int, optional
+        Sense or feedback resistor [Ω]; default: one that suits 10 kΩ.
+    switch_ohm, line_ohm
+        As of `taring.tare`.
+    noise : float
+        Standard deviation of a reading, as a fraction of full scale.
+    bits : int
+        Bits of the converter; chips have 10.
+    gain_spread, offset_ohm, specimen
+        As of `samples.dataset`.
+    serial : int
+        Serial number of the board.
+    truth : path, optional
+        NetCDF file to write: the true forces of one period.
+
+    Yields
+    ------
+    str
+        The port's name, for `live` and `record`, as long as the with block lasts.
+
+    Examples
+    --------
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
+    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
+    >>> with tp.board(design, chip="python") as port, tp.live(port, model) as scans:
+    ...     scan = next(iter(scans))
+    >>> scan.force_n.shape, scan.deviation_n.shape
+    ((1, 2, 3), (1, 2, 3))
+    """
+    caller = current()
+    written = to_write("truth", truth, ".nc")
+    if not 0.1 <= period_s <= 600:
+        raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
+    if scene is not None and (design is not None or pressure_mpa is not None):
+        raise DesignError("a scene has its own design and loads: leave design= and pressure_mpa= out.")
+    from dataset.imperfections import Imperfections
+    from hardware.boards.simulated import counts_over_time, run_board, suited_kind, write_truth
+    from hardware.boards.virtual_board import NO_TERMINALS
+    from hardware.readout.calibration import Electronics
+
+    if sys.platform == "win32":
+        raise DesignError(NO_TERMINALS)
+    told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
+    wires = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
+    electronics = Electronics(**{name: ohms for name, ohms in wires.items() if ohms is not None})
+    replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
+    specimen_of = Imperfections(gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=specimen)
+    motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
+    rows, cols = motion.resistance_ohm.shape[1:3]
+    told = replace(told, rows=rows, cols=cols)
+    suited, why = suited_kind(told) if chip == "auto" else (chip, "")
+    caller.say(why)
+    counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
+    if written is not None:
+        write_truth(motion, written)
+    with run_board(suited, told, counts, None if link is None else Path(link)) as running:
+        port = str(link or running.port)
+        files = [] if written is None else [written]
+        caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)
+        yield port
+
+
+def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: Any) -> "Info":
+    """INFO frame of a simulated board; its sense resistor suits pillars of 10 kΩ unless another is given."""
+    from hardware.link.frames import Info
+    from hardware.readout.crossbar import SUITED_SENSE_OHM, scan_mode_named
+
+    scan_mode = scan_mode_named(mode)
+    sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
+    return Info(scan_mode=scan_mode, sense_ohm=sense, **told)
+
+
+def _motion(
+    sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float, caller: Caller
+) -> "Motion":
+    """One period of a scene, or of the press and slide."""
+    from hardware.boards.simulated import PressAndSlide, press_and_slide, scene_motion
+
+    script = PressAndSlide(peak_mpa=peak_mpa, seconds=period_s)
+    if scene is not None:
+        from fem.scene.scene_file import read_scene
+
+        return scene_motion(read_scene(Path(scene)) if isinstance(scene, Path | str) else scene, period_s)
+    from tripillar.pipeline.run import respond
+
+    if sensor is None or isinstance(sensor, SensorDesign | Path | str):
+        return press_and_slide(respond(design_of(sensor), caller.bars)[1], script)
+    return press_and_slide(sensor, script)
