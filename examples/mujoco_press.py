@@ -21,6 +21,7 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.fin
 
 import numpy as np
 import torch
+from finger_on_slab import FINGERTIP, DrawingError, finger_on_slab, pad_stiffness, renderer
 
 import tripillar as tp
 from geometry.layout import unit_centres
@@ -28,7 +29,6 @@ from geometry.storage.files import replacing
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Crossbar
 from tripillar.simulators.contacts import ContactReader, stacked
-from tripillar.simulators.press_model import FINGERTIP, DrawingError, finger_on_slab, pad_stiffness, renderer
 
 NOISE, BITS, SENSE_OHM = 0.001, 12, 3300.0  # noise of a resistance, relative; the crossbar's converter and resistors
 SCAN_S = 0.005  # from scan to scan

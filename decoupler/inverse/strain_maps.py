@@ -31,15 +31,20 @@ _PRESSING = np.flatnonzero(np.isin(_PAIRS[0], [2, 3, 4, 5, 8]) & np.isin(_PAIRS[
 _SLOPES = np.zeros((N_PAIRS, OWN, OWN))  #: derivatives of the pairs by o, as matrices that are multiplied by o
 _SLOPES[np.arange(N_PAIRS), _PAIRS[0], _PAIRS[1]] += 1.0
 _SLOPES[np.arange(N_PAIRS), _PAIRS[1], _PAIRS[0]] += 1.0
+_SIDES = np.array([1, 3, 4, 6])  #: neighbours that share a side
+_FOURS = np.triu_indices(N_PAIRS)  #: numbers of each two pairs
 #: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
-_WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + N_PAIRS, 8 * OWN, 8 * N_PAIRS
-_ENDS = np.cumsum([OWN * _WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE])
-N_CURVED = int(_ENDS[-1])  #: features of the second and third order
+WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + 5 * N_PAIRS, 8 * OWN, 8 * N_PAIRS
+_ENDS = np.cumsum([OWN * WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE, len(_FOURS[0])])
+N_CURVED = int(_ENDS[-1])  #: features of the second to the fourth order
 N_FEATURES = N_CURVED + 1 + 9 * OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
 #: prior sizes of the features' shares in χ and ρ, by orders and neighbours (maximum likelihood, in the mean of both)
-SCALES = np.ones(N_CURVED)
-SCALES[: _ENDS[0]] = np.tile(np.repeat([4.5, 0.65, 1.3], [OWN, 8 * OWN, N_PAIRS]), OWN)
-SCALES[_ENDS[0] : _ENDS[1]], SCALES[_ENDS[1] : N_CURVED] = 0.4, 0.7
+SCALES = np.concatenate(
+    [
+        np.tile(np.repeat([2.4, 0.18, 0.7, 0.09], [OWN, 8 * OWN, N_PAIRS, 4 * N_PAIRS]), OWN),
+        np.repeat([0.11, 0.29, 0.1], np.diff(_ENDS)),
+    ]
+)
 
 #: products of three, each once: numbers of the first and of the pair of the others
 _TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T
@@ -47,8 +52,8 @@ _TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIR
 FEW = np.concatenate(
     [
         np.arange(N_CURVED, N_FEATURES),
-        _PAIRS[0] * _WITH_OWN + _PAIRS[1],
-        _TRIPLES[0] * _WITH_OWN + 9 * OWN + _TRIPLES[1],
+        _PAIRS[0] * WITH_OWN + _PAIRS[1],
+        _TRIPLES[0] * WITH_OWN + 9 * OWN + _TRIPLES[1],
     ]
 )
 
@@ -57,7 +62,7 @@ FEW = np.concatenate(
 class StrainMaps:
     """χ and ρ of an array of k units, each a sum of products of o, the `OWN` numbers of a pad and of its neighbours.
 
-    For a design all products are of the second or the third order, so that at rest and under light loads the array is
+    For a design all products are of the second to the fourth order, so that at rest and under light loads the array is
     linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
     """
 
@@ -86,11 +91,14 @@ class StrainMaps:
         """χ and ρ of each pad, (n, 3 k) [N] -> (n, k, m); the same bits alone and in any batch."""
         n, k = len(state_n), len(self.near)
         o, around, pairs, pairs_around = self._parts(state_n)
-        with_own, with_pressing, alone, first = self._maps
-        z = np.concatenate([o, around, pairs], axis=2)
+        with_own, with_pressing, alone, with_pairs, first = self._maps
+        z = _with_own(o, around, pairs, pairs_around)
         found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, -1)
         found += first[0] + rowwise(z[..., : 9 * OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
-        for factor, values, matrix in ((o, z, with_own), (pairs[..., _PRESSING], around, with_pressing)):
+        pressing = pairs[..., _PRESSING]
+        for factor, values, matrix in (
+            (o, z, with_own), (pressing, around, with_pressing), (0.5 * pairs, pairs, with_pairs)
+        ):  # fmt: skip
             mapped = rowwise(values.reshape(n * k, -1), matrix).reshape(n, k, factor.shape[2], -1)
             found += (factor[..., None] * mapped).sum(axis=2)
         return found
@@ -99,12 +107,13 @@ class StrainMaps:
         """Features of each pad, (n, 3 k) [N] -> (n, k, N_FEATURES)."""
         o, around, pairs, pairs_around = self._parts(state_n)
         shape = (*o.shape[:2], -1)
-        z = np.concatenate([o, around, pairs], axis=2)
+        z = _with_own(o, around, pairs, pairs_around)
         return np.concatenate(
             [
                 (o[..., :, None] * z[..., None, :]).reshape(shape),
                 (pairs[..., _PRESSING, None] * around[..., None, :]).reshape(shape),
                 pairs_around,
+                pairs[..., _FOURS[0]] * pairs[..., _FOURS[1]],
                 np.ones((*o.shape[:2], 1)),
                 o,
                 around,
@@ -141,23 +150,26 @@ class StrainMaps:
         """χ and ρ (n, k, m) and their derivatives by the state, (n, k, m, 3 k)."""
         n, k = len(state_n), len(self.near)
         o, around, pairs, pairs_around = self._parts(state_n)
-        with_own, with_pressing, alone, first = self._maps
+        with_own, with_pressing, alone, with_pairs, first = self._maps
         m = self.weights.shape[1]
-        z = np.concatenate([o, around, pairs], axis=2)
+        z = _with_own(o, around, pairs, pairs_around)
         pressing = pairs[..., _PRESSING]
         by_factor = (z @ with_own).reshape(n, k, OWN, m)
         by_pressing = (around @ with_pressing).reshape(n, k, -1, m)
         values = (o[..., None] * by_factor).sum(axis=2) + (pressing[..., None] * by_pressing).sum(axis=2)
         values += pairs_around @ alone + first[0] + z[..., : 9 * OWN] @ first[1:]
+        by_pairs = (pairs @ with_pairs).reshape(n, k, N_PAIRS, m).swapaxes(2, 3)
+        values += 0.5 * (by_pairs @ pairs[..., None])[..., 0]
         by_z = (o @ self._of_own).reshape(n, k, m, -1)
         by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
         slopes = (o @ _SLOPES.transpose(2, 0, 1).reshape(OWN, -1)).reshape(n, k, N_PAIRS, OWN)  # of the pairs by o
-        by_pairs = by_z[..., 9 * OWN :].copy()
+        by_pairs = by_pairs + by_z[..., 9 * OWN : 9 * OWN + N_PAIRS]
         by_pairs[..., _PRESSING] += by_pressing.swapaxes(2, 3)
         by_own = by_factor.swapaxes(2, 3) + by_z[..., :OWN] + by_pairs @ slopes
         around_slopes = np.concatenate([slopes, np.zeros((n, 1, N_PAIRS, OWN))], axis=1)[:, self.near]
-        alone_of = alone.reshape(8, N_PAIRS, m).swapaxes(1, 2)
-        by_around = by_around + (alone_of @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
+        by_neighbours = np.tile(alone.reshape(8, N_PAIRS, m).swapaxes(1, 2), (n, k, 1, 1, 1))
+        by_neighbours[:, :, _SIDES] += by_z[..., 9 * OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS).swapaxes(2, 3)
+        by_around = by_around + (by_neighbours @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
         by_o = np.concatenate([by_own, by_around], axis=3) + first[1:].T  # (n, k, m, 81)
         return values, by_o @ self._by_force
 
@@ -213,20 +225,26 @@ class StrainMaps:
         return force_n - state_n - values[..., :N_AXES].reshape(state_n.shape), J
 
     @cached_property
-    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Weights as matrices, of z (126, 9 m), neighbours' o (72, 15 m), their pairs (360, m), first order (82, m)."""
-        own, pressing, alone, first = np.split(self.weights, _ENDS)
+    def _maps(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Weights as matrices, of z (306, 9 m), neighbours' o (72, 15 m), their pairs (360, m), own pairs (45, 45 m).
+
+        The last is of the first order, (82, m). That of own pairs gives derivatives, and so twice the values.
+        """
+        own, pressing, alone, fours, first = np.split(self.weights, _ENDS)
         m = self.weights.shape[1]
         with_own, with_pressing = (
             np.ascontiguousarray(part.reshape(-1, size, m).swapaxes(0, 1).reshape(size, -1))
-            for part, size in ((own, _WITH_OWN), (pressing, _WITH_PRESSING))
+            for part, size in ((own, WITH_OWN), (pressing, _WITH_PRESSING))
         )
-        return with_own, with_pressing, alone, first
+        both = np.zeros((N_PAIRS, N_PAIRS, m))
+        both[_FOURS] = fours
+        with_pairs = (both + both.swapaxes(0, 1)).reshape(N_PAIRS, -1)
+        return with_own, with_pressing, alone, with_pairs, first
 
     @cached_property
     def _of_own(self) -> FloatArray:
-        """From o to the derivatives by z, (9, m · 126)."""
-        own = self.weights[: _ENDS[0]].reshape(OWN, _WITH_OWN, -1)
+        """From o to the derivatives by z, (9, m · 306)."""
+        own = self.weights[: _ENDS[0]].reshape(OWN, WITH_OWN, -1)
         return np.ascontiguousarray(own.swapaxes(1, 2).reshape(OWN, -1))
 
     @cached_property
@@ -242,6 +260,13 @@ class StrainMaps:
         own = self.own(np.eye(N_AXES * k)).transpose(1, 2, 0)
         around = np.concatenate([own, np.zeros((1, *own.shape[1:]))])[self.near].reshape(k, 8 * OWN, -1)
         return np.ascontiguousarray(np.concatenate([own, around], axis=1))
+
+
+def _with_own(o: FloatArray, around: FloatArray, pairs: FloatArray, pairs_around: FloatArray) -> FloatArray:
+    """z, what o is multiplied by: o, neighbours' o, pairs of its own and of neighbours at its sides, (n, k, 306)."""
+    n, k, _ = o.shape
+    beside = pairs_around.reshape(n, k, 8, N_PAIRS)[:, :, _SIDES].reshape(n, k, -1)
+    return np.concatenate([o, around, pairs, beside], axis=2)
 
 
 def neighbours(rows: int, cols: int) -> NDArray[np.int64]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
-METHOD = 8  #: raise when the same settings train another file, so that old models are not reused
+METHOD = 9  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"
 

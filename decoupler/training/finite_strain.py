@@ -26,7 +26,8 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)  #: per row, of features whose root mean squares are their `SCALES`
+RIDGES = (1e-5, 1e-4, 1e-3)  #: per row, of features whose root mean squares are their `SCALES`
+ENOUGH_ROWS = 2  #: equations a feature, from which on images in a mirror are left out
 TINY = 1e-100  #: instead of 0, the size of features of neighbours that no pad has
 FLIPPED = np.array([1.0, -1.0, 1.0])  #: sign of x, y and z in a mirror at y = 0
 ALIKE = 1e-9  #: largest difference of a mirrored influence, relative
@@ -71,7 +72,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     -----
     Every unit of every sample is one equation for each of its forces and pillars, by ridge regression, each feature
     scaled to `SCALES`; the ridge is the one with the least errors had each equation been left out. Where the array is
-    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it: each sample counts
+    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it, and few samples count
     twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
     if data.displacement_mm is None:
@@ -99,9 +100,9 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]
-    unit = np.eye(len(electrodes))
+    unit, few = np.eye(len(electrodes)), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
     seen = _moved(_image(unit, rows, cols), electrodes, rows, cols)
-    if np.allclose(seen, _moved_image(_moved(unit, electrodes, rows, cols)), atol=ALIKE * np.abs(seen).max()):
+    if few and np.allclose(seen, _moved_image(_moved(unit, electrodes, rows, cols)), atol=ALIKE * np.abs(seen).max()):
         states.append(_image(state_n, rows, cols))
         forces.append(_image(force_n, rows, cols))
         if response.conducted is None and data.length_mm is not None:
@@ -112,10 +113,10 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     A *= scale
     off_n = np.concatenate(forces) - np.concatenate(states)
     off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2, strict=False)]
-    found = [
-        _ridge(A[: part.size // width], part.reshape(-1, width))
-        for part, width in ((off_n, N_AXES), (np.concatenate(off_mm2), n_values - N_AXES))
-    ]
+    targets = [off_n.reshape(-1, N_AXES), np.concatenate(off_mm2).reshape(-1, n_values - N_AXES)]
+    if len(targets[0]) == len(targets[1]):
+        targets = [np.concatenate(targets, axis=1)]
+    found = [_ridge(A[: len(part)], part) for part in targets]
     weights = np.zeros_like(empty.weights)
     weights[:N_CURVED] = scale[:, None] * np.concatenate([own for own, _ in found], axis=1)
     left_out = np.concatenate([left[: state_n.size // N_AXES] for _, left in found], axis=1)
@@ -151,20 +152,24 @@ def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
 
 
 def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights (n_features, m) of targets (n, m), each by its best ridge, and errors (n, m) had each been left out."""
-    M, right = A.T @ A, A.T @ targets
-    best = np.full(targets.shape[1], np.inf)
-    weights, left_out = np.empty_like(right), np.empty_like(targets)
+    """Weights (n_features, m) of targets (n, m), each by its best ridge, and errors (n, m) had each been left out.
+
+    By the singular vectors of A, from the smaller of its two products with itself: one decomposition for all ridges.
+    """
+    n, few = len(A), len(A) < A.shape[1]
+    energies, vectors = scipy.linalg.eigh(A @ A.T if few else A.T @ A, driver="evd", check_finite=False)
+    energies = np.maximum(energies, MIN_FREEDOM**2 * energies[-1])
+    left = vectors if few else (A @ vectors) / np.sqrt(energies)
+    fitted, squared = left.T @ targets, left**2
+    best, weights, left_out = np.full(targets.shape[1], np.inf), np.empty((A.shape[1], len(targets.T))), targets.copy()
     for ridge in RIDGES:
-        regular = M + ridge * len(A) * np.eye(len(M))
-        L = scipy.linalg.cholesky(regular, lower=True, overwrite_a=True, check_finite=False)
-        W = scipy.linalg.cho_solve((L, True), right, check_finite=False)
-        V = scipy.linalg.solve_triangular(L, A.T, lower=True, check_finite=False)
-        freedom = np.maximum(1.0 - (V**2).sum(axis=0), MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
-        errors = (targets - A @ W) / freedom[:, None]
+        kept = energies / (energies + ridge * n)
+        freedom = np.maximum(1.0 - squared @ kept, MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
+        errors = (targets - left @ (kept[:, None] * fitted)) / freedom[:, None]
         squares = (errors**2).mean(axis=0)
         better = squares < best
-        weights[:, better], left_out[:, better], best[better] = W[:, better], errors[:, better], squares[better]
+        weights[:, better] = A.T @ (left @ (fitted[:, better] / (energies + ridge * n)[:, None]))
+        left_out[:, better], best[better] = errors[:, better], squares[better]
     return weights, left_out
 
 

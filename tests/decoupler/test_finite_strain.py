@@ -13,7 +13,7 @@ from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.forward_model import ForwardModel
-from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, StrainMaps, neighbours
+from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.model_file import read_model, write_model
 from decoupler.training.finite_strain import with_strain_maps
@@ -87,7 +87,7 @@ def test_maps_are_learned_from_samples():
 def test_mirrored_forces_are_known():
     """20 samples of positive Fy teach an array that is its own image, and no other, what negative forces do."""
     weights = np.zeros((N_FEATURES, 6))
-    weights[126 * np.arange(3) + 2, np.arange(3)] = [0.1 * STATES.std()] * 3  # products of Gx, Gy, Gz with Gz
+    weights[WITH_OWN * np.arange(3) + 2, np.arange(3)] = [0.1 * STATES.std()] * 3  # products of Gx, Gy, Gz with Gz
     flipped = STATES[100:200] * np.tile([1.0, -1.0, 1.0], 2)
     missed = []
     for given in (EVEN, RESPONSE):
@@ -183,7 +183,7 @@ def test_forces_beyond_the_samples_are_refused():
     maps = law(0.0).maps
     assert maps is not None
     weights = maps.weights.copy()
-    weights[2 * 126 + 2, 2] = -SIZES[2]  # of the pressing force, squared
+    weights[2 * WITH_OWN + 2, 2] = -SIZES[2]  # of the pressing force, squared
     with pytest.raises(SampleError, match="beyond its samples"):
         replace(maps, weights=weights).states(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
 

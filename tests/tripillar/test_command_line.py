@@ -1,11 +1,14 @@
 """Options and help that all commands share, completion in a shell, Ctrl-C."""
 
+import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from contextlib import suppress
+from importlib import import_module
 
 import psutil
 import pytest
@@ -21,6 +24,7 @@ APP = app_of()
 NAMES = [name for names in COMMANDS.values() for name in names]
 OPTIONS = {name: options_of(APP, name) for name in NAMES}
 MAX_COMMANDS = 21
+UNKNOWN = "--no-such-flag"
 
 
 def flags(name):
@@ -56,6 +60,21 @@ def test_help_prints_every_word_as_written(tmp_path, monkeypatch, width):
             assert told[0].isupper(), (name, told)
             assert told.split()[0] not in ("Of", "In", "For", "Its", "True", "False", "As"), (name, told)
             assert all("".join(word.split()) in shown for word in told.split()), (name, told)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_keeps_the_contracts(tmp_path, name):
+    """What is missing, else an unknown flag, is one line and exit code 2; the job's docstring says each parameter."""
+    house = House(tmp_path)
+    said = house.refusal(name, UNKNOWN)
+    required = [flag for entry in OPTIONS[name] if entry.required for flag in entry.all_options]
+    assert f"Unknown option: {UNKNOWN}" in said or any(f"{flag} is missing: " in said for flag in required)
+    heading = next(jobs for jobs in COMMANDS.values() if name in jobs)
+    module, _, function = heading[name].partition(":")
+    job = getattr(import_module(f"tripillar.face.{module}"), function or name)
+    told = inspect.getdoc(job)
+    for given in inspect.signature(job).parameters.values():
+        assert given.kind is given.VAR_KEYWORD or re.search(rf"\b{given.name}\b", told), given.name
 
 
 def test_the_design_option_goes_with_every_command_that_needs_one():

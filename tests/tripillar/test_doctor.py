@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fem.factor import SolverError
+from hardware.link import serial_ports as ports
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.doctor import known_answers, surroundings
@@ -22,43 +23,29 @@ def test_a_sound_machine_is_found_sound(tmp_path):
     assert [name for name, state in states.items() if state == "wrong"] == []
     assert (done.returncode, told["wrong"]) == (0, 0)
     assert {known.name for known in KNOWN} <= set(states)
-    assert all(check["advice"] for check in told["checks"] if check["state"] != "ok")
+    assert all(bool(check["advice"]) == (check["state"] != "ok") for check in told["checks"])
 
 
-def test_a_broken_solver_is_a_line_and_not_the_end(monkeypatch):
+def test_a_broken_solver_is_a_line_and_not_the_end_and_a_wrong_answer_is_told(monkeypatch):
     def broken(*_):
         raise SolverError("no factor")
 
     monkeypatch.setattr(known_answers, "solve_scene", broken)
-    monkeypatch.setattr(
-        known_answers, "KNOWN", [known for known in KNOWN if known.name.startswith(("col", "res"))][::2]
-    )
-    column, resistance = known_answers.check_answers()
+    monkeypatch.setattr(known_answers, "pillar_resistances", lambda *_: [8200.0])
+    monkeypatch.setattr(known_answers, "KNOWN", [one for one in KNOWN if "column" in one.name or "pillar" in one.name])
+    column, pillar = known_answers.check_answers()
     assert (column.state, column.found) == ("wrong", "SolverError: no factor")
     assert "pypardiso" in column.advice
-    assert resistance.state == "ok"
+    assert pillar.state == "wrong"
+    assert pillar.found.startswith("error 1.2e-02")  # 100 / 8100
 
 
-def test_a_wrong_answer_is_told(monkeypatch):
-    monkeypatch.setattr(known_answers, "pillar_resistances", lambda *_: [8200.0])
-    (known,) = (known for known in KNOWN if "pillar" in known.name)
-    assert known.error() == pytest.approx(100 / 8100)
-    assert known.error() > known.limit
-
-
-def test_a_cache_that_cannot_be_written_is_wrong(tmp_path, monkeypatch):
-    monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
-    found = surroundings.cache()
-    assert (found.state, "TRIPILLAR_CACHE" in found.advice) == ("wrong", True)
-
-
-def test_a_port_without_permission_names_the_group(monkeypatch):
-    from hardware.link import serial_ports as ports
-
+def test_what_may_not_be_written_or_opened_is_wrong(monkeypatch):
     monkeypatch.setattr(ports, "list_ports", lambda: [ports.Port(device="/dev/null", description="", hardware_id="")])
     assert surroundings.serial_ports().state == "ok"
     monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
-    assert (surroundings.serial_ports().state, "dialout" in surroundings.serial_ports().advice) == ("wrong", True)
+    for check, named in ((surroundings.cache(), "TRIPILLAR_CACHE"), (surroundings.serial_ports(), "dialout")):
+        assert (check.state, named in check.advice) == ("wrong", True)
 
 
 def test_a_failure_ends_with_code_1(tmp_path):

@@ -42,7 +42,6 @@ FILES = {
 REFUSED = """
 designs -> Unknown command 'designs'. Did you mean 'design'?
 --nonsense -> Unknown command '--nonsense'
-design --nonsense -> Unknown option: --nonsense
 design extra -> unexpected extra argument: extra. See 'tripillar design --help'
 design --out -> --out needs a value
 design --out dir -> dir is a folder: give the name of a file in it
@@ -196,7 +195,7 @@ tare missing -o x.json --calibration small.toml -> small.toml is no calibration
 board --board arduino -> --board arduino must be one of auto, atmega328p, atmega2560, python
 board --rate 0 -> --rate 0 must be a whole number from 1 to 65535
 board --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
-board --board python -q --design small.toml --link small.toml -> exists and is no link
+board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
 board --period 0 -> --period 0 must be from 0.1 to 600 s
 board --switch-ohm -1 -> --switch-ohm -1 must be from 0
 board --scene sphere.toml -> kind='sphere' is unknown

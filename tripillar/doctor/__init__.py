@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Check:
     """One thing that was checked."""
 
     name: str
-    state: Literal["ok", "optional", "wrong"]  #: optional: something is missing that only some commands need
     found: str
-    advice: str = ""  #: how to mend it; empty if all is well
+    advice: str  #: how to mend it; empty if all is well
+    state: Literal["ok", "optional", "wrong"]  #: optional: something is missing that only some commands need
+
+
+def judged(name: str, found: str, advice: str = "", is_optional: bool = False) -> Check:
+    """A check that is well without advice."""
+    return Check(name, found, advice, "ok" if not advice else "optional" if is_optional else "wrong")

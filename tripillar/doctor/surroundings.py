@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-from tripillar.doctor import Check
+from tripillar.doctor import Check, judged
 
 GIB = 1024**3
 MIN_MEMORY_GIB = 4.0  #: for the paper's array and 2000 samples, with room to spare
@@ -49,9 +49,7 @@ def check_surroundings() -> Iterator[Check]:
 def python() -> Check:
     """Check the version of Python."""
     found = f"{platform.python_version()} on {platform.platform(terse=True)}"
-    new_enough = sys.version_info >= (3, 11)
-    advice = "" if new_enough else "TriPillar needs Python 3.11 or newer."
-    return Check(name="Python", state="ok" if new_enough else "wrong", found=found, advice=advice)
+    return judged("Python", found, "" if sys.version_info >= (3, 11) else "TriPillar needs Python 3.11 or newer.")
 
 
 def packages() -> Iterator[Check]:
@@ -69,13 +67,10 @@ def packages() -> Iterator[Check]:
         listed = ", ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
         if not extra:
             advice = f"missing: {', '.join(missing)}. Run 'make setup', or pip install tripillar." if missing else ""
-            own = f"tripillar {_version('tripillar')}, {listed}"
-            yield Check(name="packages", state="wrong" if missing else "ok", found=own, advice=advice)
+            yield judged("packages", f"tripillar {_version('tripillar')}, {listed}", advice)
         else:
             advice = f"for {EXTRAS[extra]}: pip install 'tripillar[{extra}]'" if missing else ""
-            yield Check(
-                name=f"extra {extra}", state="optional" if missing else "ok", found=listed or "none", advice=advice
-            )
+            yield judged(f"extra {extra}", listed or "none", advice, is_optional=True)
 
 
 def solver() -> Check:
@@ -85,7 +80,7 @@ def solver() -> Check:
     name = solver_name()
     advice = "PARDISO is several times faster: pip install pypardiso (x86-64)." if name == "superlu" else ""
     found = {"pardiso": "PARDISO (Intel MKL)", "superlu": "SuperLU (SciPy)"}[name]
-    return Check(name="linear solver", state="optional" if advice else "ok", found=found, advice=advice)
+    return judged("linear solver", found, advice, is_optional=True)
 
 
 def machine() -> Check:
@@ -96,9 +91,9 @@ def machine() -> Check:
     cores, free_gib = psutil.cpu_count(), memory.available / GIB
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS") if name in os.environ]
     found = ", ".join([f"{cores} cores", f"{free_gib:.1f} of {memory.total / GIB:.1f} GiB free", *limits])
-    short = free_gib < MIN_MEMORY_GIB
-    advice = f"less than {MIN_MEMORY_GIB:g} GiB free: large arrays will be solved slowly or refused." if short else ""
-    return Check(name="machine", state="optional" if short else "ok", found=found, advice=advice)
+    advice = f"less than {MIN_MEMORY_GIB:g} GiB free: large arrays will be solved slowly or refused."
+    advice *= free_gib < MIN_MEMORY_GIB
+    return judged("machine", found, advice, is_optional=True)
 
 
 def cache() -> Check:
@@ -112,7 +107,7 @@ def cache() -> Check:
     size_mib = sum(path.stat().st_size for path in files) / 1024**2
     advice = "" if writable else "set TRIPILLAR_CACHE to a folder that can be written."
     found = f"{folder}: {len(files)} files, {size_mib:.1f} MiB"
-    return Check(name="cache", state="ok" if writable else "wrong", found=found, advice=advice)
+    return judged("cache", found, advice)
 
 
 def display() -> Check:
@@ -125,9 +120,9 @@ def display() -> Check:
     except subprocess.TimeoutExpired:
         sound = False
     if sound:
-        return Check(name="pictures", state="ok", found=f"{where}; off screen works")
+        return judged("pictures", f"{where}; off screen works")
     advice = "VTK cannot draw off screen: install Mesa's EGL (Debian: apt install libegl1), or give it a display."
-    return Check(name="pictures", state="wrong", found=where, advice=advice)
+    return judged("pictures", where, advice)
 
 
 def serial_ports() -> Check:
@@ -138,11 +133,9 @@ def serial_ports() -> Check:
     refused = [device for device in found if Path(device).exists() and not os.access(device, os.R_OK | os.W_OK)]
     if refused:
         advice = f"no permission for {', '.join(refused)}: sudo usermod -aG dialout $USER, then log in again."
-        return Check(name="serial ports", state="wrong", found=", ".join(found), advice=advice)
-    if not found:
-        advice = "plug the board in; without one, 'tripillar board' is one."
-        return Check(name="serial ports", state="optional", found="none", advice=advice)
-    return Check(name="serial ports", state="ok", found=", ".join(found))
+        return judged("serial ports", ", ".join(found), advice)
+    advice = "" if found else "plug the board in; without one, 'tripillar board' is one."
+    return judged("serial ports", ", ".join(found) or "none", advice, is_optional=True)
 
 
 def firmware_tools() -> Check:
@@ -151,7 +144,7 @@ def firmware_tools() -> Check:
 
     missing = find_tools()
     found = "compiler and simulated chip" if missing is None else "not complete"
-    return Check(name="firmware", state="ok" if missing is None else "optional", found=found, advice=missing or "")
+    return judged("firmware", found, missing or "", is_optional=True)
 
 
 def _version(package: str) -> str | None:

@@ -75,6 +75,16 @@ def press(
     -------
     Contact
         ``force_n`` of each unit (rows, cols, 3), the net force, its moment and centre, and the contact's area.
+
+    Examples
+    --------
+    >>> import tripillar as tp
+    >>> from dataclasses import replace
+    >>> design = tp.SensorDesign()
+    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> contact = press(design, shape="sphere", radius_mm=20.0, depth_mm=0.2)
+    >>> contact.force_n.shape, bool(contact.net_force_n[2] > 0)
+    ((1, 2, 3), True)
     """
     caller = current()
     file = to_write("out", out, ".nc", read=(design,))

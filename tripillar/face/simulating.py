@@ -103,6 +103,9 @@ def board(
     """
     caller = current()
     written = to_write("truth", truth, ".nc")
+    kept = None if link is None else Path(link)
+    if kept is not None and kept.exists() and not kept.is_symlink():
+        raise DesignError(f"link={kept} exists and is no link: give another name for the link to the port.")
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
     if scene is not None and (design is not None or pressure_mpa is not None):
@@ -127,7 +130,7 @@ def board(
     counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
     if written is not None:
         write_truth(motion, written)
-    with run_board(suited, told, counts, None if link is None else Path(link)) as running:
+    with run_board(suited, told, counts, kept) as running:
         port = str(link or running.port)
         files = [] if written is None else [written]
         caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)

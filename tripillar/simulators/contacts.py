@@ -1,4 +1,4 @@
-"""Contact forces of MuJoCo on a sensor's slab, in the sensor's frame, mm and N. Loads mujoco."""
+"""Contacts of MuJoCo with a sensor's slab: forces in the sensor's frame, mm and N; stiffness. Loads mujoco."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +12,8 @@ from geometry.layout import FloatArray
 with needing("the simulator", "simulators"):
     import mujoco
 
+MIN_IMPEDANCE = 0.5  #: MuJoCo's d of a contact: smaller is nearer to a spring, but chatters sooner
+MAX_DAMPED = 0.6  #: largest b/d times the time step; contacts chatter from 1 on
 MIN_COSINE = np.sqrt(0.5)  #: of the angle between a contact's normal and z; flatter ones are at the slab's sides
 
 
@@ -61,13 +63,7 @@ class ContactReader:
     """
 
     def __init__(
-        self,
-        model: Any,
-        *,
-        site: str,
-        geom: str | None = None,
-        body: str | None = None,
-        mm_per_length: float = 1000.0,
+        self, model: Any, *, site: str, geom: str | None = None, body: str | None = None, mm_per_length: float = 1000.0
     ) -> None:
         if (geom is None) == (body is None):
             raise ArgumentError("give the slab as geom or as body, one of the two.")
@@ -113,12 +109,39 @@ def stacked(contacts: Sequence[SurfaceContacts]) -> tuple[FloatArray, FloatArray
     return points, forces
 
 
+def soften(model: Any, geom: str, body: str, stiffness_n_per_mm: float) -> None:
+    """Make each contact of a geom with a body a spring of this stiffness with critical damping.
+
+    The model is in metres and has elliptic cones; the geom's priority is above the body's geoms', so that MuJoCo takes
+    its parameters.
+
+    Raises
+    ------
+    ArgumentError
+        If the cones are pyramidal: their stiffness depends on friction.
+
+    Notes
+    -----
+    MuJoCo's contact force f obeys R f = (b v + k r)/d − a: penetration r, its rate v, the bodies' acceleration a apart,
+    ``solref`` = (−k, −b), impedance d and R = Â (1 − d)/d, Â the body's inverse mass as the model states it
+    (`body_invweight0`); MuJoCo's documentation, chapter Computation. At rest f = k r/(Â (1 − d)), so
+    k = stiffness · Â (1 − d) makes the spring. It has an apparent mass 1/R, with d = 1/2 the body's own, and
+    b = 2 √k damps both critically. d is 1/2, or where b/d is too fast for the model's time step so much that it is not.
+    """
+    if model.opt.cone != mujoco.mjtCone.mjCONE_ELLIPTIC:
+        raise ArgumentError('soft contacts need elliptic cones: write <option cone="elliptic"/> in the model.')
+    g, inverse_kg = _number(model, "geom", geom), model.body_invweight0[_number(model, "body", body), 0]
+    rate2 = 1000.0 * stiffness_n_per_mm * inverse_kg  # k = rate² (1 − d)
+    a = rate2 * (2.0 * model.opt.timestep / MAX_DAMPED) ** 2  # a (1 − d) = d² where b/d is the fastest
+    d = max(MIN_IMPEDANCE, 0.5 * (np.sqrt(a * a + 4.0 * a) - a))
+    k = rate2 * (1.0 - d)
+    model.geom_solimp[g] = (d, d, 0.001, 0.5, 2.0)
+    model.geom_solref[g] = -k, -2.0 * np.sqrt(k)
+
+
 def _number(model: Any, kind: str, name: str | None) -> int:
     """Number of the site, geom or body of a name."""
-    kinds = {"site": mujoco.mjtObj.mjOBJ_SITE, "geom": mujoco.mjtObj.mjOBJ_GEOM, "body": mujoco.mjtObj.mjOBJ_BODY}
-    number = mujoco.mj_name2id(model, kinds[kind], str(name))
-    if number < 0:
-        names = [mujoco.mj_id2name(model, kinds[kind], k) for k in range(getattr(model, f"n{kind}"))]
-        known = ", ".join(filter(None, names)) or "none with a name"
-        raise ArgumentError(f"the model has no {kind} '{name}'; it has {known}.")
-    return number
+    try:
+        return int(getattr(model, kind)(name).id)
+    except KeyError as error:  # MuJoCo's own, which lists what there is
+        raise ArgumentError(f"the model has no {kind} '{name}'. {error.args[0]}") from None

@@ -9,7 +9,6 @@ import torch
 from dataset.imperfections import OPEN_OHM
 from dataset.variables import MAX_N
 from geometry.errors import ArgumentError, needing
-from geometry.layout import FloatArray
 from tripillar.simulators.contacts import ContactReader, stacked
 
 with needing("the simulator", "simulators"):
@@ -32,7 +31,7 @@ class _Touch:
             raise ArgumentError(f"observe={observe!r} must be newtons or ohms.")
         if sensor.environments != len(envs):
             raise ArgumentError(f"the sensor has environments={sensor.environments}, but there are {len(envs)}.")
-        self._sensor, self._observe = sensor, observe
+        self.sensor, self._observe = sensor, observe
         self._worlds: list[Any] = [env.unwrapped for env in envs]
         for world in self._worlds:
             if not (hasattr(world, "model") and hasattr(world, "data")):
@@ -41,29 +40,32 @@ class _Touch:
                     "gymnasium's MujocoEnv."
                 )
         self._readers = [ContactReader(world.model, **slab) for world in self._worlds]
-        force_n = torch.zeros((len(envs), *sensor.shape, 3), dtype=sensor.dtype, device=sensor.device)
+        self._like: dict[str, Any] = {"dtype": sensor.dtype, "device": sensor.device}
         if observe == "newtons":
-            axes = sensor.forces(sensor.resistances(force_n)).shape[-1]  # refuses a sensor without a model
-            self.space = spaces.Box(-MAX_N, MAX_N, (*sensor.shape, axes), np.float32)
+            rest_ohm = sensor.resistances(torch.zeros((len(envs), *sensor.shape, 3), **self._like))
+            axes = sensor.forces(rest_ohm).shape[-1]  # refuses a sensor without a model
+            self._space = spaces.Box(-MAX_N, MAX_N, (*sensor.shape, axes), np.float32)
         else:
-            self.space = spaces.Box(0.0, OPEN_OHM, (*sensor.shape, 3), np.float32)
+            self._space = spaces.Box(0.0, OPEN_OHM, (*sensor.shape, 3), np.float32)
 
-    def reset(self, which: Any, seed: int | None) -> None:
-        self._sensor.reset(which, seed=seed)
+    def space_with(self, space: spaces.Space) -> spaces.Dict:
+        """The space of what one environment and its sensor tell."""
+        held = dict(space.spaces) if isinstance(space, spaces.Dict) else {"observation": space}
+        if KEY in held:
+            raise ArgumentError(f"the environment has observations named {KEY} already: wrap it once.")
+        return spaces.Dict(held | {KEY: self._space})
 
-    def read(self) -> tuple[FloatArray, FloatArray]:
-        """What is observed, (e, *space.shape), and the net forces of MuJoCo's contacts, (e, 3) [N]."""
+    def told(self, observation: Any, info: dict[str, Any], which: int | slice = slice(None)) -> tuple[Any, dict]:
+        """Observation and info with what some of the sensors tell, and with the net forces of MuJoCo's contacts."""
         contacts = [reader.read(world.data) for reader, world in zip(self._readers, self._worlds, strict=True)]
-        points, forces = (
-            torch.as_tensor(values, dtype=self._sensor.dtype, device=self._sensor.device)
-            for values in stacked(contacts)
-        )
         with torch.no_grad():
-            reading = self._sensor.touch(points, forces)
+            reading = self.sensor.touch(*(torch.as_tensor(values, **self._like) for values in stacked(contacts)))
         told = reading.decoded_n if self._observe == "newtons" else reading.resistance_ohm
         assert told is not None
-        within = np.clip(told.cpu().numpy(), self.space.low.flat[0], self.space.high.flat[0])
-        return within.astype(np.float32), np.array([one.net_n for one in contacts])
+        within = told.cpu().numpy().clip(self._space.low.flat[0], self._space.high.flat[0]).astype(np.float32)
+        held = dict(observation) if isinstance(observation, dict) else {"observation": observation}
+        net_n = np.array([one.net_n for one in contacts])
+        return held | {KEY: within[which]}, info | {KEY: net_n[which]}
 
 
 class TactileObservation(gymnasium.Wrapper):
@@ -96,42 +98,28 @@ class TactileObservation(gymnasium.Wrapper):
     ) -> None:
         super().__init__(env)
         self._touch = _Touch([env], sensor, observe, **slab)
-        self.observation_space = _space_with(env.observation_space, self._touch.space)
+        self.observation_space = self._touch.space_with(env.observation_space)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and draw another specimen of the sensor."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._touch.reset(None, seed)
-        return self._with_touch(observation, info)
+        self._touch.sensor.reset(None, seed=seed)
+        return self._touch.told(observation, info, 0)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, then read the sensor."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        observation, info = self._with_touch(observation, info)
+        observation, info = self._touch.told(observation, info, 0)
         return observation, reward, terminated, truncated, info
-
-    def _with_touch(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        told, net_n = self._touch.read()
-        return _with(observation, told[0]), info | {KEY: net_n[0]}
 
 
 class TactileVectorObservation(VectorWrapper):
-    """`TactileObservation` for vectors of environments, which one `VirtualSensor` reads at once.
+    """`TactileObservation` for a ``SyncVectorEnv``, whose environments one `VirtualSensor` of as many reads at once.
 
-    Parameters
-    ----------
-    env : gymnasium.vector.SyncVectorEnv
-        With autoreset mode ``NEXT_STEP`` or ``DISABLED``. Environments in processes of their own (`AsyncVectorEnv`)
-        keep their contacts to themselves: there wrap each with `TactileObservation`.
-    sensor : VirtualSensor
-        Of as many environments; where one is reset, its imperfections are drawn anew. A seed starts them all anew.
-    observe, **slab
-        As of `TactileObservation`.
-
-    Raises
-    ------
-    ArgumentError
-        As `TactileObservation` does, and of another kind of vector or autoreset mode.
+    Its autoreset mode is ``NEXT_STEP`` or ``DISABLED``. Where an environment is reset, its sensor's imperfections are
+    drawn anew; a seed starts them all anew. Environments in processes of their own (`AsyncVectorEnv`) keep their
+    contacts to themselves: there wrap each with `TactileObservation`. Another kind of vector or mode is an
+    `ArgumentError`, too.
     """
 
     def __init__(self, env: VectorEnv, sensor: "VirtualSensor", *, observe: Observed = "newtons", **slab: Any) -> None:
@@ -147,7 +135,7 @@ class TactileVectorObservation(VectorWrapper):
         self._resets_next = inner.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         self._touch = _Touch(inner.envs, sensor, observe, **slab)
         self._is_over = np.zeros(self.num_envs, dtype=bool)
-        self.single_observation_space = _space_with(env.single_observation_space, self._touch.space)
+        self.single_observation_space = self._touch.space_with(env.single_observation_space)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
 
     def reset(
@@ -158,30 +146,15 @@ class TactileVectorObservation(VectorWrapper):
         observation, info = self.env.reset(seed=cast(Any, seed), options=options)
         known = [one for one in (seed if isinstance(seed, list) else [seed]) if one is not None]
         entropy = int(np.random.SeedSequence(known).generate_state(1)[0]) if known else None
-        self._touch.reset(None if mask is None else torch.as_tensor(mask), entropy)
+        self._touch.sensor.reset(None if mask is None else torch.as_tensor(mask), seed=entropy)
         self._is_over = np.zeros(self.num_envs, dtype=bool) if mask is None else self._is_over & ~mask
-        return self._with_touch(observation, info)
+        return self._touch.told(observation, info)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step all environments, then read all sensors."""
         observation, rewards, terminations, truncations, info = self.env.step(actions)
         if self._resets_next and self._is_over.any():
-            self._touch.reset(torch.as_tensor(self._is_over), None)
+            self._touch.sensor.reset(torch.as_tensor(self._is_over), seed=None)
         self._is_over = terminations | truncations
-        observation, info = self._with_touch(observation, info)
+        observation, info = self._touch.told(observation, info)
         return observation, rewards, terminations, truncations, info
-
-    def _with_touch(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        told, net_n = self._touch.read()
-        return _with(observation, told), info | {KEY: net_n}
-
-
-def _space_with(space: spaces.Space, tactile: spaces.Box) -> spaces.Dict:
-    held = dict(space.spaces) if isinstance(space, spaces.Dict) else {"observation": space}
-    if KEY in held:
-        raise ArgumentError(f"the environment has observations named {KEY} already: wrap it once.")
-    return spaces.Dict(held | {KEY: tactile})
-
-
-def _with(observation: Any, told: FloatArray) -> dict[str, Any]:
-    return (dict(observation) if isinstance(observation, dict) else {"observation": observation}) | {KEY: told}

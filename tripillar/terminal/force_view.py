@@ -44,7 +44,8 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
     number = fz if "z" in force else shear
     red, green, blue = colours(np.array([abs(number) / full_scale_n]))[0].tolist()
     ink = "rgb(0,0,0)" if red + green + blue > 380 else "rgb(255,255,255)"
-    return Text(f" {number:6.1f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
+    digits = 1 if abs(number) < 1e4 else 0  # a broken sensor's forces keep to their columns, too
+    return Text(f" {number:6.{digits}f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
 
 
 def live_view(
@@ -107,18 +108,24 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
             if frame is None:
                 screen.update(Group("waiting for scans", *notes), refresh=True)
                 continue
-            if n_saturated := int(frame.saturated.sum()):
-                notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
-            if frame.unexplained:
-                notes.append(
-                    f"χ² {frame.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
-                )
-            notes.extend(frame.faults)
+            notes += notes_on(frame)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
             view = live_view(
                 frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, pace(newest), scanner.stats, notes
             )
             screen.update(view, refresh=True)
+
+
+def notes_on(scan: Forces) -> list[str]:
+    """Lines on one scan's faults: saturated pillars, no known load, broken pillars and wires."""
+    notes = []
+    if n_saturated := int(scan.saturated.sum()):
+        notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
+    if scan.unexplained:
+        notes.append(
+            f"χ² {scan.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
+        )
+    return notes + list(scan.faults)
 
 
 def pace(scans: Sequence[Scan]) -> float:

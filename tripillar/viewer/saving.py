@@ -40,18 +40,11 @@ def save_html(picture: DeformedPicture, path: Path, done: Callable[[], None]) ->
     """Write a page in which the picture can be turned; it opens without a network."""
     import asyncio
 
-    from trame.app import get_server
-    from trame.widgets import vtk
-
-    server = get_server(pv.global_theme.trame.jupyter_server_name)  # where PyVista looks for it
-    vtk.initialize(server)
+    from trame_pyvista.jupyter import launch_server
 
     async def exported() -> str:
         """The page of PyVista's own exporter, which needs a server on loopback."""
-        server.start(
-            exec_mode="task", host="127.0.0.1", port=0, open_browser=False, show_connection_info=False,
-            disable_logging=True, timeout=0, backend="aiohttp",
-        )  # fmt: skip
+        server = launch_server(host="127.0.0.1", port=0)
         await server.ready
         try:
             return picture.plotter.trame.export_html(None).getvalue()

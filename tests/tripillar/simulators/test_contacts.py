@@ -10,18 +10,18 @@ from geometry.errors import ArgumentError, MissingPackageError
 
 mujoco = pytest.importorskip("mujoco")
 
-from tripillar.simulators.contacts import ContactReader, stacked  # noqa: E402 (needs mujoco)
+from tripillar.simulators.contacts import ContactReader, soften, stacked  # noqa: E402 (needs mujoco)
 
 GRAVITY, KG = 9.81, 1.3
+PULL = np.array([2.0, -1.0, -GRAVITY])  #: gravity in the slab's frame: also along +x and −y
 SOLVED = 1e-6  #: relative: MuJoCo's tolerance of 1e-8, and what is left of the box's settling
 
 
-def settled(gravity=(0.0, 0.0, -GRAVITY), place="0 0 0", turned="1 0 0 0", slab_first=True, cone="elliptic", box="0 0"):
-    """A box at rest on a slab of 40 × 40 × 10 mm that lies anywhere in the world; gravity is in the slab's frame."""
-    slab = f"""<body name="slab" pos="{place}" quat="{turned}">
-      <geom name="top" type="box" size=".02 .02 .005" pos="0 0 .005"/><site name="frame"/></body>"""
-    # the box, too, is stated in the slab's frame
-    weight = f"""<frame pos="{place}" quat="{turned}"><body name="box" pos="{box} .015"><freejoint/>
+def settled(slab_first=True, cone="elliptic"):
+    """A box at rest on a tilted slab of 40 × 40 × 10 mm; all is stated in the slab's frame."""
+    slab = """<geom name="top" type="box" size=".02 .02 .005" pos="0 0 .005"/><site name="frame"/>"""
+    slab = f'<body name="slab" pos=".3 -.2 .7" quat=".8 .3 -.4 .2">{slab}</body>'
+    weight = f"""<frame pos=".3 -.2 .7" quat=".8 .3 -.4 .2"><body name="box" pos=".003 -.007 .015"><freejoint/>
       <geom name="box" type="box" size=".006 .004 .005" mass="{KG}"/></body></frame>"""
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><option cone="{cone}" timestep=".002" impratio="10"/><default><geom friction="1 0 0"/></default>
@@ -29,31 +29,19 @@ def settled(gravity=(0.0, 0.0, -GRAVITY), place="0 0 0", turned="1 0 0 0", slab_
     )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    model.opt.gravity = data.site("frame").xmat.reshape(3, 3) @ gravity
+    model.opt.gravity = data.site("frame").xmat.reshape(3, 3) @ PULL
     mujoco.mj_step(model, data, nstep=600)
     return model, data
 
 
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("slab_first", [True, False])
-def test_a_box_at_rest_weighs_what_it_weighs_under_its_middle(slab_first, cone):
-    """ΣFz = m g and its centre lies under the centre of mass, whichever geom MuJoCo takes first."""
-    model, data = settled(slab_first=slab_first, cone=cone, box=".003 -.007")
+@pytest.mark.parametrize(("slab_first", "cone"), [(True, "elliptic"), (False, "elliptic"), (True, "pyramidal")])
+def test_a_box_at_rest_weighs_what_it_weighs_and_turns_nothing(slab_first, cone):
+    """ΣF = m g in the slab's frame, whichever geom MuJoCo takes first; the moment about the box's middle is 0."""
+    model, data = settled(slab_first, cone)
     contacts = ContactReader(model, site="frame", geom="top").read(data)
-    assert len(contacts.points_mm) == 4
-    assert contacts.net_n == pytest.approx([0, 0, KG * GRAVITY], abs=SOLVED * KG * GRAVITY)
-    assert contacts.centre_mm == pytest.approx([3.0, -7.0], abs=1e-3)
-    assert contacts.points_mm[:, 2] == pytest.approx(10.0, abs=0.2)  # MuJoCo's point is midway into the overlap
-    assert np.ptp(contacts.points_mm, axis=0)[:2] == pytest.approx([12.0, 8.0], abs=1e-3)
-
-
-@pytest.mark.parametrize("slab_first", [True, False])
-def test_tilted_gravity_drags_downhill(slab_first):
-    """Gravity along +x and −y in the slab's frame drags it that way and turns nothing, wherever the slab lies."""
-    pull = np.array([2.0, -1.0, -GRAVITY])
-    model, data = settled(pull, place=".3 -.2 .7", turned=".8 .3 -.4 .2", slab_first=slab_first)
-    contacts = ContactReader(model, site="frame", geom="top").read(data)
-    assert contacts.net_n == pytest.approx(KG * pull * (1, 1, -1), abs=SOLVED * KG * GRAVITY)
+    assert contacts.net_n == pytest.approx(KG * PULL * (1, 1, -1), abs=SOLVED * KG * GRAVITY)
+    assert contacts.points_mm[:, 2] == pytest.approx(np.full(4, 10.0), abs=0.2)  # MuJoCo: midway into the overlap
+    assert np.ptp(contacts.points_mm, axis=0)[:2] == pytest.approx([12.0, 8.0], abs=1e-2)
     frame = data.site("frame")
     box_mm = 1000.0 * (data.body("box").xpos - frame.xpos) @ frame.xmat.reshape(3, 3)
     moment_nmm = np.cross(contacts.points_mm - box_mm, contacts.force_n * (1, 1, -1)).sum(axis=0)
@@ -75,6 +63,7 @@ def test_a_body_in_centimetres_and_other_contacts():
     mujoco.mj_forward(model, data)
     contacts = ContactReader(model, site="frame", body="slab", mm_per_length=10.0).read(data)
     assert contacts.points_mm[:, :2] == pytest.approx(np.array([[20.0, 10.0]]))
+    assert contacts.centre_mm == pytest.approx([20.0, 10.0])
     assert contacts.force_n[0, 2] > 0
     assert contacts.left_out == 2
 
@@ -92,16 +81,34 @@ def test_environments_are_stacked_with_points_that_do_not_press():
     assert stacked([nothing])[0].shape == (1, 1, 3)
 
 
-def test_names_that_the_model_lacks_are_refused():
-    model, _ = settled()
-    with pytest.raises(ArgumentError, match=r"no site 'tool'; it has frame\."):
-        ContactReader(model, site="tool", geom="top")
-    with pytest.raises(ArgumentError, match=r"no geom 'floor'; it has top, box\."):
-        ContactReader(model, site="frame", geom="floor")
-    with pytest.raises(ArgumentError, match="one of the two"):
-        ContactReader(model, site="frame")
-    with pytest.raises(ArgumentError, match="above 0"):
-        ContactReader(model, site="frame", body="slab", mm_per_length=0.0)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"site": "tool", "geom": "top"}, r"no site 'tool'.*frame"),
+        ({"site": "frame", "geom": "floor"}, r"no geom 'floor'.*box.*top"),
+        ({"site": "frame"}, "one of the two"),
+        ({"site": "frame", "body": "slab", "mm_per_length": 0.0}, "above 0"),
+    ],
+)
+def test_what_the_model_lacks_is_refused(given, said):
+    with pytest.raises(ArgumentError, match=said):
+        ContactReader(settled()[0], **given)
+
+
+@pytest.mark.parametrize("stiffness", [8.0, 240.0])
+def test_a_softened_contact_is_a_spring(stiffness, press_env):
+    """At rest each of the finger's two contacts is one of this stiffness, however stiff: F = K · depth."""
+    world = press_env.finger_on_slab(press_env.FINGERTIP, stiffness)
+    data = mujoco.MjData(world)
+    data.ctrl[2] = -0.006
+    mujoco.mj_step(world, data, nstep=2000)
+    pressed = ContactReader(world, site="sensor", geom="slab").read(data)
+    assert len(data.contact.dist) == 2
+    assert pressed.net_n[2] == pytest.approx(2 * stiffness * -1000 * data.contact.dist[0], rel=1e-3)
+    assert data.qvel == pytest.approx(np.zeros(3), abs=1e-6)  # nothing chatters
+    world.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    with pytest.raises(ArgumentError, match="elliptic"):
+        soften(world, "slab", "finger", stiffness)
 
 
 def test_a_missing_simulator_is_named_with_its_extra(monkeypatch):

@@ -1,7 +1,10 @@
-"""The example's press: decoded forces are MuJoCo's, in real time and in pictures."""
+"""The examples: the press's decoded forces are MuJoCo's, in real time and in pictures."""
 
+import ctypes.util
+import os
 import re
 import runpy
+import subprocess
 import sys
 
 import numpy as np
@@ -12,13 +15,11 @@ from tests.docs.terminal import ROOT
 
 pytest.importorskip("mujoco")
 
-EXAMPLE = ROOT / "examples" / "mujoco_press.py"
-
 
 @pytest.fixture
-def example(monkeypatch):
+def example(monkeypatch, press_env):  # beside which it finds the finger's model
     monkeypatch.setenv("MUJOCO_GL", "")  # the example may set it; not for the tests after this one
-    return runpy.run_path(str(EXAMPLE))
+    return runpy.run_path(str(ROOT / "examples" / "mujoco_press.py"))
 
 
 def test_pressed_and_dragged_forces_are_decoded(example):
@@ -35,13 +36,42 @@ def test_pressed_and_dragged_forces_are_decoded(example):
 
 
 @pytest.mark.long
-def test_the_example_runs_to_its_end_with_a_picture_and_a_film(example, shared_cache, monkeypatch, tmp_path, capsys):
+def test_the_example_runs_to_its_end_with_a_picture_and_a_film(example, shared_cache, tmp_path, capsys):
     example["main"](tmp_path / "press.png", tmp_path / "press.mp4")
     said = capsys.readouterr().out
     assert float(re.search(r"([\d.]+)% of MuJoCo's", said)[1]) < 3
     assert float(re.search(r"([\d.]+) a second", said)[1]) > 100
     assert (tmp_path / "press.png").stat().st_size > 50_000
     assert b"moov" in (tmp_path / "press.mp4").read_bytes()
+
+
+def test_the_environment_presses_with_about_the_wanted_force(press_env, capsys, monkeypatch):
+    """`press_env.py` as a script: twice from no contact, within 5 %; by a closed form of its response."""
+    gymnasium = sys.modules["gymnasium"]
+    gymnasium.registry.pop(press_env.ID)
+    monkeypatch.setattr("tripillar.response", layer_response, raising=False)
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    runpy.run_path(press_env.__file__, run_name="__main__")
+    rewards = re.findall(r"reward (−?-?[\d.]+)", capsys.readouterr().out)
+    assert len(rewards) == 2
+    assert all(float(reward) > -0.05 for reward in rewards)
+
+
+@pytest.mark.skipif(not ctypes.util.find_library("EGL"), reason="EGL is not installed")
+@pytest.mark.parametrize("drawn_by", ["egl", "glfw"])
+def test_a_picture_needs_no_display_where_egl_is(drawn_by):
+    code = (
+        "import mujoco\nfrom finger_on_slab import FINGERTIP, finger_on_slab, renderer\n"
+        "model = finger_on_slab(FINGERTIP, 8.0)\ndata = mujoco.MjData(model)\nmujoco.mj_forward(model, data)\n"
+        "with renderer(model, 64, 48) as drawn:\n    drawn.update_scene(data)\n    print(drawn.render().std())\n"
+    )
+    places = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "examples")]), "DISPLAY": ""}
+    environment = os.environ | places | {"MUJOCO_GL": drawn_by}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=ROOT)
+    if drawn_by == "egl":
+        assert float(done.stdout) > 10, done.stderr
+    else:
+        assert "DrawingError: MuJoCo cannot draw here (no display): without a display set MUJOCO_GL=egl" in done.stderr
 
 
 def test_a_missing_package_is_named_before_anything_begins(example, monkeypatch, tmp_path):

@@ -1,6 +1,9 @@
-"""A page's array of two units without a command around it, and a browser."""
+"""A page's array of two units without a command around it, served in this process, and a browser."""
 
+import asyncio
 import os
+from contextlib import contextmanager
+from threading import Thread
 
 import pytest
 
@@ -9,7 +12,8 @@ from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.scene import Superposition
-from tripillar.viewer.page.sensing import SensorModel
+from tripillar.viewer.page.sensing import SensorModel, inverse_forces
+from tripillar.viewer.page.server import Server, listening_on
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 CHROMIUM = "/usr/bin/chromium"
@@ -17,7 +21,7 @@ CHROMIUM = "/usr/bin/chromium"
 
 @pytest.fixture(scope="module")
 def browser():
-    """Chromium; evil.test is this machine to it. While it is there nothing else in this process may run asyncio."""
+    """Chromium; evil.test is this machine to it. While it is there nothing else in this thread may run asyncio."""
     api = pytest.importorskip("playwright.sync_api")
     if not os.path.exists(CHROMIUM):
         pytest.skip(f"no {CHROMIUM}: install Debian's chromium")
@@ -30,7 +34,23 @@ def browser():
 
 @pytest.fixture(scope="session")
 def subject():
-    """An array of two units; no decoupler: the forces are the resistances."""
+    """An array of two units with the response's own inverse."""
     response = solve_response(DESIGN, ResponseSettings(method="layer"))  # a closed form: any response will do
-    sensor = SensorModel(response, lambda resistance_ohm: resistance_ohm)
-    return Subject(loads=Superposition(solve_array_field(DESIGN)), sensor=sensor, decoupler="nothing")
+    sensor = SensorModel(response, inverse_forces(response))
+    return Subject(loads=Superposition(solve_array_field(DESIGN)), sensor=sensor, decoupler="the response's inverse")
+
+
+@contextmanager
+def serving(subject):
+    """The address of a page that a thread serves, its sensor not looked at."""
+    loop = asyncio.new_event_loop()
+    thread, server = Thread(target=loop.run_forever), Server(subject, "127.0.0.1")
+    thread.start()
+    try:
+        starting = server.start(listening_on("127.0.0.1", 0))
+        yield asyncio.run_coroutine_threadsafe(starting, loop).result()
+        asyncio.run_coroutine_threadsafe(server.stop(), loop).result()
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()

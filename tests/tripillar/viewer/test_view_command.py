@@ -1,19 +1,16 @@
 """`tripillar view`: what it writes, what it prints, what it refuses."""
 
-import re
 import subprocess
-import time
 
 import numpy as np
 import pytest
 import pyvista as pv
 
 from dataset.resistance import pillar_lengths, pillar_strains
-from dataset.simulation import displacements
-from fem.array.solving import array_response
 from fem.pictures.deformation import DeformedPicture
-from geometry.design import Array, SensorDesign
+from geometry.layout import upper_electrodes
 from tests.house import House
+from tests.tripillar.viewer.conftest import DESIGN
 from tripillar.viewer import saving, showing
 from tripillar.viewer.sights import linear_note, panels_of, pillar_strain, read_body, suited_scale
 
@@ -44,15 +41,17 @@ def house(tmp_path):
 
 @pytest.fixture(scope="module")
 def panels():
-    return panels_of(SensorDesign(array=Array(rows=1, cols=2)), (1.0, 3.0), "uniform", stress=True)
+    return panels_of(DESIGN, (1.0, 3.0), "uniform", stress=True)
 
 
-def test_several_pressures_are_drawn_side_by_side(house):
+def test_several_pressures_are_drawn_side_by_side_and_a_window_needs_a_display(house):
     told = house.result("view", "small.toml", "--pressure", "1", "3", "--save", "two.png", "--scale", "auto", "-q")
     assert told["file"] == "two.png"
     one, three = (told["largest_displacement_mm"][f"{p} MPa at the indenter's middle"] for p in (1, 3))
     assert three == pytest.approx(3 * one)
     assert pv.read(house.folder / "two.png").dimensions[0] == 2 * 880
+    house.environment = {k: v for k, v in house.environment.items() if k != "DISPLAY"}
+    assert "no display" in house.refusal("view", "small.toml")
 
 
 def test_a_scene_is_drawn_under_its_own_load(house):
@@ -63,22 +62,16 @@ def test_a_scene_is_drawn_under_its_own_load(house):
     assert pv.read(house.folder / "scene.vtm")["body"]["von_mises_mpa"].max() > 0.1
 
 
-def test_without_a_display_a_file_is_asked_for(house):
-    house.environment = {k: v for k, v in house.environment.items() if k != "DISPLAY"}
-    assert "no display" in house.refusal("view", "small.toml")
-
-
 @pytest.mark.parametrize(("kind", "extra"), [(".mp4", "film"), (".html", "page")])
-def test_a_missing_package_is_named_with_its_extra(kind, extra, tmp_path, monkeypatch):
-    monkeypatch.setattr(showing, "find_spec", lambda name: None)
-    with pytest.raises(showing.DesignError, match=rf"pip install 'tripillar\[{extra}\]'"):
-        showing.require_shown(tmp_path / f"picture{kind}")
-
-
-def test_a_folder_of_others_is_not_lost(tmp_path):
+def test_a_missing_package_is_named_with_its_extra_and_a_folder_of_others_is_not_lost(
+    kind, extra, tmp_path, monkeypatch
+):
     (tmp_path / "mine").mkdir()
     with pytest.raises(showing.FileFormatError, match="give another name"):
         showing.require_shown(tmp_path / "mine.vtm")
+    monkeypatch.setattr(showing, "find_spec", lambda name: None)
+    with pytest.raises(showing.DesignError, match=rf"pip install 'tripillar\[{extra}\]'"):
+        showing.require_shown(tmp_path / f"picture{kind}")
 
 
 def test_blocks_hold_every_part_with_its_fields(panels, tmp_path):
@@ -111,53 +104,6 @@ def test_a_film_shows_the_load_rising(panels, tmp_path, monkeypatch):
     assert np.abs(pictures[-1] - pictures[-2]).mean() < 0.5  # held at the end
 
 
-@pytest.mark.parametrize("size", [(900, 450), (390, 844)], ids=["wide", "phone"])
-def test_a_page_shows_the_array_in_a_browser_without_a_network(page_file, browser, tmp_path, size):
-    """It asks for nothing but itself, and on a phone its pictures stand one below the other, none cut off."""
-    asked, drawn, axis = [], tmp_path / "page.png", 1 if size[0] > size[1] else 0
-    with browser.new_context(offline=True, viewport={"width": size[0], "height": size[1]}) as context:
-        page = context.new_page()
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(page_file.as_uri())
-        page.wait_for_selector("canvas", timeout=60_000)
-        assert page.title() == "TriPillar: 1 MPa on every pad, 3 MPa on every pad"
-        for words in ("3 MPa on every pad", "vertical displacement of the pillars [mm]", "displacement × 2"):
-            assert page.locator("main").get_by_text(words, exact=words[0] == "3").is_visible()
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        boxes = [one.bounding_box() for one in page.query_selector_all("main .labels span, main .content")]
-        assert all(box["x"] >= 0 and box["x"] + box["width"] <= size[0] for box in boxes)
-        until = time.monotonic() + 60
-        while not (drawn.exists() and coloured(drawn, axis)):  # the picture comes some time after its canvas
-            assert time.monotonic() < until
-            page.query_selector("main .content").screenshot(path=drawn)
-    assert asked == [page_file.as_uri()]
-
-
-@pytest.fixture(scope="module")
-def page_file(panels, tmp_path_factory):
-    pytest.importorskip("trame_vtk")
-    path = tmp_path_factory.mktemp("page") / "page.html"
-    saving.save_html(DeformedPicture(panels, "vertical", 2.0, medium="page"), path, lambda: None)
-    return path
-
-
-def test_a_page_names_nothing_that_browsers_would_load(page_file):
-    text = page_file.read_text(encoding="utf-8")
-    assert "default-src 'none'" in text
-    assert text.count("<title>") == 1
-    assert 'name="viewport"' in text
-    assert "favicon" not in text
-    assert not re.search(r"""(src|href)\s*=\s*["'`]?https?:""", text)
-
-
-def coloured(path, axis):
-    """Whether both halves of a screenshot, side by side or one below the other, show something coloured."""
-    picture = pv.read(path)
-    width, height, _ = picture.dimensions
-    colours = picture.active_scalars.reshape(height, width, -1)[: height // 2 * 2, : width // 2 * 2, :3].astype(float)
-    return all(np.ptp(half, axis=2).max() > 60 for half in np.split(colours, 2, axis=axis))
-
-
 def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height(panels):
     scale = suited_scale(panels)
     largest = max(np.linalg.norm(part.displacement_mm, axis=1).max() for part in panels["3 MPa on every pad"].values())
@@ -167,14 +113,17 @@ def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height
     assert suited_scale(still) == 1.0
 
 
-def test_the_strain_in_the_warning_is_that_of_the_data_sets(panels):
-    """Two routes to one strain: the drawn electrodes, which move up to 2 % less, and the array's response."""
-    design = SensorDesign(array=Array(rows=1, cols=2))
-    moved_mm = displacements(array_response(design)[0], np.tile([0.0, 0.0, -3.0], (1, 2, 1)))
-    expected = pillar_strains(moved_mm, pillar_lengths(moved_mm, design.unit), design.unit).max()
-    assert pillar_strain(design, panels["3 MPa on every pad"]) == pytest.approx(expected, rel=0.02)
-    assert linear_note(design, panels) == f"linear, but a pillar strain of {expected:.0%}"
-    assert linear_note(design, {"1 MPa": panels["1 MPa on every pad"]}) == ""
+def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels, subject):
+    """One definition, |l − l₀|/l₀ between electrodes' mean places: as drawn, and by 25 points of each in the field."""
+    field, unit = subject.loads.field, DESIGN.unit
+    inside = np.linspace(-0.4, 0.4, 5) * unit.electrode_mm
+    points = upper_electrodes(unit)[:, None] + np.array([[x, y, 0.0] for x in inside for y in inside])
+    seen = field.observe(points.reshape(-1, 3)).displacement_mm(field.state(np.tile([0.0, 0.0, -3.0], (2, 1))))
+    moved_mm = seen.reshape(2, len(points), -1, 3).mean(axis=2)
+    expected = pillar_strains(moved_mm, pillar_lengths(moved_mm, unit), unit).max()
+    assert pillar_strain(DESIGN, panels["3 MPa on every pad"]) == pytest.approx(expected, rel=0.02)  # 16 points of each
+    assert linear_note(DESIGN, panels).startswith("linear, but a pillar strain of ")
+    assert linear_note(DESIGN, {"1 MPa": panels["1 MPa on every pad"]}) == ""
 
 
 def test_a_table_named_body_makes_a_scene(tmp_path):

@@ -66,7 +66,7 @@ Controls = dict[str, Range | Choice]
 def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
     """The controls for an array, each with its start value; stress has no colour at finite strain."""
     is_linear = design.matrix_material.model == "linear"
-    colours = {name: title for name, title in TITLES.items() if is_linear or name not in STRESSES}
+    colours = {name: title.split(" [")[0] for name, title in TITLES.items() if is_linear or name not in STRESSES}
     half_x, half_y = design.slab_mm[0] / 2, design.slab_mm[1] / 2
     middle = design.array.rows // 2 * design.array.cols + design.array.cols // 2
     pitch = design.array.pitch_mm
@@ -87,9 +87,7 @@ def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
         "width": Range(start=pitch, min=min(WIDTH_MM[0], pitch), max=max(WIDTH_MM[1], pitch), step=0.5),
         "drag": shear,
         "drag_angle": angle,
-        "colour": Choice(
-            start="displacement", among=tuple(colours), titles=tuple(title.split(" [")[0] for title in colours.values())
-        ),
+        "colour": Choice(start="displacement", among=tuple(colours), titles=tuple(colours.values())),
         "scale": Choice(start=1, among=SCALES, titles=tuple(f"{scale} ×" for scale in SCALES)),
         "noise": Choice(start=0.0, among=tuple(NOISES), titles=tuple(NOISES.values())),
         "dark": Choice(start=False, among=(True, False)),

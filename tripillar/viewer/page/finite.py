@@ -53,10 +53,9 @@ class FiniteStrain:
 
     async def answer(self, traction_mpa: FloatArray) -> FiniteAnswer:
         """Solve for tractions (n_units, 3) [MPa], once earlier ones are solved, while the server goes on."""
-        return await asyncio.get_running_loop().run_in_executor(self._worker, self.solve, traction_mpa)
+        return await asyncio.get_running_loop().run_in_executor(self._worker, self._solve, traction_mpa)
 
-    def solve(self, traction_mpa: FloatArray) -> FiniteAnswer:
-        """As `answer`, at once."""
+    def _solve(self, traction_mpa: FloatArray) -> FiniteAnswer:
         force_n = traction_mpa * self.design.pad.size_mm**2
         try:
             found = self._solver.displacements(force_n[None])

@@ -93,7 +93,7 @@ def pad_cells(traction_mpa: FloatArray, cols: int, most_mpa: float) -> list[dict
     for unit, (tx, ty, tz) in _as_it_lies(traction_mpa, cols):
         eighth = round(math.atan2(ty, tx) / (math.pi / 4)) % 8
         arrow = ARROWS[eighth] if math.hypot(tx, ty) > MIN_SHOWN_MPA else ""
-        pressed = text(-tz, 1) if abs(tz) > MIN_SHOWN_MPA else ""
+        pressed = text(-tz, int(abs(tz) < 10)) if abs(tz) > MIN_SHOWN_MPA else ""
         cells.append({"unit": unit, "text": pressed, "arrow": arrow, "colour": colour(-tz / most_mpa)})
     return cells
 

@@ -64,15 +64,16 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, net_forces
     from tripillar.viewer.page.server import listening_on, serve
 
-    listening_on(options.host, options.http_port).close()  # refuse a taken port before anything takes time
-    model = None if options.model is None else read_model(options.model)
-    if model is not None:
-        design = _design_for(model, str(options.model), design)
-    design = design or SensorDesign()
-    is_finite = design.matrix_material.model != "linear"
-    if is_finite:
-        require_finite(design)
     with ExitStack() as stack:
+        # a taken port is refused before anything takes time
+        listening = stack.enter_context(listening_on(options.host, options.http_port))
+        model = None if options.model is None else read_model(options.model)
+        if model is not None:
+            design = _design_for(model, str(options.model), design)
+        design = design or SensorDesign()
+        is_finite = design.matrix_material.model != "linear"
+        if is_finite:
+            require_finite(design)
         feed = None
         if options.port is not None and model is not None:
             feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
@@ -95,7 +96,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
             print(json.dumps({"url": url}) if as_json else url, flush=True)
             say("" if as_json else "Ctrl-C ends it")
 
-        asyncio.run(serve(subject, options.host, options.http_port, tell))
+        asyncio.run(serve(subject, options.host, listening, tell))
 
 
 def _design_for(model: "Decoupler", name: str, given: "SensorDesign | None") -> "SensorDesign":

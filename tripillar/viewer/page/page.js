@@ -17,6 +17,8 @@ function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
+const state = () => ({ controls, traction_mpa: said.traction_mpa });  // all that a browser has set
+
 function set(name, value) {
   controls[name] = value;
   showControls();
@@ -36,7 +38,7 @@ function connect() {
 function hear(message) {
   if (message.facts) {
     if (!facts) lay(message.facts);
-    else if (said.state) send({ restore: said.state });
+    else if (said.traction_mpa) send({ restore: state() });
     byId("trouble").textContent = "";
     picture.resize();
   }
@@ -44,7 +46,7 @@ function hear(message) {
   if (message.refused) byId("trouble").textContent = message.refused;
   if (message.show) {
     Object.assign(controls, message.show.controls);
-    const isFirst = !said.state;
+    const isFirst = !said.traction_mpa;
     Object.assign(said, message.show);
     showControls();
     if (isFirst && matchMedia("(prefers-color-scheme: dark)").matches) set("dark", true);
@@ -80,7 +82,7 @@ function lay(given) {
   for (const button of all("[data-do]")) button.onclick = () => send({ do: button.dataset.do });
   for (const button of all("[data-file]")) button.onclick = () => send({ file: button.dataset.file });
   byId("save-picture").onclick = () => savePicture(byId("picture"), said, document.documentElement);
-  byId("save-state").onclick = () => save("tripillar-state.json", JSON.stringify(said.state));
+  byId("save-state").onclick = () => save("tripillar-state.json", JSON.stringify(state()));
   byId("open-state").onclick = () => byId("load-state").click();
   byId("load-state").onchange = event => loadState(event.target, state => send({ restore: state }));
   byId("save-plot").onclick = () => save("tripillar-time.csv", plot.csv());
@@ -129,6 +131,7 @@ const showers = {
   rows: rows => showRows(byId("whole-table"), rows),
   rms: rms => text(byId("rms"), rms && `all forces missed by ${rms} N (rms)`),
   trouble: trouble => text(byId("trouble"), trouble),
+  faults: faults => fill(byId("faults"), faults, "li", text),
   ended: ended => (byId("play-again").hidden = !ended),
   strain_share: share => (document.querySelector(".gauge div").style.width = `${share}%`),
   strain_over: over => document.querySelector(".gauge div").classList.toggle("over", over),

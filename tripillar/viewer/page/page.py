@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -32,6 +33,8 @@ from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
 from tripillar.viewer.sights import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
+MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
+UNDRAWN = "drawn at rest: no pillar bears these forces"
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
 
 
@@ -64,22 +67,24 @@ class Page:
         self._subject, self._design = subject, subject.design
         self._traction = np.zeros((self._design.n_units, 3))
         self._reading: Reading | None = None  # as it is shown
+        self._answer: FiniteAnswer | None = None  # of the last load solved at finite strain
         self._generator = np.random.default_rng(0)
         self._kinds = controls_of(self._design, subject.feed is not None)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
-        self.is_changed = asyncio.Event()
+        self.is_changed, self._is_unsolved = asyncio.Event(), asyncio.Event()
         self.is_changed.set()
-        self._answer: FiniteAnswer | None = None  # of the last load solved at finite strain
-        self._is_unsolved = asyncio.Event()
         self.scene = ArrayScene(subject.loads)
         self.pictures = Pictures(self.scene.plotter, self.scene.fit)
+        #: what a browser can have done, without further words
+        self.calls: dict[str, Callable[[], None]] = {"reset": self._reset, "home": self._look_from_the_start}
         if subject.feed is not None:
-            subject.feed.listeners.add(self.hear)
+            self.calls["again"] = subject.feed.play_again
+            subject.feed.listeners.add(self._hear)
 
     def close(self) -> None:
         """Let go of the scene and of the sensor."""
         if self._subject.feed is not None:
-            self._subject.feed.listeners.discard(self.hear)
+            self._subject.feed.listeners.discard(self._hear)
         self.scene.plotter.close()
 
     def facts(self) -> dict[str, Any]:
@@ -111,7 +116,7 @@ class Page:
         self.is_changed.set()
 
     def restore(self, said: object) -> None:
-        """Take what `update` gave as "state": all controls, and the pads' tractions. Errors as of `set`."""
+        """Take all controls, and the pads' tractions as `update` gave them. Errors as of `set`."""
         state = mapping("a state", said)
         if state.keys() != {"controls", "traction_mpa"}:
             raise ControlError(f"a state has 'controls' and 'traction_mpa', not {shortened(list(state))}.")
@@ -121,27 +126,11 @@ class Page:
         self.controls |= given
         self.is_changed.set()
 
-    def reset(self) -> None:
-        """Take all loads off."""
-        self._traction[:] = 0.0
-        names = (*LOAD_SLIDERS, "peak", "at_x", "at_y", "drag", "drag_angle")
-        self.controls |= dict.fromkeys(names, 0.0)
-        self.is_changed.set()
-
-    def look_from_the_start(self) -> None:
-        """Put the camera where it was at first."""
-        self.scene.look_from_the_start()
-        self.pictures.schedule_render()
-
-    def play_again(self) -> None:
-        """Start a recording from its beginning, for all who look."""
-        if self._subject.feed is not None:
-            self._subject.feed.play_again()
-
-    def hear(self) -> None:
-        """Follow the sensor, which has something new."""
-        if self.controls["source"] == "sensor":
-            self.is_changed.set()
+    def do(self, said: object) -> None:
+        """Do one of `calls`; ControlError if it is none."""
+        if not isinstance(said, str) or said not in self.calls:
+            raise ControlError(f"do={shortened(said)} is none of {', '.join(self.calls)}.")
+        self.calls[said]()
 
     def file(self, kind: object) -> dict[str, str]:
         """A file of what is shown, "name" and "text"; ControlError if there is none of that kind, or none yet."""
@@ -150,6 +139,22 @@ class Page:
         if kind == "scene":
             return {"name": "scene.toml", "text": numbers.scene_of(self._design, self._traction, self.controls["pad"])}
         return {"name": "tripillar.csv", "text": numbers.csv_of(self._design, self._reading)}
+
+    def _reset(self) -> None:
+        """Take all loads off."""
+        self._traction[:] = 0.0
+        self.controls |= dict.fromkeys((*LOAD_SLIDERS, "peak", "at_x", "at_y", "drag", "drag_angle"), 0.0)
+        self.is_changed.set()
+
+    def _look_from_the_start(self) -> None:
+        """Put the camera where it was at first."""
+        self.scene.look_from_the_start()
+        self.pictures.schedule_render()
+
+    def _hear(self) -> None:
+        """Follow the sensor, which has something new."""
+        if self.controls["source"] == "sensor":
+            self.is_changed.set()
 
     async def solve(self) -> None:
         """Solve at finite strain for loads that rest, until cancelled."""
@@ -172,30 +177,33 @@ class Page:
 
         That is "trouble" alone where forces or displacements are unknown.
         """
-        start = time.perf_counter()
+        start, controls, feed = time.perf_counter(), self.controls, self._subject.feed
         try:
             answer, reading = self._loaded()
-            self._reading = reading
         except TriPillarError as error:
             return {"trouble": str(error)}
-        self._traction, controls = reading.traction_mpa, self.controls
-        finite = None if answer is None else answer.field
+        self._reading, self._traction = reading, reading.traction_mpa
+        is_drawn = bool(reading.strain.max() <= MAX_DRAWN)
         legend = self.scene.show(
-            self._traction, reading.change.reshape(-1, 3), controls["colour"], controls["scale"], controls["pad"],
-            controls["dark"], finite,
+            self._traction if is_drawn else 0.0 * self._traction, reading.change.reshape(-1, 3), controls["colour"],
+            controls["scale"], controls["pad"], controls["dark"],
+            answer.field if answer is not None and is_drawn else None,
         )  # fmt: skip
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
-        feed = self._subject.feed
-        heard = {} if feed is None else {"link": feed.link, "ended": feed.ended}
-        return numbers.beside_picture(controls["tab"], controls["pad"], reading) | heard | {
-            "trouble": (feed.trouble if feed is not None else "") or (answer.refusal if answer is not None else ""),
+        shown = numbers.beside_picture(controls["tab"], controls["pad"], reading) | {
+            "trouble": "" if answer is None else answer.refusal,
             "legend": [numbers.legend(bar) for bar in (legend, self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
-            "strain_note": self._strain_note(answer, reading),
+            "strain_note": self._strain_note(answer, reading) if is_drawn else UNDRAWN,
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
-            "state": {"controls": dict(controls), "traction_mpa": self._traction.ravel().round(4).tolist()},
-        }  # fmt: skip
+            "traction_mpa": self._traction.ravel().round(4).tolist(),
+        }
+        if feed is not None:
+            faults = feed.faults if controls["source"] == "sensor" else []
+            shown |= {"link": feed.link, "ended": feed.ended, "faults": faults}
+            shown["trouble"] = feed.trouble or shown["trouble"]
+        return shown
 
     def _strain_note(self, answer: FiniteAnswer | None, reading: Reading) -> str:
         """What the picture and the numbers are worth."""

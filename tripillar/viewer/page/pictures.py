@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import pyvista as pv
 from PIL import Image
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+from pyvista.plotting.utilities import image_from_window
 
 STILL_AFTER_S = 0.3  #: without a change
 MIN_PIXELS = 120_000
@@ -59,11 +58,6 @@ class Pictures:
     def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
         self._plotter, self._window = plotter, plotter.render_window
         self._window.ShowWindowOff()
-        self._reader = vtkWindowToImageFilter()
-        self._reader.SetInput(self._window)
-        self._reader.ShouldRerenderOff()
-        self._reader.ReadFrontBufferOff()
-        self._reader.SetInputBufferTypeToRGBA()
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
         self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92, least_zoom=1.0)
@@ -82,10 +76,10 @@ class Pictures:
             except TimeoutError:
                 await send(await self._drawn(self._still))
 
-    def resize(self, wide: int, high: int) -> None:
+    def resize(self, wide: float, high: float) -> None:
         """Draw for a place of this size [pixels of the screen]."""
-        self._size = (wide, high)
-        self._window.SetSize(wide, high)
+        self._size = round(wide), round(high)
+        self._window.SetSize(*self._size)
         self._on_resize()
         self.schedule_render()
 
@@ -112,9 +106,4 @@ class Pictures:
         self._window.SetSize(max(1, round(zoom * wide)), max(1, round(zoom * high)))
         self._plotter.reset_camera_clipping_range()  # nothing near is cut off
         self._window.Render()
-        self._reader.Modified()
-        self._reader.Update()
-        drawn = self._reader.GetOutput()
-        cols, rows, _ = drawn.GetDimensions()
-        pixels = vtk_to_numpy(drawn.GetPointData().GetScalars())
-        return Image.frombytes("RGBX", (cols, rows), pixels, "raw", "RGBX", 0, -1)  # VTK's lowest row is the first
+        return Image.fromarray(image_from_window(self._window, ignore_alpha=True))

@@ -7,7 +7,7 @@ so one observer of the displacement field serves all units.
 
 import math
 from itertools import pairwise, product
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pyvista as pv
@@ -89,14 +89,13 @@ class ArrayScene:
         sides, faces, edges = cell_sides(design)
         outline = pad_outline(design)
         self._owner = np.repeat(np.arange(len(PILLARS)), len(pillars) // len(PILLARS))
-        points = [pillars, sides, outline]
-        ends = np.cumsum([0, *map(len, points)])
+        self._points_mm = np.concatenate([pillars, sides, outline])
+        ends = np.cumsum([0, len(pillars), len(sides), len(outline)])
         of_pillars, of_sides, of_pads = (slice(*each) for each in pairwise(ends))
-        self._points_mm = np.concatenate(points)
         self._displacement = field.observe(self._points_mm)
         self._stress = field.observe(pillars, region=1)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        self._rest_mm = centres[:, None] + np.concatenate(points)  # (n_units, n_points, 3)
+        self._rest_mm = centres[:, None] + self._points_mm  # (n_units, n_points, 3)
         everyone = np.arange(design.n_units)
         self.pillars = self._mesh(of_pillars, [(quads, everyone)])
         self._quads = self.pillars.regular_faces
@@ -211,9 +210,8 @@ class ArrayScene:
             self._pads, scalars="strength", cmap=self.pads_bar.colours, clim=(self.pads_bar.low, self.pads_bar.high),
             line_width=2, show_scalar_bar=False, lighting=False,
         )  # fmt: skip
-        corners = np.array(
-            list(product(*((-side / 2, side / 2) for side in design.slab_mm[:2]), (0, design.slab_mm[2])))
-        )
+        x, y, z = design.slab_mm
+        corners = np.array([*product((-x / 2, x / 2), (-y / 2, y / 2), (0.0, z))])
         names = unit_names(design.array.rows, design.array.cols, design.array.pitch_mm)
         beside = draw_scenery(np.vstack([corners, names.points]), "iso")
         self._letters = plotter.add_mesh(pv.merge([names, beside]), color=LETTERS[False], lighting=False)
@@ -224,48 +222,38 @@ class ArrayScene:
 class Camera:
     """A camera of VTK that the mouse turns about its focus, moves and brings nearer; z stays upright."""
 
-    def __init__(self, camera: Any) -> None:
+    def __init__(self, camera: pv.Camera) -> None:
         self._camera = camera
 
     def set_home(self) -> None:
         """Take the present place for the one from which all is seen: it bounds how far the camera goes."""
-        self._focus = self._middle = np.array(self._camera.GetFocalPoint())
-        x, y, z = np.array(self._camera.GetPosition()) - self._focus
-        self._r = self._distance = math.hypot(x, y, z)
-        self._azimuth, self._elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+        self._middle, self._distance = np.array(self._camera.focal_point), self._camera.distance
+        self._camera.up = (0.0, 0.0, 1.0)
         self.is_home = True  #: the camera has not been moved since
 
     def turn(self, right_deg: float, up_deg: float) -> None:
         """Turn the array to the right and up."""
-        steepest = math.radians(STEEPEST_DEG)
-        self._azimuth -= math.radians(right_deg)
-        self._elevation = min(max(self._elevation - math.radians(up_deg), -steepest), steepest)
-        self._place()
+        elevation = math.degrees(math.asin(-self._camera.direction[2]))
+        self._camera.Azimuth(-right_deg)
+        self._camera.Elevation(min(max(elevation - up_deg, -STEEPEST_DEG), STEEPEST_DEG) - elevation)
+        self.is_home = False
 
     def approach(self, factor: float) -> None:
         """Come nearer by a factor above 1, or go away by one below."""
-        self._r = min(max(self._r / factor, NEAREST * self._distance), FARTHEST * self._distance)
-        self._place()
+        least, most = (self._camera.distance / (limit * self._distance) for limit in (FARTHEST, NEAREST))
+        self._camera.Dolly(min(max(factor, least), most))
+        self.is_home = False
 
     def move(self, right: float, up: float) -> None:
         """Move the array, by fractions of the picture's height."""
-        across = np.array([-math.sin(self._azimuth), math.cos(self._azimuth), 0.0])
-        height = 2.0 * self._r * math.tan(math.radians(self._camera.GetViewAngle() / 2))
-        focus = self._focus - height * (right * across + up * np.cross(self._outward, across))
-        self._focus = self._middle + np.clip(focus - self._middle, -self._distance, self._distance)
-        self._place()
-
-    @property
-    def _outward(self) -> FloatArray:
-        """Direction (3,) from the focus to the camera."""
-        flat = math.cos(self._elevation)
-        return np.array([flat * math.cos(self._azimuth), flat * math.sin(self._azimuth), math.sin(self._elevation)])
-
-    def _place(self) -> None:
+        camera, before = self._camera, np.array(self._camera.focal_point)
+        height = 2.0 * camera.distance * math.tan(math.radians(camera.view_angle / 2))
+        across = np.cross(camera.direction, camera.up)
+        across /= np.linalg.norm(across)
+        focus = before - height * (right * across + up * np.cross(across, camera.direction))
+        shift = self._middle + np.clip(focus - self._middle, -self._distance, self._distance) - before
+        camera.position, camera.focal_point = np.array(camera.position) + shift, before + shift
         self.is_home = False
-        self._camera.SetFocalPoint(*self._focus)
-        self._camera.SetPosition(*(self._focus + self._r * self._outward))
-        self._camera.SetViewUp(0.0, 0.0, 1.0)
 
 
 # the cell's surfaces: points (k, 3) [mm]; cells are quadrilaterals (m, 4) or lines (m, 2) between them

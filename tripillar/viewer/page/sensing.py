@@ -1,7 +1,5 @@
 """The resistances and forces that the page shows: of the array as simulated, or of a sensor live or recorded."""
 
-import asyncio
-import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -29,13 +27,13 @@ from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray, pillar_volumes
+from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.session import live
+from tripillar.terminal.force_view import RATE_OVER, notes_on, pace
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
-POLL_S = 0.05  #: between two looks at a sensor
-RATE_OVER_S = 1.0  #: time over which scans are counted for their rate
 
 #: forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, 3) [Ω]; NaN where unknown
 Decouple = Callable[[FloatArray], FloatArray]
@@ -62,11 +60,7 @@ class SensorModel:
     decouple: Decouple
 
     def read(
-        self,
-        traction_mpa: FloatArray,
-        noise: float,
-        generator: np.random.Generator,
-        finite_mm: FloatArray | None = None,
+        self, traction_mpa: FloatArray, noise: float, draw: np.random.Generator, finite_mm: FloatArray | None = None
     ) -> Reading:
         """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances.
 
@@ -78,16 +72,21 @@ class SensorModel:
             newtons = traction_mpa[None] * design.pad.size_mm**2
             lengths_mm = by_unit(conducted_lengths(self.response.conducted, newtons)[0], design)
         exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-        ohm = measured(exact_ohm, noise, None, generator)
-        applied_n = by_unit(forces(traction_mpa, design), design)
-        reading = self._reading(traction_mpa, applied_n, ohm, self.decouple(ohm), strain)
-        return replace(reading, is_linear=finite_mm is None)
+        ohm = measured(exact_ohm, noise, None, draw)
+        return Reading(
+            traction_mpa=traction_mpa, applied_n=by_unit(forces(traction_mpa, design), design), resistance_ohm=ohm,
+            change=ohm / rest_resistances(design) - 1.0, force_n=self.decouple(ohm), strain=strain,
+            is_linear=finite_mm is None,
+        )  # fmt: skip
 
     def follow(self, scan: Forces) -> Reading:
         """Reading of a sensor's scan; strains are those under the forces found, since nobody knows what acts."""
-        traction_mpa = tractions(scan.force_n, self.response.design)
+        traction_mpa, rest_ohm = tractions(scan.force_n, self.response.design), rest_resistances(self.response.design)
         _, strain = self._deformed(traction_mpa)
-        return self._reading(traction_mpa, np.full_like(strain, np.nan), scan.resistance_ohm, scan.force_n, strain)
+        return Reading(
+            traction_mpa=traction_mpa, applied_n=np.full_like(strain, np.nan), resistance_ohm=scan.resistance_ohm,
+            change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
+        )  # fmt: skip
 
     def _deformed(self, traction_mpa: FloatArray, finite_mm: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Lengths [mm] and strains of all pillars, each (rows, cols, 3)."""
@@ -96,14 +95,6 @@ class SensorModel:
         lengths_mm = pillar_lengths(moved_mm, design.unit)
         strains = pillar_strains(moved_mm, lengths_mm, design.unit)
         return by_unit(lengths_mm, design), by_unit(strains, design)
-
-    def _reading(
-        self, traction: FloatArray, applied_n: FloatArray, ohm: FloatArray, force_n: FloatArray, strain: FloatArray
-    ) -> Reading:
-        return Reading(
-            traction_mpa=traction, applied_n=applied_n, resistance_ohm=ohm, force_n=force_n, strain=strain,
-            change=ohm / rest_resistances(self.response.design) - 1.0,
-        )  # fmt: skip
 
 
 def net_forces(model: Decoupler) -> Decouple:
@@ -144,51 +135,50 @@ def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
 class SensorFeed:
     """The board on a port or the frames of a recording, for all who look at the page.
 
-    Open from entering to leaving the with block; `run` keeps `scan`, `trouble`, `link` and `ended` new and calls
-    `listeners`. Forces of `scan` are along x, y and z, NaN where the model gives none. Parameters and errors are those
-    of `hardware.session.live`.
+    Open from entering to leaving the with block; each `look` renews `scan`, `trouble`, `link`, `faults` and `ended`,
+    and calls `listeners` where one has changed. Forces of `scan` are along x, y and z, NaN where the model gives none.
+    Parameters and errors are those of `hardware.session.live`.
     """
 
     def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
-        self.port, self.model = port, model
+        self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
+        self.faults: list[str] = []  #: what is wrong with the newest scan, in words
         self.ended = False  #: a recording has been played to its end
         self.listeners: set[Callable[[], None]] = set()
-        self._calibration, self._settings = calibration, settings
+        self._given, self._settings = (port, model, calibration), settings
         self._open = ExitStack()
-        self._times: deque[float] = deque()
-        self._saturated = 0  # pillars at an end of the converter's range in the newest scan
-        self._explained = True  # by a load that the model knows
-        self._faults = ""  # of pillars and wires, in words
+        self._newest: deque[Scan] = deque(maxlen=RATE_OVER)
 
     def __enter__(self) -> Self:
-        self._sensor = self._open.enter_context(live(self.port, self.model, self._calibration, **self._settings))
-        self._scanner = self._sensor.scanner
+        self._sensor = self._open.enter_context(live(*self._given, **self._settings))
         return self
 
     def __exit__(self, *error: object) -> None:
         self._open.close()
 
-    async def run(self) -> None:
-        """Look at the sensor again and again, until cancelled."""
-        while True:
-            if self.look():
-                for tell in list(self.listeners):
-                    tell()
-            await asyncio.sleep(POLL_S)
-
     def look(self) -> bool:
         """Take the newest scan, if one has come, without waiting; returns whether anything is new."""
-        before = self.trouble, self.link, self.ended
+        before, scanner, last = (self.trouble, self.link, self.ended), self._sensor.scanner, None
+        while (later := scanner.get(timeout=0.0)) is not None:
+            last = later
+            self._newest.append(last)
         try:
-            scan = self._newest()
-            self.trouble = "" if scan is not None else self.trouble
+            if last is not None:
+                found = self._sensor.forces(last)
+                self.faults, self.trouble = notes_on(found), ""
+                axes = self._sensor.model.component.axes
+                self.scan = replace(found, force_n=with_all_axes(found.force_n, axes))
         except TriPillarError as error:  # of one scan; the next may be sound
-            scan, self.trouble = None, str(error)
-        self.scan = scan or self.scan
-        self.link, self.ended = self._status(), self._scanner.ended
-        return scan is not None or before != (self.trouble, self.link, self.ended)
+            self.trouble, last = str(error), None
+        told = f"{pace(self._newest):.0f} scans/s, {scanner.stats.lost} lost"
+        self.link = "recording ended" if scanner.ended else scanner.trouble or told
+        self.ended = scanner.ended
+        is_new = last is not None or before != (self.trouble, self.link, self.ended)
+        for tell in list(self.listeners) if is_new else ():
+            tell()
+        return is_new
 
     def play_again(self) -> None:
         """Start a recording from its beginning."""
@@ -197,31 +187,3 @@ class SensorFeed:
             self.__enter__()
         except TriPillarError as error:  # the file is gone, perhaps
             self.trouble = str(error)
-
-    def _newest(self) -> Forces | None:
-        """The newest scan, decoupled; None if none has come since the last look."""
-        scan = None
-        while (later := self._scanner.get(timeout=0.0)) is not None:
-            scan = later
-            self._times.append(scan.received_s)
-        if scan is None:
-            return None
-        found = self._sensor.forces(scan)
-        self._saturated = int(found.saturated.sum())
-        self._explained = not found.unexplained
-        self._faults = "".join(f", {fault}" for fault in found.faults)
-        return replace(found, force_n=with_all_axes(found.force_n, self.model.component.axes))
-
-    def _status(self) -> str:
-        """Rate, losses and saturated pillars, or why no scans come."""
-        if self._scanner.ended:
-            return "recording ended"
-        if self._scanner.trouble:
-            return self._scanner.trouble
-        now_s = time.perf_counter()
-        while self._times and self._times[0] < now_s - RATE_OVER_S:
-            self._times.popleft()
-        saturated = f", {self._saturated} pillars saturated" if self._saturated else ""
-        strange = "" if self._explained else ", no load explains this reading"
-        told = f"{saturated}{strange}{self._faults}"
-        return f"{len(self._times) / RATE_OVER_S:.0f} scans/s, {self._scanner.stats.lost} lost{told}"

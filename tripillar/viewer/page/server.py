@@ -6,21 +6,16 @@ import ipaddress
 import logging
 import re
 import secrets
-import signal
 import socket
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-from weakref import WeakKeyDictionary
 
 from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
 from geometry.errors import TriPillarError
+from hardware.session import ended_by_signal
 from tripillar.viewer.page.page import Page, Subject
 from tripillar.viewer.page.session import Session
 
@@ -30,6 +25,7 @@ MAX_CONNECTIONS = 64  #: at once, browsers with a page not counted; one more end
 MAX_BYTES = 2**16  #: of a message; the state of 500 pads takes 20 kB
 PATIENCE_S = 10.0  #: for a request and its answer
 GOODBYE_S = 1.0  #: for a browser to take leave
+POLL_S = 0.05  #: between two looks at a sensor, and for Ctrl-C
 HEARTBEAT_S = 20.0  #: between two pings of a browser
 HEADERS = {
     "Cache-Control": "no-store",
@@ -115,6 +111,7 @@ class Guard:
         self.token = secrets.token_urlsafe(32)
         self._host = host.lower()
 
+    @web.middleware
     async def admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Answer a request, or refuse it with 403."""
         address, port = request.get_extra_info("sockname")[:2]
@@ -166,48 +163,46 @@ class Server:
     """
 
     def __init__(self, subject: Subject, host: str) -> None:
-        self._subject, self._guard = subject, Guard(host)
-        self._sockets: dict[web.WebSocketResponse, object] = {}  # and the connection that each is on
-
-    async def start(self, host: str, port: int) -> str:
-        """Listen; returns the page's address. Errors as `listening_on`."""
-
-        @web.middleware
-        async def admitted(request: web.Request, handler: Handler) -> web.StreamResponse:
-            return await self._guard.admit(request, handler)
-
-        async def add_headers(request: web.BaseRequest, response: web.StreamResponse) -> None:
-            response.headers.update(HEADERS)
-
-        app = web.Application(middlewares=[admitted], client_max_size=MAX_BYTES)
-        app.on_response_prepare.append(add_headers)
+        self._subject, self._host, self._guard = subject, host, Guard(host)
+        self._sockets: dict[web.WebSocketResponse, asyncio.BaseProtocol | None] = {}  # and the connection of each
+        app = web.Application(middlewares=[self._guard.admit], client_max_size=MAX_BYTES)
+        app.on_response_prepare.append(self._add_headers)
         app.add_routes([web.get(f"/{name}", self._file) for name in ("", *FILES)])
         app.add_routes([web.get("/socket", self._socket)])
-        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=PATIENCE_S, shutdown_timeout=GOODBYE_S)
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=GOODBYE_S)
+
+    async def start(self, listening: socket.socket) -> str:
+        """Serve on a socket of `listening_on`; returns the page's address."""
         await self._runner.setup()
-        assert self._runner.server is not None
-        http = self._http = self._runner.server
+        http, loop = self._runner.server, asyncio.get_running_loop()
+        assert http is not None
+
+        def end(connection: web.RequestHandler) -> None:
+            """End a connection that is no browser's, whether it asks, waits or does not take its answer."""
+            if connection not in self._sockets.values() and connection.transport is not None:
+                connection.transport.abort()
 
         def connected() -> asyncio.BaseProtocol:
             strangers = [one for one in http.connections if one not in self._sockets.values()]
-            if len(strangers) >= MAX_CONNECTIONS and strangers[0].transport is not None:
-                strangers[0].transport.abort()  # the oldest: nobody can hold all places
-            return http()
+            if len(strangers) >= MAX_CONNECTIONS:
+                end(strangers[0])  # the oldest: nobody can hold all places
+            connection = http()
+            loop.call_later(PATIENCE_S, end, connection)
+            return connection
 
-        opened = listening_on(host, port)
-        self._listening = await asyncio.get_running_loop().create_server(connected, sock=opened)
-        self._sweeping = asyncio.create_task(self._end_idle_connections())
-        return page_url(host, opened.getsockname()[1], self._guard.token)
+        self._listening = await loop.create_server(connected, sock=listening)
+        return page_url(self._host, listening.getsockname()[1], self._guard.token)
 
     async def stop(self) -> None:
         """Close all browsers' sockets and stop listening."""
-        if hasattr(self, "_listening"):
-            self._sweeping.cancel()
-            self._listening.close()
-            goodbyes = [asyncio.create_task(one.close(code=WSCloseCode.GOING_AWAY)) for one in self._sockets]
-            if goodbyes:
-                await asyncio.wait(goodbyes, timeout=GOODBYE_S)
-            await self._runner.cleanup()
+        self._listening.close()
+        goodbyes = [asyncio.create_task(one.close(code=WSCloseCode.GOING_AWAY)) for one in self._sockets]
+        if goodbyes:
+            await asyncio.wait(goodbyes, timeout=GOODBYE_S)
+        await self._runner.cleanup()
+
+    async def _add_headers(self, request: web.BaseRequest, response: web.StreamResponse) -> None:
+        response.headers.update(HEADERS)
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         return web.FileResponse(Path(__file__).with_name(request.path[1:] or "page.html"))
@@ -233,69 +228,26 @@ class Server:
                 page.close()
         return browser
 
-    async def _end_idle_connections(self) -> None:
-        """End connections that neither ask nor take their answer, until cancelled."""
-        since: WeakKeyDictionary[object, float] = WeakKeyDictionary()
-        while True:
-            await asyncio.sleep(1.0)
-            browsers, now = set(self._sockets.values()), time.monotonic()
-            for connection in self._http.connections:
-                if connection in browsers:
-                    since.pop(connection, None)
-                elif now - since.setdefault(connection, now) > PATIENCE_S and connection.transport is not None:
-                    connection.transport.abort()
 
-
-@contextmanager
-def _ended_by_signals(loop: asyncio.AbstractEventLoop, ended: asyncio.Event) -> Iterator[None]:
-    """Set `ended` on Ctrl-C or a termination."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    if sys.platform == "win32":  # where loops are woken by signals, but do not handle them
-        before = {number: signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set)) for number in numbers}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-        return
-    for number in numbers:
-        loop.add_signal_handler(number, ended.set)
-    try:
-        yield
-    finally:
-        for number in numbers:
-            loop.remove_signal_handler(number)
-
-
-async def serve(subject: Subject, host: str, port: int, on_ready: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C or a termination.
+async def serve(subject: Subject, host: str, listening: socket.socket, on_ready: Callable[[str], None]) -> None:
+    """Serve the page, and look at its sensor, until Ctrl-C or a termination; a second one interrupts.
 
     Parameters
     ----------
     subject : Subject
         The array that all browsers look at.
-    host, port : str, int
-        Where to listen; port 0 is any free one.
+    host, listening : str, socket
+        Where to listen as the user gave it, and the socket of `listening_on`.
     on_ready : callable
         Called with the page's address, which holds its token, once browsers can come.
-
-    Raises
-    ------
-    AddressError
-        If the server cannot listen there.
     """
-    ended, loop = asyncio.Event(), asyncio.get_running_loop()
     server = Server(subject, host)
-    working: list[asyncio.Task[Any]] = [asyncio.create_task(ended.wait())]
-    if subject.feed is not None:
-        working.append(asyncio.create_task(subject.feed.run()))
-    try:
-        with _ended_by_signals(loop, ended):  # left, a second Ctrl-C interrupts
-            on_ready(await server.start(host, port))
-            done, _ = await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()  # the sensor's failure, if it is that
-    finally:
-        for task in working:
-            task.cancel()
-        await server.stop()
+    with ended_by_signal() as is_ended:
+        on_ready(await server.start(listening))
+        try:
+            while not is_ended():
+                if subject.feed is not None:
+                    subject.feed.look()
+                await asyncio.sleep(POLL_S)
+        finally:
+            await server.stop()

@@ -20,7 +20,7 @@ TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
 class Session:
     """A page and the web socket of the browser that shows it.
 
-    Messages are JSON objects, usually of one name. From the browser: "set" {control: value}, "do" one of `calls`,
+    Messages are JSON objects, usually of one name. From the browser: "set" {control: value}, "do" one of `Page.calls`,
     "turn" [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in
     pixels, "restore", a state, and "file", csv or scene. To it: "facts", "show" with what has changed, "file" with
     "name" and "text", and "refused" with the reason. Pictures are the binary messages.
@@ -28,43 +28,31 @@ class Session:
 
     def __init__(self, page: Page, socket: web.WebSocketResponse) -> None:
         self._page, self._socket = page, socket
-        self._shown: dict[str, Any] = {}  # as the browser has it
-        self._files: list[dict[str, str]] = []  # asked for and not sent yet
-        self.calls: dict[str, Callable[[], None]] = {
-            "reset": page.reset,
-            "home": page.look_from_the_start,
-            "again": page.play_again,
-        }
-        camera = page.scene.camera
-        self._takers: dict[str, Callable[[Any], None]] = {
+        self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
+        camera, pictures = page.scene.camera, page.pictures
+        self._takers: dict[str, Callable[[Any], Any]] = {
             "set": self._set,
-            "do": self._do,
+            "do": page.do,
             "turn": lambda said: camera.turn(*numbers_of("turn", said, 2, -TURN_DEG, TURN_DEG)),
             "nearer": lambda said: camera.approach(*numbers_of("nearer", [said], 1, *NEARER)),
             "move": lambda said: camera.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
-            "size": self._resize,
+            "size": lambda said: pictures.resize(*numbers_of("size", said, 2, 1.0, MAX_PIXELS_A_SIDE)),
             "restore": page.restore,
-            "file": lambda said: self._files.append(page.file(said)),
+            "file": page.file,
         }
 
     async def run(self) -> None:
         """Listen, tell and draw until the browser leaves."""
-        await self._send({"facts": self._page.facts()})
-        working = [
-            asyncio.create_task(work)
-            for work in (
-                self._tell(), self._page.pictures.run(self._socket.send_bytes), self._page.solve(), self._listen()
-            )
-        ]  # fmt: skip
         try:
-            await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in working:
-                task.cancel()
-            ended = await asyncio.gather(*working, return_exceptions=True)
-        for error in ended:
-            if isinstance(error, Exception) and not isinstance(error, ConnectionResetError):  # it left meanwhile
-                raise error
+            await self._send({"facts": self._page.facts()})
+            async with asyncio.TaskGroup() as group:
+                work = self._tell(), self._page.pictures.run(self._socket.send_bytes), self._page.solve()
+                working = [group.create_task(one) for one in work]
+                await self._listen()
+                for task in working:
+                    task.cancel()
+        except* ConnectionResetError:  # it left meanwhile
+            pass
 
     async def _listen(self) -> None:
         """Do what the browser's messages say, until it leaves."""
@@ -74,9 +62,7 @@ class Session:
                 if message.type is WSMsgType.PING:
                     await self._socket.pong(message.data)
                 elif message.type is WSMsgType.TEXT:
-                    self._take(message.data)
-                    while self._files:
-                        await self._send({"file": self._files.pop()})
+                    await self._take(message.data)
                 elif message.type is not WSMsgType.PONG:
                     raise ControlError("messages are text.")
             except ControlError as error:
@@ -85,7 +71,7 @@ class Session:
             next_s = max(next_s, now_s - BURST_S) + 1.0 / MAX_A_SECOND
             await asyncio.sleep(max(next_s - now_s, 0.0))  # others have their turn, and a flood waits in its sender
 
-    def _take(self, text: str) -> None:
+    async def _take(self, text: str) -> None:
         """Do what a message says; ControlError if it is none of those that `Session` names."""
         try:
             said = json.loads(text)
@@ -94,22 +80,15 @@ class Session:
         for name, value in mapping("a message", said).items():
             if name not in self._takers:
                 raise ControlError(f"there is no message {shortened(name)}.")
-            self._takers[name](value)
+            answer = self._takers[name](value)
             if name in ("turn", "nearer", "move"):
                 self._page.pictures.schedule_render()
+            if answer is not None:
+                await self._send({name: answer})
 
     def _set(self, said: Any) -> None:
         self._page.set(said)
-        self._shown.setdefault("controls", {}).update(said)
-
-    def _do(self, said: Any) -> None:
-        if not isinstance(said, str) or said not in self.calls:
-            raise ControlError(f"do={shortened(said)} is none of {', '.join(self.calls)}.")
-        self.calls[said]()
-
-    def _resize(self, said: Any) -> None:
-        wide, high = numbers_of("size", said, 2, 1.0, MAX_PIXELS_A_SIDE)
-        self._page.pictures.resize(round(wide), round(high))
+        self._shown["controls"] |= said
 
     async def _tell(self) -> None:
         """Send what has changed whenever something has, until cancelled."""
@@ -117,8 +96,7 @@ class Session:
             await self._page.is_changed.wait()
             self._page.is_changed.clear()
             shown = self._page.update() | {"controls": dict(self._page.controls)}
-            changed = news(self._shown, shown)
-            changed["controls"] = news(self._shown.get("controls", {}), shown["controls"])
+            changed = news(self._shown, shown) | {"controls": news(self._shown["controls"], shown["controls"])}
             self._shown |= shown
             await self._send({"show": changed})
 

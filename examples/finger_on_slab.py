@@ -1,18 +1,13 @@
-"""A MuJoCo model to begin with: a gripper whose finger comes down on a sensor. Loads mujoco."""
+"""A MuJoCo model to begin with, for `mujoco_press.py` and `press_env.py`: a gripper's finger comes down on a sensor."""
 
 import warnings
-from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
+from fem.array.response import ArrayResponse
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
-from geometry.errors import ArgumentError, TriPillarError, needing
-
-with needing("the simulator", "simulators"):
-    import mujoco
-
-if TYPE_CHECKING:
-    from fem.array.response import ArrayResponse
+from tripillar.simulators.contacts import soften
 
 #: a sensor for fingers: 24 × 24 × 4 mm of soft silicone, 10 N on a pad shorten its pillars by a fifth
 FINGERTIP = SensorDesign(
@@ -27,12 +22,10 @@ TIP_MM = (5.0, 4.0)  #: radius and half the length of the fingertip, a capsule a
 CLEARANCE_MM = 4.0  #: between slab and fingertip at rest
 FINGER_KG = 0.2
 FRICTION = 0.6  #: of the slab, Coulomb's
-MIN_IMPEDANCE = 0.5  #: MuJoCo's d of a contact: smaller is nearer to a spring, but chatters sooner
-MAX_DAMPED = 0.6  #: largest b/d times the time step; contacts chatter from 1 on
 STEP_S = 0.001
 
 
-class DrawingError(TriPillarError, RuntimeError):
+class DrawingError(RuntimeError):
     """MuJoCo finds no way to draw on this machine."""
 
 
@@ -86,7 +79,7 @@ _MODEL = """
 """
 
 
-def finger_on_slab(design: SensorDesign, stiffness_n_per_mm: float, friction: float = FRICTION) -> Any:
+def finger_on_slab(design: SensorDesign, stiffness_n_per_mm: float, friction: float = FRICTION) -> mujoco.MjModel:
     """A slab of a design on a table, and a finger above it that position actuators move along x, y and z.
 
     Parameters
@@ -115,45 +108,14 @@ def finger_on_slab(design: SensorDesign, stiffness_n_per_mm: float, friction: fl
     return model
 
 
-def pad_stiffness(response: "ArrayResponse") -> float:
+def pad_stiffness(response: ArrayResponse) -> float:
     """Force on a pad alone over the mean depth that its electrodes sink to, mean of all pads [N/mm]."""
     n = response.design.n_units
     sunk = -response.influence_mm_per_n.reshape(n, 2, 3, n, 3)[:, :, 2, :, 2].mean(axis=1)  # along z, of −z forces
     return float(1.0 / -sunk.diagonal().mean())
 
 
-def soften(model: Any, geom: str, body: str, stiffness_n_per_mm: float) -> None:
-    """Make each contact of a geom with a body a spring of this stiffness with critical damping.
-
-    The model is in metres and has elliptic cones; the geom's priority is above the body's geoms', so that MuJoCo takes
-    its parameters.
-
-    Raises
-    ------
-    ArgumentError
-        If the cones are pyramidal: their stiffness depends on friction.
-
-    Notes
-    -----
-    MuJoCo's contact force f obeys R f = (b v + k r)/d − a: penetration r, its rate v, the bodies' acceleration a apart,
-    ``solref`` = (−k, −b), impedance d and R = Â (1 − d)/d, Â the body's inverse mass as the model states it
-    (`body_invweight0`); MuJoCo's documentation, chapter Computation. At rest f = k r/(Â (1 − d)), so
-    k = stiffness · Â (1 − d) makes the spring. It has an apparent mass 1/R, with d = 1/2 the body's own, and
-    b = 2 √k damps both critically. d is 1/2, or where b/d is too fast for the model's time step so much that it is not.
-    """
-    if model.opt.cone != mujoco.mjtCone.mjCONE_ELLIPTIC:
-        raise ArgumentError('soft contacts need elliptic cones: write <option cone="elliptic"/> in the model.')
-    g = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
-    inverse_kg = model.body_invweight0[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body), 0]
-    rate2 = 1000.0 * stiffness_n_per_mm * inverse_kg  # k = rate² (1 − d)
-    a = rate2 * (2.0 * model.opt.timestep / MAX_DAMPED) ** 2  # a (1 − d) = d² where b/d is the fastest
-    d = max(MIN_IMPEDANCE, 0.5 * (np.sqrt(a * a + 4.0 * a) - a))
-    k = rate2 * (1.0 - d)
-    model.geom_solimp[g] = (d, d, 0.001, 0.5, 2.0)
-    model.geom_solref[g] = -k, -2.0 * np.sqrt(k)
-
-
-def renderer(model: Any, wide: int, high: int) -> Any:
+def renderer(model: mujoco.MjModel, wide: int, high: int) -> mujoco.Renderer:
     """A `mujoco.Renderer`.
 
     Raises

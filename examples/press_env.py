@@ -1,29 +1,22 @@
-"""A Gymnasium environment: press a finger on the sensor with a given force. Loads gymnasium and mujoco.
+"""A Gymnasium environment: press a finger on the sensor with a given force.
 
-Importing this module registers ``tripillar/Press-v0``.
+Importing this module registers ``tripillar/Press-v0``; ``python examples/press_env.py`` presses twice,
+slower the nearer it comes to the wanted force.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium
+import mujoco
 import numpy as np
+from finger_on_slab import CLEARANCE_MM, FINGERTIP, finger_on_slab, pad_stiffness, renderer
+from gymnasium import spaces
+from gymnasium.vector import SyncVectorEnv
 
-from fem.array.solving import ResponseSettings, array_response
-from geometry.design import SensorDesign
-from geometry.errors import ArgumentError, needing
-from geometry.layout import FloatArray
+import tripillar as tp
+from fem.array.response import ArrayResponse
 from tripillar.simulators.contacts import ContactReader
-from tripillar.simulators.observations import Observed, TactileObservation, TactileVectorObservation
-from tripillar.simulators.press_model import CLEARANCE_MM, FINGERTIP, finger_on_slab, pad_stiffness, renderer
-
-with needing("the simulator", "simulators"):
-    import gymnasium
-    import mujoco
-    from gymnasium import spaces
-    from gymnasium.vector import SyncVectorEnv
-
-if TYPE_CHECKING:
-    from decoupler.model.decoupler import Decoupler
-    from fem.array.response import ArrayResponse
+from tripillar.simulators.observations import TactileObservation, TactileVectorObservation
 
 ID = "tripillar/Press-v0"
 CONTROL_S = 0.02  #: time of a step
@@ -52,14 +45,11 @@ class PressEnv(gymnasium.Env):
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_S)}  # noqa: RUF012 (gymnasium's own way)
 
     def __init__(
-        self,
-        design: SensorDesign = FINGERTIP,
-        response: "ArrayResponse | None" = None,
-        render_mode: str | None = None,
+        self, design: tp.SensorDesign = FINGERTIP, response: ArrayResponse | None = None, render_mode: str | None = None
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ArgumentError(f"render_mode={render_mode!r} must be rgb_array, or left out.")
-        response = array_response(design, ResponseSettings())[0] if response is None else response
+            raise ValueError(f"render_mode={render_mode!r} must be rgb_array, or left out.")
+        response = tp.response(design) if response is None else response
         self.render_mode = render_mode
         self.model = finger_on_slab(design, pad_stiffness(response))  #: mujoco.MjModel
         self.data = mujoco.MjData(self.model)  #: mujoco.MjData
@@ -78,7 +68,7 @@ class PressEnv(gymnasium.Env):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Put the finger above a random place, with a random force to reach."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
@@ -88,7 +78,7 @@ class PressEnv(gymnasium.Env):
         mujoco.mj_forward(self.model, self.data)
         return self._observation(), {}
 
-    def step(self, action: Any) -> tuple[dict[str, FloatArray], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Move the finger's target for 20 ms."""
         action = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         self._goal_mm = np.clip(self._goal_mm + action * SPEED_MM_S * CONTROL_S, *self._reach_mm)
@@ -114,7 +104,7 @@ class PressEnv(gymnasium.Env):
             self._renderer.close()
             self._renderer = None
 
-    def _observation(self) -> dict[str, FloatArray]:
+    def _observation(self) -> dict[str, np.ndarray]:
         return {
             "finger_mm": (1000.0 * self.data.qpos).astype(np.float32),
             "target_n": np.array([self._target_n], dtype=np.float32),
@@ -123,10 +113,10 @@ class PressEnv(gymnasium.Env):
 
 def press_env(
     *,
-    design: SensorDesign = FINGERTIP,
-    model: "Decoupler | str | None" = None,
-    observe: Observed | None = None,
-    response: "ArrayResponse | None" = None,
+    design: tp.SensorDesign = FINGERTIP,
+    model: Any = None,
+    observe: str | None = None,
+    response: ArrayResponse | None = None,
     render_mode: str | None = None,
     **sensor: Any,
 ) -> gymnasium.Env:
@@ -144,40 +134,36 @@ def press_env(
     **sensor
         Further arguments of `VirtualSensor`, such as noise, bits, crossbar, gain_spread.
     """
-    response = array_response(design, ResponseSettings())[0] if response is None else response
+    response = tp.response(design) if response is None else response
     env = PressEnv(design, response, render_mode)
-    return TactileObservation(env, _sensor(design, model, response, sensor), **_observed(model, observe))
+    return TactileObservation(
+        env, tp.VirtualSensor(design, model, response=response, **sensor), **_observed(model, observe)
+    )
 
 
 def press_vector_env(
     num_envs: int = 1,
     *,
     max_episode_steps: int | None = None,
-    design: SensorDesign = FINGERTIP,
-    model: "Decoupler | str | None" = None,
-    observe: Observed | None = None,
-    response: "ArrayResponse | None" = None,
+    design: tp.SensorDesign = FINGERTIP,
+    model: Any = None,
+    observe: str | None = None,
+    response: ArrayResponse | None = None,
     **sensor: Any,
 ) -> gymnasium.vector.VectorEnv:
     """Many of `press_env` with one `VirtualSensor`: ``gymnasium.make_vec("tripillar/Press-v0", num_envs=64, ...)``."""
-    response = array_response(design, ResponseSettings())[0] if response is None else response
+    response = tp.response(design) if response is None else response
 
     def one() -> gymnasium.Env:
         env = PressEnv(design, response)
         return env if max_episode_steps is None else gymnasium.wrappers.TimeLimit(env, max_episode_steps)
 
     envs = SyncVectorEnv([one] * num_envs)
-    reading = _sensor(design, model, response, sensor | {"environments": num_envs})
+    reading = tp.VirtualSensor(design, model, response=response, environments=num_envs, **sensor)
     return TactileVectorObservation(envs, reading, **_observed(model, observe))
 
 
-def _sensor(design: SensorDesign, model: Any, response: Any, settings: dict[str, Any]) -> Any:
-    from hardware.virtual import VirtualSensor
-
-    return VirtualSensor(design, model, response=response, **settings)
-
-
-def _observed(model: Any, observe: Observed | None) -> dict[str, Any]:
+def _observed(model: Any, observe: str | None) -> dict[str, Any]:
     return {"observe": observe or ("ohms" if model is None else "newtons"), "site": "sensor", "geom": "slab"}
 
 
@@ -188,3 +174,16 @@ gymnasium.register(
     max_episode_steps=250,
     disable_env_checker=True,
 )
+
+if __name__ == "__main__":
+    env = gymnasium.make(ID, noise=0.001, bits=12)
+    for _ in range(2):
+        observation, info = env.reset()
+        is_over = False
+        while not is_over:
+            missing = 1.0 - info["tactile"][2] / observation["target_n"][0]
+            observation, reward, terminated, truncated, info = env.step(
+                np.array([0.0, 0.0, -0.3 * missing], np.float32)
+            )
+            is_over = terminated or truncated
+        print(f"pressed with {info['tactile'][2]:.1f} N, wanted {observation['target_n'][0]:.1f}: reward {reward:.2f}")
