@@ -79,6 +79,9 @@ class BoardPort:
             self._buffer += self._source.obey(command)
         return len(data)
 
+    def close(self) -> None:
+        """Nothing is held that could be given back."""
+
     def wait_s(self) -> float | None:
         """Make the frames that are due ready to be read; seconds until the next one, None at the end."""
         if self._start_s is None:

@@ -2,11 +2,13 @@
 
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from hardware.link.frames import MAX_DRIFT, MAX_OVERRUNS, Errors, Frame, FrameDecoder, Info, Statistics, missing_between
+from hardware.link.protocols import Decoder
 
 WAIT_NS = 1000  #: least time between two stamps; seconds since 1970 as floating-point numbers tell 240 ns
 MAX_HELD_NS = 1_000_000_000  #: step back of the clock that stamps wait for; after a longer one they follow it
@@ -75,14 +77,15 @@ class Reception:
     than in real time, and where the host's clock stood still while it slept.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, decoder: Callable[[], Decoder] = FrameDecoder) -> None:
+        self._new_decoder = decoder
         self.info: Info | None = None  #: of the board; its rate is the latest
         self.n_infos = 0  #: INFO frames of the board
         self.errors: Errors | None = None  #: the last ERRORS frame
         self.n_bytes = 0  #: received
         self.n_frames = 0  #: valid data frames received, delivered or not
         self.asks = True  #: the board is to be asked for INFO
-        self._decoder = FrameDecoder()
+        self._decoder = decoder()
         self._clock, self._stamps = DeviceClock(), Stamps()
         self._unix_s = 0.0  # to be added to time.perf_counter()
         self._counted: Counter[str] = Counter()
@@ -107,7 +110,7 @@ class Reception:
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
         self._counted.update(self._decoded())
-        self._decoder = FrameDecoder()
+        self._decoder = self._new_decoder()
         self._has_frames = self._is_trusted = False  # no data and no INFO frame came since the connection
         self.doubt()
 

@@ -1,4 +1,7 @@
-"""The scanner reads a port with a board on it: a stream of scans that goes on after faults of cables and boards."""
+"""A port with a board on it: a stream of scans that goes on after faults of cables and boards.
+
+`Link` follows the port, without a thread and by any clock; `Scanner` is its thread, and a queue.
+"""
 
 import threading
 import time
@@ -10,19 +13,141 @@ from typing import Any, Self
 
 from geometry.errors import TriPillarError
 from hardware.link.frames import Errors, Info
+from hardware.link.protocols import BoardProtocol, spoken_on
 from hardware.link.reception import LinkStatistics, Reception, Scan
-from hardware.link.serial_ports import BAUD, PortError, close, open_port, read_available, write
+from hardware.link.serial_ports import BAUD, Port, PortError, close, open_port, read_available, write
 
+ASK_EVERY_S = 0.25
+LISTEN_S = 0.5  #: before the first question: a boot loader may be at the other end, which is to hear nothing odd
+RETRY_EVERY_S = 0.1
 _READ_TIMEOUT_S = 0.1  # bounds how long closing takes
-_ASK_EVERY_S = 0.25
 _ERRORS_WAIT_S = 0.5  # for an answer that firmware before 1.1 does not give
-_LISTEN_S = 0.5  # before the first question: a boot loader may be at the other end, which is to hear nothing odd
-_RETRY_EVERY_S = 0.1
 _RATES_HZ = (1, 1000)  # that a board may be asked for
 
 
 class ScannerError(TriPillarError, RuntimeError):
     """A board that does not answer, or not as it should."""
+
+
+class Link:
+    """The scans of one board on a port that may go and come back.
+
+    `read` is for one thread and waits as long as the port does; `take` and all that is asked of a link otherwise may be
+    put under a lock.
+
+    Parameters
+    ----------
+    opened : port
+        The port, open.
+    open_again : callable, optional
+        Opens it anew once it has gone; None: its loss is raised.
+    timeout_s : float
+        How long a silence is a stall [s].
+    protocol : BoardProtocol
+    clock, wait : callable
+        As ``time.perf_counter`` and ``time.sleep``; a `wait` that returns True ends the attempts to open.
+    """
+
+    def __init__(
+        self,
+        opened: Port,
+        open_again: Callable[[], Port] | None,
+        timeout_s: float,
+        protocol: BoardProtocol,
+        clock: Callable[[], float] = time.perf_counter,
+        wait: Callable[[float], Any] = time.sleep,
+    ) -> None:
+        self.reception = Reception(protocol.decoder)
+        self.commands: deque[bytes] = deque()  #: to be sent
+        self.wanted_hz: int | None = None  #: the rate that was set, which a reset makes the board forget
+        self.fault: str | None = None  #: why nothing comes, in one line; what `Reception` refuses has its own
+        self.n_stalls = self.n_reconnects = 0
+        self.is_finished = False  #: the port says that nothing will come any more
+        self._port: Port | None = opened
+        self._open_again, self._timeout_s, self._protocol = open_again, timeout_s, protocol
+        self._clock, self._wait = clock, wait
+        self._is_new = self._is_silent = False
+        self._begin()
+
+    def read(self) -> bytes:
+        """Ask what is to be asked, and read; empty where nothing came, or while the port is lost.
+
+        Raises
+        ------
+        PortError
+            If the port has gone and is not to be opened again.
+        """
+        if self._port is None:
+            self._reopen()
+            return b""
+        try:
+            self._ask(self._port)
+            data = read_available(self._port)
+            self.is_finished = not data and getattr(self._port, "finished", False)
+        except PortError as fault:
+            if self._open_again is None:
+                raise
+            self.fault = f"disconnected, trying again: {fault}"
+            self.close()
+            return b""
+        self._read_s = self._clock()
+        return data
+
+    def take(self, data: bytes) -> list[Scan]:
+        """The scans in what was read."""
+        reception = self.reception
+        if self._is_new:
+            self._is_new = False
+            self.n_reconnects += 1
+            reception.connected()
+        n_frames = reception.n_frames
+        scans = reception.take(data, self._read_s) if data else []
+        if data and self._is_silent:
+            self._is_silent, self._ask_s = False, self._read_s
+        if reception.n_frames > n_frames:
+            self._heard_s, self.fault = self._read_s, None
+        elif self._read_s - self._heard_s > self._timeout_s and self.fault is None:
+            self.fault = f"no frames for {self._timeout_s:.1f} s"
+            self.n_stalls += 1
+            reception.doubt()
+        return scans
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        if self._port is not None:
+            close(self._port)
+            self._port = None
+
+    def _begin(self) -> None:
+        """Start on a connection: listen first, but to a finite port, which has no boot loader."""
+        self._is_new = False  # `take` has yet to hear of it
+        self._is_silent = not hasattr(self._port, "finished")
+        self._heard_s = self._read_s = self._clock()
+        self._ask_s = self._heard_s + LISTEN_S * self._is_silent
+
+    def _ask(self, port: Port) -> None:
+        if self._clock() >= self._ask_s and (question := self._question()):
+            self._ask_s = self._clock() + ASK_EVERY_S
+            write(port, question)
+        while self.commands:
+            write(port, self.commands.popleft())
+
+    def _question(self) -> bytes | None:
+        """The command to send unasked: the question while the board is unknown, or the rate that it forgot."""
+        if self.reception.asks or self.reception.info is None:
+            return self._protocol.question
+        wanted_hz = self.wanted_hz
+        return None if wanted_hz in (None, self.reception.info.rate_hz) else self._protocol.rate(wanted_hz)
+
+    def _reopen(self) -> None:
+        if self._open_again is None or self._wait(RETRY_EVERY_S):
+            return
+        try:
+            self._port = self._open_again()
+        except OSError:  # PortError among them
+            return
+        self._begin()
+        self._is_new, self.fault = True, None
 
 
 class Scanner:
@@ -34,10 +159,9 @@ class Scanner:
 
     Parameters
     ----------
-    port : str or port
-        What `open_port` opens; or an open port, pyserial's or one with its ``read``, ``write`` and
-        ``in_waiting``. That stays open in the end, and cannot be reconnected. Its ``read`` should wait for
-        bytes, but 0.1 s at most. Where it has an attribute ``finished``, its end is the end of the scans.
+    port : str or Port
+        What `open_port` opens, with a protocol in front if it is another (`spoken_on`); or an open port, which stays
+        open in the end, and cannot be reconnected.
     timeout : float
         How long to wait for the board's answer, and how long a silence is a stall [s].
     reconnect : bool
@@ -82,20 +206,16 @@ class Scanner:
             raise ScannerError(f"queue={queue} must be 1 or more: the scans that may wait.")
         if not timeout > 0:
             raise ScannerError(f"timeout={timeout:g} must be above 0 s.")
-        self._url = port if isinstance(port, str) else None
-        self._port = port
-        self._opener = opener
-        self._baud = baud
-        self._timeout_s = timeout
+        self._protocol, url = spoken_on(port if isinstance(port, str) else "")
+        self._url = url if isinstance(port, str) else None
+        self._port = None if isinstance(port, str) else port
+        self._opener, self._baud, self._timeout_s = opener, baud, timeout
         self._may_reconnect = reconnect and self._url is not None
-        self._changed = threading.Condition()  # guards all below, but for the port, which is the thread's
-        self._reception = Reception()
+        self._changed = threading.Condition()  # guards all below
+        self._link: Link | None = None  # until it is entered
         self._queue: deque[Scan] = deque(maxlen=queue)
         self._latest: Scan | None = None
-        self._commands: deque[bytes] = deque()
-        self._wanted_hz: int | None = None  # the rate that was set, which a reset makes the board forget
-        self._n_dropped = self._n_stalls = self._n_reconnects = 0
-        self._link_trouble: str | None = None
+        self._n_dropped = 0
         self._error: BaseException | None = None  # that ended the thread
         self._is_error_raised = False
         self._has_ended = False
@@ -105,12 +225,14 @@ class Scanner:
     def __enter__(self) -> Self:
         if self._thread.ident is not None:
             raise ScannerError("this scanner was used already: make another.")
-        if self._url is not None:
-            self._port = self._open()
+        opened = self._open() if self._port is None else self._port
+        open_again = self._open if self._may_reconnect else None
+        link = Link(opened, open_again, self._timeout_s, self._protocol, wait=self._closing.wait)
+        self._link = link
         self._thread.start()
         try:
-            self._wait_for(lambda: self._reception.info is not None, self._timeout_s)
-            if self._reception.info is None:
+            self._wait_for(lambda: link.reception.info is not None, self._timeout_s)
+            if link.reception.info is None:
                 raise ScannerError(f"{self._name}: {self._silence()}")
         except BaseException:  # Ctrl-C as well: without __exit__, thread and port would stay open
             self.close()
@@ -149,7 +271,7 @@ class Scanner:
     @property
     def info(self) -> Info:
         """INFO of the board: size, rate, circuit, firmware."""
-        info = self._reception.info
+        info = self._entered.reception.info
         if info is None:
             raise ScannerError("the board was not asked yet: enter the scanner, with Scanner(...) as scanner.")
         return info
@@ -158,11 +280,12 @@ class Scanner:
     def stats(self) -> LinkStatistics:
         """Counts of all that happened so far."""
         with self._changed:
+            link = self._entered
             return replace(
-                self._reception.statistics,
+                link.reception.statistics,
                 dropped=self._n_dropped,
-                stalls=self._n_stalls,
-                reconnects=self._n_reconnects,
+                stalls=link.n_stalls,
+                reconnects=link.n_reconnects,
             )
 
     @property
@@ -182,7 +305,7 @@ class Scanner:
         with self._changed:
             if self._error:
                 return f"{type(self._error).__name__}: {self._error}"
-            return self._link_trouble or self._reception.trouble
+            return self._entered.fault or self._entered.reception.trouble
 
     def request(self, command: bytes) -> Info:
         """Send the board a command and return the INFO that it answers with; for the rate there is `set_rate`.
@@ -192,20 +315,22 @@ class Scanner:
         ScannerError
             If no answer comes within the timeout.
         """
+        link = self._entered
         with self._changed:
-            before = self._reception.n_infos
-            self._commands.append(command)
-        if not self._wait_for(lambda: self._reception.n_infos > before, self._timeout_s):
+            before = link.reception.n_infos
+            link.commands.append(command)
+        if not self._wait_for(lambda: link.reception.n_infos > before, self._timeout_s):
             raise ScannerError(f"{self._name}: no answer to {command!r} within {self._timeout_s:g} s: is it connected?")
         return self.info
 
     def errors(self) -> Errors | None:
         """Ask the board what went wrong since its start; None where its firmware does not tell."""
+        link = self._entered
         with self._changed:
-            self._reception.errors = None
-            self._commands.append(b"!")
-        self._wait_for(lambda: self._reception.errors is not None, _ERRORS_WAIT_S)
-        return self._reception.errors
+            link.reception.errors = None
+            link.commands.append(self._protocol.errors)
+        self._wait_for(lambda: link.reception.errors is not None, _ERRORS_WAIT_S)
+        return link.reception.errors
 
     def set_rate(self, rate_hz: int) -> Info:
         """Have the board scan `rate_hz` times a second, also after it was reset or plugged in again.
@@ -219,22 +344,22 @@ class Scanner:
         low, high = _RATES_HZ
         if rate_hz != int(rate_hz) or not low <= rate_hz <= high:
             raise ScannerError(f"rate_hz={rate_hz} must be a whole number from {low} to {high}.")
-        wanted_hz, self._wanted_hz = self._wanted_hz, None  # the reading thread must not ask for the old one
+        link = self._entered
+        wanted_hz, link.wanted_hz = link.wanted_hz, None  # the reading thread must not ask for the old one
         try:
-            self.request(b"R%d\n" % rate_hz)
+            self.request(self._protocol.rate(int(rate_hz)))
             if not self._wait_for(lambda: self.info.rate_hz == rate_hz, self._timeout_s):  # an older answer came first
                 raise ScannerError(
                     f"{self._name}: the board keeps to {self.info.rate_hz} Hz, not {rate_hz} Hz: ask for less."
                 )
             wanted_hz = rate_hz
         finally:
-            self._wanted_hz = wanted_hz
+            link.wanted_hz = wanted_hz
         return self.info
 
     def _wait_for(self, is_so: Callable[[], bool], timeout_s: float | None) -> bool:
         """Wait until something is so, or the reading has ended; raise the error that ended it."""
-        if self._thread.ident is None:
-            raise ScannerError("the scanner reads nothing yet: enter it, with Scanner(...) as scanner.")
+        _ = self._entered
         with self._changed:
             self._changed.wait_for(lambda: is_so() or self._has_ended, timeout_s)
             if not is_so():
@@ -248,108 +373,47 @@ class Scanner:
             raise self._error
 
     @property
+    def _entered(self) -> Link:
+        if self._link is None:
+            raise ScannerError("the scanner reads nothing yet: enter it, with Scanner(...) as scanner.")
+        return self._link
+
+    @property
     def _name(self) -> str:
         return self._url or "port"
 
     def _silence(self) -> str:
         """Say what came instead of an INFO frame."""
-        statistics, n_bytes = self._reception.statistics, self._reception.n_bytes
+        statistics, n_bytes = self._entered.reception.statistics, self._entered.reception.n_bytes
         if not n_bytes:
             return f"nothing received within {self._timeout_s:g} s: is this the board's port, and the board powered?"
         if not statistics.ok:
             return f"{n_bytes} bytes but no valid frame: wrong baud rate? {self._baud} is set."
         return f"{statistics.ok} frames but no INFO in answer to '?': does the board's firmware follow the protocol?"
 
-    def _open(self) -> Any:
+    def _open(self) -> Port:
         return self._opener(self._url, baud=self._baud, timeout_s=_READ_TIMEOUT_S)
 
-    # the methods below run in the reading thread
-
     def _run(self) -> None:
+        """Read until closing, or until a finite port has finished; in the reading thread."""
+        link = self._entered
         try:
-            while not self._closing.is_set():
-                try:
-                    self._read_until_end()
-                    break
-                except PortError as fault:
-                    if not self._may_reconnect:
-                        raise PortError(f"{self._name}: {fault}") from fault
-                    self._reconnect(fault)
+            while not self._closing.is_set() and not link.is_finished:
+                data = link.read()
+                with self._changed:
+                    scans = link.take(data)
+                    self._n_dropped += max(0, len(self._queue) + len(scans) - (self._queue.maxlen or 0))
+                    self._queue.extend(scans)
+                    self._latest = scans[-1] if scans else self._latest
+                    self._changed.notify_all()
+        except PortError as fault:
+            self._error = PortError(f"{self._name}: {fault}")  # raised to who takes scans
+            self._error.__cause__ = fault
         except BaseException as error:
-            self._error = error  # raised to who takes scans
+            self._error = error
         finally:
             if self._url is not None:
-                close(self._port)
+                link.close()
             with self._changed:
                 self._has_ended = True
                 self._changed.notify_all()
-
-    def _read_until_end(self) -> None:
-        """Read until closing, or until a finite port has finished."""
-        heard_s = time.perf_counter()
-        is_silent = not hasattr(self._port, "finished")  # such a port has no boot loader that might listen
-        ask_s = heard_s + _LISTEN_S * is_silent
-        while not self._closing.is_set():
-            if time.perf_counter() >= ask_s and (question := self._question()):
-                ask_s = time.perf_counter() + _ASK_EVERY_S
-                write(self._port, question)
-            while self._commands:
-                write(self._port, self._commands.popleft())
-            data = read_available(self._port)
-            now_s = time.perf_counter()
-            if data:
-                if is_silent:
-                    is_silent, ask_s = False, now_s
-                if self._take(data, now_s):
-                    heard_s = now_s
-            elif getattr(self._port, "finished", False):
-                return
-            if now_s - heard_s > self._timeout_s:
-                self._note_stall()
-
-    def _question(self) -> bytes | None:
-        """The command to send unasked: ``?`` while the board is unknown, or the rate that it forgot."""
-        if self._reception.asks:
-            return b"?"
-        wanted_hz = self._wanted_hz
-        return None if wanted_hz in (None, self.info.rate_hz) else b"R%d\n" % wanted_hz
-
-    def _take(self, data: bytes, received_s: float) -> bool:
-        """Queue the scans in some bytes; whether they complete a valid data frame."""
-        with self._changed:
-            reception = self._reception
-            n_frames, n_infos = reception.n_frames, reception.n_infos
-            scans = reception.take(data, received_s)
-            self._n_dropped += max(0, len(self._queue) + len(scans) - (self._queue.maxlen or 0))
-            self._queue.extend(scans)
-            if scans:
-                self._latest = scans[-1]
-            is_heard = reception.n_frames > n_frames
-            if is_heard:
-                self._link_trouble = None
-            if is_heard or reception.n_infos > n_infos:
-                self._changed.notify_all()
-            return is_heard
-
-    def _note_stall(self) -> None:
-        with self._changed:
-            if self._link_trouble is None:
-                self._link_trouble = f"no frames for {self._timeout_s:.1f} s"
-                self._n_stalls += 1
-                self._reception.doubt()
-
-    def _reconnect(self, fault: PortError) -> None:
-        """Wait until the port is there again; returns early when closing."""
-        with self._changed:
-            self._link_trouble = f"disconnected, trying again: {fault}"
-        close(self._port)
-        while not self._closing.wait(_RETRY_EVERY_S):
-            try:
-                self._port = self._open()
-            except OSError:  # PortError among them
-                continue
-            with self._changed:
-                self._link_trouble = None
-                self._n_reconnects += 1
-                self._reception.connected()
-            return

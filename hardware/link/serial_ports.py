@@ -9,7 +9,7 @@ import errno
 import socket
 import sys
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 import serial
@@ -40,8 +40,29 @@ class PortError(TriPillarError, OSError):
     """A port that cannot be opened, or has gone."""
 
 
+class Port(Protocol):
+    """Bytes to and from a board: pyserial's port, or a board that is not there.
+
+    Its `read` should wait for bytes, but 0.1 s at most. Where it has an attribute ``finished``, nothing will come once
+    that is true.
+    """
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to `size` bytes; fewer, or none, if no more come in time."""
+
+    def write(self, data: bytes) -> Any:
+        """Send bytes to the board."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Port:
+class ListedPort:
     """A serial port of this computer."""
 
     device: str  #: what to open, as /dev/ttyUSB0 or COM3
@@ -49,14 +70,15 @@ class Port:
     hardware_id: str  #: USB vendor, product and serial number
 
 
-def list_ports() -> list[Port]:
+def list_ports() -> list[ListedPort]:
     """The serial ports there are, sorted by name."""
     return [
-        Port(device=port.device, description=port.description, hardware_id=port.hwid) for port in sorted(comports())
+        ListedPort(device=port.device, description=port.description, hardware_id=port.hwid)
+        for port in sorted(comports())
     ]
 
 
-def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
+def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Port:
     """Open a port for this program alone.
 
     Parameters
@@ -70,8 +92,8 @@ def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
 
     Returns
     -------
-    serial.Serial or its like
-        For `read_available` and `write`; close it after use.
+    Port
+        pyserial's, for `read_available` and `write`; close it after use.
 
     Raises
     ------
@@ -87,7 +109,7 @@ def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Any:
         raise PortError(f"{url}: {_cause(fault, url)}") from fault
 
 
-def read_available(port: Any) -> bytes:
+def read_available(port: Port) -> bytes:
     """Read what has arrived, or else the first bytes to arrive; empty if none does until the port's timeout.
 
     Raises
@@ -101,7 +123,7 @@ def read_available(port: Any) -> bytes:
         raise PortError(f"the port is gone ({fault}): plug it in again.") from fault
 
 
-def write(port: Any, data: bytes) -> bool:
+def write(port: Port, data: bytes) -> bool:
     """Write a few bytes; False if the port does not take them now.
 
     Raises
@@ -118,7 +140,7 @@ def write(port: Any, data: bytes) -> bool:
     return True
 
 
-def close(port: Any) -> None:
+def close(port: Port) -> None:
     """Close a port, also one that has gone and objects."""
     with contextlib.suppress(*PORT_FAULTS):
         port.close()

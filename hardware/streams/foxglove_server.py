@@ -5,11 +5,14 @@ Needs the package ``websockets``.
 """
 
 import base64
+import contextlib
 import http
 import json
 import logging
+import socket
 import struct
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping
 from hmac import compare_digest
@@ -25,6 +28,7 @@ TRUSTED_SITES = ("foxglove.dev",)  #: whose pages may connect, and those of this
 MAX_CLIENTS = 8
 MAX_WAITING = 256  #: messages that wait for a client; the oldest are dropped. Clients share their bytes.
 MAX_TOLD = 2**16  #: bytes of what a client says at once
+CLOSING_S = 0.5  #: longest time for all clients to read what waits for them at the end
 HANDSHAKE_S = 3.0  #: longest time to say who one is
 _MESSAGE = struct.Struct("<BIQ")  # 1, subscription, time [ns]
 
@@ -77,11 +81,14 @@ class FoxgloveServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Send all away and listen no more."""
-        self._server.shutdown()
+        """Send all away and listen no more; who has not read what waits within `CLOSING_S` is cut off."""
+        clients, end_s = list(self._clients), time.monotonic() + CLOSING_S
+        for client in clients:
+            client.finish()
+        for client in clients:
+            client.cut_after(max(0.0, end_s - time.monotonic()))
+        self._server.shutdown()  # waits for each client that is still connected
         self._thread.join()
-        for client in list(self._clients):
-            client.end()
 
     def has_listeners(self, topic: str) -> bool:
         """Whether a client subscribes to a topic."""
@@ -143,6 +150,7 @@ class _Client:
         self._waiting: deque[tuple[int, int, bytes]] = deque(maxlen=MAX_WAITING)
         self._changed = threading.Condition()
         self._is_over = False
+        self._has_sent = threading.Event()  # all that it will be sent
 
     def hear(self, told: str | bytes, channels: set[int]) -> list[int]:
         """The channels that a message from the client subscribes to anew; nonsense is passed over."""
@@ -171,24 +179,36 @@ class _Client:
         """Send what waits, until the end."""
         from websockets.exceptions import ConnectionClosed
 
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_over)
-                if not self._waiting:
-                    return
-                channel, stamp_ns, data = self._waiting.popleft()
-            number = self.subscribed.get(channel)
-            try:
+        try:
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._waiting or self._is_over)
+                    if not self._waiting:
+                        return
+                    channel, stamp_ns, data = self._waiting.popleft()
+                number = self.subscribed.get(channel)
                 if number is not None:
                     self._connection.send(_MESSAGE.pack(1, number, stamp_ns) + data)
-            except ConnectionClosed:
-                return
+        except ConnectionClosed:
+            pass
+        finally:
+            self._has_sent.set()
 
-    def end(self) -> None:
-        """Close the connection, with what waits unsent where the client does not read."""
+    def finish(self) -> None:
+        """Take no more than what waits."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
+
+    def cut_after(self, seconds: float) -> None:
+        """Cut the connection if what waits is not sent by then: a send that waits for the client would never end."""
+        if not self._has_sent.wait(seconds):
+            with contextlib.suppress(OSError):  # it has gone meanwhile
+                self._connection.socket.shutdown(socket.SHUT_RDWR)
+
+    def end(self) -> None:
+        """Close the connection, with what waits unsent where the client does not read."""
+        self.finish()
         threading.Thread(target=self._connection.close, daemon=True).start()
 
 

@@ -1,22 +1,26 @@
-"""What the tests of ports, boards and the scanner share."""
+"""What the tests of ports, boards and links share: frames, scripted ports, and a board that can fail."""
 
-import threading
+import queue
 import time
-from collections import deque
 
 import numpy as np
 
-from hardware.boards.virtual_board import a_frame
+from hardware.boards.virtual_board import CountedFrames, a_frame
+from hardware.link.board_port import BoardPort, Commands
 from hardware.link.frames import Frame, Info, encode
+from hardware.link.protocols import PROTOCOLS
+from hardware.link.scanner import Link
+from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]
 COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))
+PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
 
 
 def a_wire(sequence, *, info=INFO, **changes):
-    """A frame as `VirtualBoard(COUNTS, INFO)` sends it, on its schedule."""
+    """A frame as a board of COUNTS and INFO sends it, on its schedule."""
     counts = COUNTS[sequence % len(COUNTS)] if info.n_crossings == INFO.n_crossings else np.ones(info.n_crossings, int)
     values = {
         "sequence": sequence % 2**16,
@@ -36,53 +40,48 @@ def recording_from_resistances(resistance_ohm, info, first_sequence=0, first_us=
     return encode(info) + b"".join(map(encode, frames))
 
 
-PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
-LOOK_S = 0.002
-
-
-def wait_until(is_so, within_s=5.0):
-    """Wait for what has no event to wait for; the time for which the machine holds this thread up does not count."""
-    begun_s, waited_s = time.perf_counter(), 0.0
+def wait_until(is_so, within_s=PATIENT_S):
+    """Wait for what another thread or process does, and no event tells of."""
+    end_s = time.monotonic() + within_s
     while not is_so():
-        assert waited_s < within_s, "it did not come about"
-        time.sleep(LOOK_S)
-        looked_s = time.perf_counter()
-        waited_s += min(looked_s - begun_s, 2 * LOOK_S)
-        begun_s = looked_s
+        assert time.monotonic() < end_s, "it did not come about"
+        time.sleep(0.002)
 
 
-def closes_within(scanner, seconds):
-    """Close a scanner, which must not take longer."""
-    closing = threading.Thread(target=scanner.close)
-    closing.start()
-    wait_until(lambda: not closing.is_alive(), seconds)
+def comes_about(scanner, is_so):
+    """Wait until something is so of a scanner that reads."""
+    with scanner._changed:
+        assert scanner._changed.wait_for(is_so, PATIENT_S)
 
 
 class ScriptedPort:
     """Gives what it was told to, piece by piece, as soon as it is asked; an exception among the pieces is raised.
 
-    The first piece comes once ``?`` was written. Behind the last one the port is finished, if `finite`, or silent.
+    The first piece comes once something was written. Behind the last one the port is finished, if `finite`, or silent.
     """
 
+    in_waiting = 0
+
     def __init__(self, *pieces, finite=True):
-        self.pieces = deque(pieces)
-        self._finite = finite
-        self.written = b""
-        self.is_open = True
+        self._pieces = queue.Queue()
+        self._finite, self.written, self.is_open = finite, b"", True
+        self.add(*pieces)
+
+    def add(self, *pieces):
+        for piece in pieces:
+            self._pieces.put(piece)
 
     @property
     def finished(self):
-        return self._finite and not self.pieces
-
-    @property
-    def in_waiting(self):
-        return 0
+        return self._finite and self._pieces.empty()
 
     def read(self, size):
-        if not self.pieces or not self.written:
-            time.sleep(0.002)  # as a port's timeout
+        if not self.written:
             return b""
-        piece = self.pieces.popleft()
+        try:
+            piece = self._pieces.get(timeout=0.0 if self._finite else 0.01)
+        except queue.Empty:
+            return b""
         if isinstance(piece, BaseException):
             raise piece
         return piece
@@ -92,3 +91,96 @@ class ScriptedPort:
 
     def close(self):
         self.is_open = False
+
+
+class Clock:
+    """Seconds that only go by while somebody sleeps."""
+
+    def __init__(self):
+        self.now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds + 1e-9  # no system wakes up too early
+
+
+class FaultyFrames:
+    """A `FrameSource` that hangs, restarts, is garbled, or is another board; time goes by meanwhile."""
+
+    def __init__(self, counts, info):
+        self._own = self._new = lambda: CountedFrames(counts, info)
+        self.frames, self._began_s = self._new(), 0.0
+        self.is_stalled, self.garbage = False, []
+
+    @property
+    def due_s(self):
+        return 1e9 if self.is_stalled else self.frames.due_s + (self._began_s or 0.0)
+
+    def take(self, now_s):
+        if self._began_s is None:  # it has just been reset
+            self._began_s = now_s
+        wire = self.frames.take(now_s - self._began_s)
+        return self.garbage.pop() if self.garbage else wire
+
+    def obey(self, command):
+        answer = self.frames.obey(command)
+        return b"" if self.is_stalled else self.garbage[-1] if self.garbage else answer
+
+    def become(self, info):
+        """Begin anew as another device, its counts half scale; None: as oneself."""
+        half = None if info is None else np.full(info.n_crossings, 2 ** (info.bits - 1))
+        self._new = self._own if info is None else lambda: CountedFrames(half, info)
+        self.frames, self._began_s, self.is_stalled = self._new(), None, False
+
+
+class Bench:
+    """A link on a board that fails as it is told to; itself the port, which is plugged in or not."""
+
+    def __init__(self, counts=COUNTS, info=INFO, may_reopen=True):
+        self.clock, self.board = Clock(), FaultyFrames(counts, info)
+        self.is_plugged, self.hindrance, self.asked = True, None, []
+        self._port = BoardPort(self.board, self.clock, self.clock.sleep)
+        opens = self._opened if may_reopen else None
+        self.link = Link(self, opens, 1.0, PROTOCOLS["tripillar"], self.clock, self.clock.sleep)
+
+    def run(self, seconds):
+        """The scans of some seconds."""
+        end_s, scans = self.clock() + seconds, []
+        while self.clock() < end_s:
+            scans += self.link.take(self.link.read())
+        return scans
+
+    def restart(self):
+        """Begin again from sequence 0, time 0 and the board's own rate, as after a reset."""
+        self.become(self.board.frames.info if self.board._new is not self.board._own else None)
+
+    def become(self, info):
+        self._port._commands = Commands()
+        self.board.become(info)
+
+    def _opened(self):
+        if not self.is_plugged or self.hindrance:
+            raise PortError(self.hindrance or "no such port")
+        self._port._buffer.clear()  # the system's buffer went with the port
+        return self
+
+    def _plugged(self):
+        if not self.is_plugged:
+            raise OSError("Input/output error")
+        return self._port
+
+    @property
+    def in_waiting(self):
+        return self._plugged().in_waiting
+
+    def read(self, size):
+        return self._plugged().read(size)
+
+    def write(self, data):
+        self.asked.append((data, self.clock()))
+        return self._plugged().write(data)
+
+    def close(self):
+        pass

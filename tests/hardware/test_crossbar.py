@@ -96,15 +96,6 @@ def test_two_equal_resistors_in_a_ring_of_wires():
     assert amplified == pytest.approx(4_700 / state.ravel(), rel=1e-9)
 
 
-def test_equal_pillars_at_every_crossing_of_a_full_crossbar_would_read_the_text_book_value():
-    """R_eff = R (2N − 1)/N² for N × N equal resistors; here a quarter is missing, so it lies above."""
-    R = np.full((1, 6, 6, 3), 1e4)
-    readings = crossbar_of(ScanMode.DIVIDER, switch_ohm=0.0).readings(R)
-    effective = 2_200 / readings - 2_200
-    assert (effective > 1e4 * 23 / 144).all()
-    assert (effective < 2.0 * 1e4 * 23 / 144).all()
-
-
 def test_uncorrected_crosstalk_is_the_largest_error_of_such_sensors():
     """The issue's figure for equal pillars of 10 kΩ with 25 Ω switches: plain 79 %."""
     R = np.full((1, 6, 6, 3), 1e4)

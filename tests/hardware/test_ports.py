@@ -11,7 +11,7 @@ import pytest
 import serial
 
 from geometry.errors import TriPillarError
-from hardware.link.serial_ports import Port, PortError, close, list_ports, open_port, read_available, write
+from hardware.link.serial_ports import ListedPort, PortError, close, list_ports, open_port, read_available, write
 
 
 @contextmanager
@@ -60,15 +60,6 @@ def test_nothing_arrives_in_time():
         assert read_available(port) == b""
 
 
-def test_a_loop_and_once_closed_it_is_gone():
-    with opened("loop://") as port:
-        write(port, b"abc")
-        assert read_all(port, 3) == b"abc"
-        port.close()
-        with pytest.raises(PortError, match="the port is gone"):
-            read_available(port)
-
-
 def refusal(url):
     with pytest.raises(PortError) as caught:
         open_port(url)
@@ -83,7 +74,7 @@ def refusal(url):
 def test_no_such_port_names_those_there_are(monkeypatch, tmp_path):
     monkeypatch.setattr("hardware.link.serial_ports.comports", lambda: [])
     assert "no such port; there are: none." in refusal(str(tmp_path / "ttyUSB7"))
-    there = [Port(device=f"/dev/ttyUSB{k}", description="", hardware_id="") for k in range(2)]
+    there = [ListedPort(device=f"/dev/ttyUSB{k}", description="", hardware_id="") for k in range(2)]
     monkeypatch.setattr("hardware.link.serial_ports.list_ports", lambda: there)
     assert "there are: /dev/ttyUSB0, /dev/ttyUSB1." in refusal(str(tmp_path / "ttyUSB7"))
 
@@ -194,5 +185,5 @@ def test_ports_of_the_computer(monkeypatch):
 
     monkeypatch.setattr("hardware.link.serial_ports.comports", lambda: [Found()])
     assert list_ports() == [
-        Port(device="/dev/ttyUSB0", description="CP2102 USB to UART", hardware_id="USB VID:PID=10C4:EA60")
+        ListedPort(device="/dev/ttyUSB0", description="CP2102 USB to UART", hardware_id="USB VID:PID=10C4:EA60")
     ]

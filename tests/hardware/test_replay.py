@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geometry.errors import FileFormatError
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader, replay
@@ -74,14 +73,6 @@ def test_from_resistances_to_forces_through_a_file(tmp_path, mode):
     assert recording.statistics.ok == 50
 
 
-def test_without_correction_the_crosstalk_stays_in():
-    info = replace(INFO, bits=16, scan_mode=ScanMode.DIVIDER)
-    sent = resistances_of(5)
-    recording = parse_recording(recording_from_resistances(sent, info))
-    result = replay(recording, MODEL, crosstalk=False)
-    assert (result.force_n < 0.9 * np.sqrt(sent)).mean() > 0.9  # ways around a pillar only ever conduct
-
-
 def test_saturated_pillars_are_flagged_and_stay_finite():
     """An open pillar reads count 0 and a short one full scale; neither has a resistance, both get a bound."""
     sent = resistances_of(4)
@@ -103,21 +94,6 @@ def test_the_recordings_own_calibration_is_used_unless_another_is_given(tmp_path
     assert replay(calibrated, MODEL).force_n ** 2 == pytest.approx(sent - 500.0, rel=5e-3)
     other = SensorCalibration.as_designed(2, 3)
     assert replay(calibrated, MODEL, other).force_n ** 2 == pytest.approx(sent, rel=5e-3)
-
-
-def test_a_damaged_frame_is_left_out_and_its_neighbours_keep_their_time():
-    stream = bytearray(recording_from_resistances(resistances_of(5), INFO))
-    stream[25 + 2 * 52 + 30] ^= 0x10  # in the third data frame; 25 bytes of INFO, 52 a frame
-    result = parse_recording(bytes(stream))
-    assert len(replay(result, MODEL).force_n) == 4
-    assert result.time_s == pytest.approx(np.array([0, 1, 3, 4]) / 150, abs=1e-6)
-    assert result.statistics.lost == 1
-
-
-def test_a_model_of_another_array_is_refused():
-    recording = parse_recording(recording_from_resistances(resistances_of(2), INFO))
-    with pytest.raises(FileFormatError, match=r"board has 2 × 3 units, the model 6 × 6: take a model"):
-        replay(recording, PillarModel(root))
 
 
 def test_hardware_loads_no_solver_no_cad_and_no_network():

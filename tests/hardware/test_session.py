@@ -18,7 +18,7 @@ from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
-from tests.hardware.boards import INFO, ScriptedPort, a_wire, recording_from_resistances
+from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, recording_from_resistances
 from tests.hardware.models import PillarModel
 from tripillar.face.boards import other_counts
 
@@ -142,16 +142,18 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
 def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     """And no other: not a recording's name, not a server's; nor for longer than said."""
     link, looked = tmp_path / "board", []
+    with VirtualBoard(COUNTS, INFO) as board:
 
-    def look(seconds):
-        looked.append(seconds)
-        if len(looked) == 3:
-            link.touch()
+        def look(seconds):
+            looked.append(seconds)
+            if len(looked) == 3:
+                link.symlink_to(board.port)
 
-    monkeypatch.setattr(session.time, "sleep", look)
-    session._await(str(link))
-    assert len(looked) == 3
-    for port in (str(link), "missing.frames", "socket://127.0.0.1:9", ""):
+        monkeypatch.setattr(session.time, "sleep", look)
+        with session.connect(str(link)) as (scanner, _):
+            assert scanner.info == INFO
+        assert len(looked) == 3
+    for port in (str(tmp_path), "missing.frames", "socket://127.0.0.1:9", ""):
         session._await(port)
     assert len(looked) == 3
     monkeypatch.setattr(session, "APPEARS_S", 0.01)

@@ -1,6 +1,5 @@
 """The program that simulates a board, and what starts it: readings, ports, links, refusals."""
 
-import json
 import re
 import subprocess
 import time
@@ -11,18 +10,6 @@ import pytest
 from hardware.boards.simavr_board import FIRMWARE, MCUS, SimavrBoard, SimavrError, find_tools, write_table
 from tests.hardware.boards import PATIENT_S
 from tests.hardware.simulated import DISTINCT, listening
-
-
-def test_the_table_goes_round_or_stays(board, tmp_path):
-    counts = np.repeat([100, 200], 144).reshape(2, 12, 12)
-    last = {}
-    for loop in (True, False):
-        write_table(tmp_path / "steps", counts, 100_000, loop=loop)
-        with board(table=tmp_path / "steps", fast=True) as running, listening(running) as listener:
-            frames = listener.take_frames(40)
-        last[loop] = [frame.counts[0] for frame in frames if 210_000 < frame.device_us < 290_000]
-    assert set(last[True]) == {100}
-    assert set(last[False]) == {200}
 
 
 def test_a_table_written_in_place_takes_effect(board, tmp_path):
@@ -98,19 +85,6 @@ def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):
         assert message in ended.stderr
         assert ended.stderr.count("\n") == 1
         assert ended.stdout == ""
-
-
-def test_output_is_two_lines_of_json(built, tmp_path):
-    write_table(tmp_path / "table", DISTINCT, 1000)
-    command = [built / "simavr-board", "--elf", built / f"tripillar-{MCUS[1]}.elf", "--mcu", MCUS[1]]
-    command += ["--table", tmp_path / "table", "--seconds", "0.05", "--link", tmp_path / 'a "link"']
-    start, end = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert json.loads(start).keys() == {"port", "link", "mcu"}
-    assert json.loads(start)["link"] == str(tmp_path / 'a "link"')
-    assert json.loads(end).keys() == {
-        *("seconds", "cycles", "bytes_sent", "bytes_dropped", "bytes_received", "bytes_overrun", "conversions"),
-        *("min_settle_us", "bad_addresses", "max_lag_ms"),
-    }
 
 
 def test_the_example_of_the_page_runs(built, tmp_path, monkeypatch, capsys):

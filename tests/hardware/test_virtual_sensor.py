@@ -107,6 +107,19 @@ def test_gradients_are_those_of_finite_differences(response, samples, model, mod
             assert float(gradient[place]) == pytest.approx(float(difference), abs=1e-6 * float(gradient.abs().max()))
 
 
+@pytest.mark.parametrize("mode", [None, *ScanMode])
+def test_a_converters_counts_have_the_derivatives_of_what_they_round(response, samples, mode):
+    """So those of 16 bits are those without a converter, to 1e-3 of the largest: where a step puts the reading."""
+    exact, found = torch.from_numpy(samples.resistance_ohm), []
+    for bits in (None, 16):
+        settings = {"bits": bits} if mode is None else {"crossbar": crossbar(mode, bits)}
+        ohms = exact.clone().requires_grad_()
+        sensor(response, **settings).read(ohms).sum().backward()
+        found.append(ohms.grad.numpy())
+    assert found[1] == pytest.approx(found[0], abs=1e-3 * abs(found[0]).max())
+    assert abs(found[0]).min() > 0.1 * (mode is None)
+
+
 def test_point_forces_keep_their_sum_and_their_moment(response):
     generator = torch.Generator().manual_seed(0)
     points = (torch.rand(40, 7, 2, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([30.0, 15.0])
