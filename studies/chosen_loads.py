@@ -11,8 +11,8 @@ from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import exact_inverse
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
@@ -38,7 +38,7 @@ def measured_pairs(truth: ArrayResponse, loads: list[KnownLoad], seed: int) -> P
     generator, (rows, cols) = np.random.default_rng(seed), truth.influence_mm_per_n.shape[:2]
     errors = [generator.standard_normal(len(load.unknown_n)) for load in loads]
     forces = [load.force_n + np.tensordot(xi, load.unknown_n, axes=1) for xi, load in zip(errors, loads, strict=True)]
-    ohms = ForwardModel.of(truth, EVERYTHING).resistances(force_columns(np.stack(forces), EVERYTHING))
+    ohms = SensorModel.of(truth, EVERYTHING).resistances(force_columns(np.stack(forces), EVERYTHING))
     return Pairs(
         resistance_ohm=SPECIMEN.apply(ohms.reshape(-1, rows, cols, 3), generator),
         force_n=np.stack([load.force_n for load in loads]),

@@ -7,7 +7,7 @@ import numpy as np
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, train
 from decoupler.data.columns import COMPONENTS, force_columns
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Drifts, Electrics, SensorDesign
@@ -36,7 +36,7 @@ def posterior_deviation(response: ArrayResponse, protocol: str, data: Samples) -
 
     C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C, C the covariance of the protocol's loads.
     """
-    forward, w = ForwardModel.of(response, ALL), net_weights(response.design.n_units)
+    forward, w = SensorModel.of(response, ALL), net_weights(response.design.n_units)
     C = np.cov(force_columns(samples(response, protocol, LOADS, 3).force_n, ALL).T)
     variance = []
     for force_n in force_columns(data.force_n, ALL)[:SHIFTED, None]:

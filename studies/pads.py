@@ -11,8 +11,8 @@ from cyclopts import Parameter
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Decoupler, ForceErrors, LeastSquares, component_errors, component_named, train
 from decoupler.data.columns import Columns, force_columns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.design import PAD_KINDS, SensorDesign
@@ -131,7 +131,7 @@ def limits_of(response: ArrayResponse, test: Samples) -> dict[str, float]:
     if not test.noise:
         return {}
     force_n = force_columns(test.force_n[:LIMIT_SAMPLES], JOINT)
-    bound = cramer_rao(ForwardModel.of(response, JOINT), force_n, test.noise, test.bits)
+    bound = cramer_rao(SensorModel.of(response, JOINT), force_n, test.noise, test.bits)
     by_axis = np.sqrt((bound.reshape(-1, len(JOINT.axes)) ** 2).mean(axis=0))
     return dict(zip(JOINT.forces, by_axis.tolist(), strict=True))
 

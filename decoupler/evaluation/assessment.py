@@ -13,8 +13,8 @@ from dataset.protocols import LIGHT_N
 from decoupler.data.columns import Component, force_columns, readable_columns
 from decoupler.data.enough import ENOUGH, AnySamples, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import AXES, FloatArray
@@ -82,7 +82,7 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     light: dict[str, LightTouch] = {}
     if response is not None:
         known = decoupler.inverse
-        own = ForwardModel.of(response, component) if known is None else known.forward
+        own = SensorModel.of(response, component) if known is None else known.forward
         light = light_touches(decoupler, own, data.errors)
     force_n = force_columns(data.force_n, component)
     missed_n = np.abs(decoupler.forces(data.resistance_ohm).reshape(force_n.shape) - force_n)
@@ -108,7 +108,7 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
     if response is None or np.any(data.force_n[..., others]):
         return {}
     every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
-    usual_n, forward = force_columns(data.force_n, component), ForwardModel.of(response, component)
+    usual_n, forward = force_columns(data.force_n, component), SensorModel.of(response, component)
     reading = _reading(decoupler, data.errors)
     unbiased = _by_axis(cramer_rao(forward, usual_n[every], **reading), component)
     biased = _by_axis(bayes(forward, usual_n[every], **reading, usual_n=usual_n), component)
@@ -143,7 +143,7 @@ def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArra
     return [(float(one), float(two)) for one, two in zip(*(w.mean(axis=0) for w in within), strict=True)]
 
 
-def light_touches(decoupler: Decoupler, forward: ForwardModel, errors: ReadingError) -> dict[str, LightTouch]:
+def light_touches(decoupler: Decoupler, forward: SensorModel, errors: ReadingError) -> dict[str, LightTouch]:
     """Errors by force on the sensor that the model knows, gains and offsets included, read with these errors.
 
     `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.

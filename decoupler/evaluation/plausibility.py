@@ -25,7 +25,7 @@ from decoupler.data.columns import (
     pillar_columns,
     readable_columns,
 )
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
 from geometry.layout import AXES, PILLARS, FloatArray
 
@@ -100,7 +100,7 @@ UNLINKED = Mistake(
 ORDER = "the readings fit the forces far better in another order, {} of {} are out of place: pair each with its load"
 
 
-def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
+def doubt(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
     """Name the likely mistake in samples and how to mend it, in a line; None if there seems to be none.
 
     Parameters
@@ -108,7 +108,7 @@ def doubt(data: Samples, component: Component, forward: ForwardModel | None) -> 
     data : Samples
     component : Component
         Whose pillars and forces are looked at.
-    forward : ForwardModel, optional
+    forward : SensorModel, optional
         Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces, from
         which pillars that are exchanged are not told. Without it only forces that are constant are noticed.
 
@@ -149,7 +149,7 @@ def nothing_to_learn(data: Samples, component: Component) -> str | None:
     return "every resistance is the same in all samples: nothing can be learnt" if _is_constant(columns) else None
 
 
-def disturbance(data: Samples, component: Component, forward: ForwardModel | None) -> str | None:
+def disturbance(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
     """Say in a line that forces other than the component's move its pillars; None if they do not.
 
     `forward` is joint (`all`); without it any such force is one too many.
@@ -172,7 +172,7 @@ def disturbance(data: Samples, component: Component, forward: ForwardModel | Non
     )
 
 
-def explained(data: Samples, component: Component, forward: ForwardModel) -> float | None:
+def explained(data: Samples, component: Component, forward: SensorModel) -> float | None:
     """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
 
     Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
@@ -194,7 +194,7 @@ def _some(data: Samples, component: Component) -> Samples:
     return data[np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int)]
 
 
-def _mistaken(data: Samples, component: Component, forward: ForwardModel) -> str | None:
+def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
     as_given, n = _left(data, component, forward), len(data.force_n)
     unlinked = _left(data, component, forward, UNLINKED)
@@ -216,25 +216,25 @@ def _mistaken(data: Samples, component: Component, forward: ForwardModel) -> str
     return said.format(int((order != np.arange(n)).sum()), n) if said == ORDER else said
 
 
-def _best_order(data: Samples, component: Component, forward: ForwardModel) -> NDArray[np.int64]:
+def _best_order(data: Samples, component: Component, forward: SensorModel) -> NDArray[np.int64]:
     """The order of the forces in which they fit the readings best, shape (n,)."""
     moved, expected = _motions(data, component, forward, NONE)
     return linear_sum_assignment(moved @ expected.T, maximize=True)[1].astype(np.int64)
 
 
-def _is_possible(mistake: Mistake, data: Samples, forward: ForwardModel) -> bool:
+def _is_possible(mistake: Mistake, data: Samples, forward: SensorModel) -> bool:
     """Check that rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
     force_n = mistake.force(data.force_n)
     told = mistake.pillar is _as_it_is or _is_joint(forward, data)
     return told and force_n.shape == data.force_n.shape and bool(np.abs(force_n).max() <= MAX_N)
 
 
-def _is_joint(forward: ForwardModel, data: Samples) -> bool:
+def _is_joint(forward: SensorModel, data: Samples) -> bool:
     return forward.n_pillars == forward.n_forces == data.force_n[0].size
 
 
 def _motions(
-    data: Samples, component: Component, forward: ForwardModel, mistake: Mistake
+    data: Samples, component: Component, forward: SensorModel, mistake: Mistake
 ) -> tuple[FloatArray, FloatArray]:
     """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
     joint = _is_joint(forward, data)
@@ -248,7 +248,7 @@ def _motions(
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 
 
-def _left(data: Samples, component: Component, forward: ForwardModel, mistake: Mistake = NONE) -> FloatArray:
+def _left(data: Samples, component: Component, forward: SensorModel, mistake: Mistake = NONE) -> FloatArray:
     """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
     return residuals(*_motions(data, component, forward, mistake))
 

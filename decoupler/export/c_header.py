@@ -11,7 +11,7 @@ import numpy as np
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
 from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 

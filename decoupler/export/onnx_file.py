@@ -9,7 +9,7 @@ from onnx import helper, numpy_helper
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, Resting
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import PILLARS, FloatArray
 

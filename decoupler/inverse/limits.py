@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dataset.measurement import reading_deviation
 from dataset.samples import SampleError
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from geometry.layout import FloatArray
 
 Shared = Callable[[FloatArray], FloatArray]
@@ -21,7 +21,7 @@ CONVERGED = 1e-12  #: relative to the largest force
 
 
 def cramer_rao(
-    forward: ForwardModel,
+    forward: SensorModel,
     force_n: FloatArray,
     noise: float,
     bits: int | None,
@@ -32,7 +32,7 @@ def cramer_rao(
 
     Parameters
     ----------
-    forward : ForwardModel
+    forward : SensorModel
     force_n : array, shape (n, n_forces)
     noise, bits : float, int or None
         Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
@@ -59,7 +59,7 @@ def cramer_rao(
 
 
 def bayes(
-    forward: ForwardModel,
+    forward: SensorModel,
     force_n: FloatArray,
     noise: float,
     bits: int | None,
@@ -91,7 +91,7 @@ def bayes(
 
 
 def _linearised(
-    forward: ForwardModel,
+    forward: SensorModel,
     force_n: FloatArray,
     noise: float,
     bits: int | None,
@@ -111,12 +111,12 @@ def _linearised(
         yield part, J, deviation, U
 
 
-def exact_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
+def exact_inverse(forward: SensorModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
     """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N]; all samples in one call.
 
     Parameters
     ----------
-    forward : ForwardModel
+    forward : SensorModel
         With as many pillars as forces.
     resistance_ohm : array, shape (n, n_pillars)
     start_n : array, shape (n, n_forces) or (n_forces,)
@@ -150,7 +150,7 @@ def exact_inverse(forward: ForwardModel, resistance_ohm: FloatArray, start_n: Fl
 
 
 def _descend(
-    forward: ForwardModel, measured: FloatArray, forces: FloatArray, samples: NDArray[np.int64]
+    forward: SensorModel, measured: FloatArray, forces: FloatArray, samples: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """One step of each of the samples, in place; which of them have converged."""
     here = forces[samples]

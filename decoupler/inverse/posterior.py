@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
@@ -39,7 +39,7 @@ class Found:
 class Posterior:
     """Of the Q forces on an array of P pillars."""
 
-    forward: ForwardModel  #: of the array at finite strain
+    forward: SensorModel  #: of the array at finite strain
     to_state: FloatArray  #: (Q + 1, Q): to first order from forces to states, the constant last [N]
     precision: FloatArray  #: (Q, Q): inverse covariance of the first answers' errors [1/N²]
     loads_n: FloatArray  #: (m, Q): some loads that the forward model has seen
@@ -95,7 +95,7 @@ class Posterior:
 
         Notes
         -----
-        Over states G, with y(G) and F(G) as `ForwardModel.at_states` has them, it minimises
+        Over states G, with y(G) and F(G) as `SensorModel.at_states` has them, it minimises
         Σ (ν + 1) ln(1 + r²/ν) + (m − F(G))ᵀ P (m − F(G)) by Levenberg's steps, each with the weights that the last
         one left, where m and P are the prior's mean and precision, and r the residuals y − y(G) made independent and
         of variance 1 by the covariance of readings, maps and specimen together. A sample gives the same bits alone and
@@ -179,7 +179,7 @@ class _Point:
     force_n: FloatArray  #: (n, Q)
 
     @classmethod
-    def of(cls, forward: ForwardModel, state: FloatArray, given: _Given) -> Self:
+    def of(cls, forward: SensorModel, state: FloatArray, given: _Given) -> Self:
         y, by_state, force_n, by_force = forward.at_states(state)
         missing, off_n = (given.whiten @ (given.y - y)[..., None])[..., 0], given.mean_n - force_n
         squares = missing**2

@@ -66,7 +66,7 @@ class StrainMaps:
     linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
     """
 
-    influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `ForwardModel`, on its electrodes [mm/N]
+    influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `SensorModel`, on its electrodes [mm/N]
     near: NDArray[np.int64]  #: neighbours of each pad, (k, 8); k where there is none
     sizes: FloatArray  #: of o, by which it is divided, (9,) [N, mm]
     weights: FloatArray  #: of the features, (N_FEATURES, m) [N, mm²]

@@ -23,9 +23,9 @@ from decoupler.data.columns import (
     readable_columns,
     rowwise,
 )
-from decoupler.inverse.forward_model import ModelInverse
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.posterior import Found, Posterior
+from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig

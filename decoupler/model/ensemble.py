@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
@@ -25,12 +25,12 @@ class Ensemble:
     def __len__(self) -> int:
         return len(self.resistance)
 
-    def differences(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+    def differences(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the same forces, (n, m, P) [Ω].
 
         Parameters
         ----------
-        forward : ForwardModel
+        forward : SensorModel
             The model.
         state_n : array, shape (n, Q)
             States; without maps of finite strain the forces [N].
@@ -48,7 +48,7 @@ class Ensemble:
             squares += (by_parameters @ self.parameters.T).swapaxes(1, 2)
         return np.asarray(forward.ohm_per_mm2 * (squares + self.resistance * y[:, None]) + self.offset_ohm)
 
-    def _by_parameters(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+    def _by_parameters(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """Change of the squares of lengths under the same forces by parameters' change of the maps, (n, P, k) [mm²]."""
         assert forward.maps is not None
         assert self.by_weights is not None
@@ -59,11 +59,11 @@ class Ensemble:
         forces = values[:, :, :N_AXES].reshape(n, Q, k)
         return np.asarray(values[:, :, N_AXES:].reshape(n, -1, k) - by_state @ np.linalg.solve(by_force, forces))
 
-    def factors(self, forward: ForwardModel, state_n: FloatArray) -> FloatArray:
+    def factors(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """U of the covariance U Uᵀ of the sensors' resistances, (n, P, m) [Ω]; arguments as of `differences`."""
         return self.differences(forward, state_n).swapaxes(1, 2) / np.sqrt(len(self))
 
-    def readings(self, forward: ForwardModel, force_n: FloatArray, first: int = 0) -> FloatArray:
+    def readings(self, forward: SensorModel, force_n: FloatArray, first: int = 0) -> FloatArray:
         """Resistances (n, P) [Ω] of the sensors in turn, one for each load (n, Q) [N], from load number `first` on.
 
         The model is linear.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -27,7 +27,7 @@ def in_torch(part: Any, like: Tensor) -> Any:
     DesignError
         If it is a model that learned from samples at finite strain.
     """
-    if isinstance(part, ForwardModel):
+    if isinstance(part, SensorModel):
         part = part.with_own_influences()
     if isinstance(part, Decoupler):
         if part.posterior is not None:

@@ -14,8 +14,8 @@ from dataset.samples import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Component, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
 from decoupler.data.usual_loads import images_of
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
@@ -46,13 +46,13 @@ ROUNDS, MIN_GROWTH = 5, 0.1  #: of fits of the misfit's growth, and its least va
 def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> FloatArray:
     """Forces (n, 3 k) [N] that would move the linear array's electrodes nearest to displacements (n, k, 2, 3) [mm].
 
-    `electrodes_mm_per_n` (3 k, 6 k) is the influence of forces on them, as in `ForwardModel` by eq. 1.
+    `electrodes_mm_per_n` (3 k, 6 k) is the influence of forces on them, as in `SensorModel` by eq. 1.
     """
     moved = displacement_mm.reshape(len(displacement_mm), -1, 3).swapaxes(1, 2)
     return moved.reshape(len(moved), -1) @ np.linalg.pinv(electrodes_mm_per_n)
 
 
-def with_strain_maps(response: "ArrayResponse", component: Component, data: Samples) -> ForwardModel:
+def with_strain_maps(response: "ArrayResponse", component: Component, data: Samples) -> SensorModel:
     """The forward model of an array with what samples at finite strain add to the linear response.
 
     Parameters
@@ -80,8 +80,8 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
             "samples at finite strain hold no displacements (displacement_mm), which say how the rubber is deformed: "
             "keep them in the file."
         )
-    forward = ForwardModel.of(response, component)
-    electrodes = ForwardModel.of(replace(response, conducted=None), component).influence
+    forward = SensorModel.of(response, component)
+    electrodes = SensorModel.of(replace(response, conducted=None), component).influence
     rows, cols = data.shape
     state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, component)
     n_values = N_AXES + forward.n_pillars // (rows * cols)
@@ -173,7 +173,7 @@ def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
     return weights, left_out
 
 
-def posterior_of(forward: ForwardModel, data: Samples) -> Posterior:
+def posterior_of(forward: SensorModel, data: Samples) -> Posterior:
     """The posterior of a design at finite strain before any network answers first.
 
     `forward` is as `with_strain_maps` gives it for `data`.

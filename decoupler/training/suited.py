@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dataset.samples import SampleError, Samples, require_samples
 from decoupler.data.columns import Columns, Component, component_named
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
 from geometry.errors import require_type
 from geometry.layout import AXES, FloatArray
@@ -73,13 +73,13 @@ def suited_feature(data: Samples, component: Component, net: Net, response: "Arr
     if net != "skip" or response is None or data.is_finite.any():
         return "root"
     try:
-        explaining(response, without_stuck(Columns.of(data, component), ForwardModel.of(response, component)))
+        explaining(response, without_stuck(Columns.of(data, component), SensorModel.of(response, component)))
     except SampleError:
         return "root"
     return "inverse"
 
 
-def explaining(response: "ArrayResponse | None", data: Columns) -> ForwardModel:
+def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:
     """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
 
     Raises
@@ -90,7 +90,7 @@ def explaining(response: "ArrayResponse | None", data: Columns) -> ForwardModel:
     """
     if response is None:
         raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")
-    forward = ForwardModel.of(response, data.component)
+    forward = SensorModel.of(response, data.component)
     if (forward.n_pillars, forward.n_forces) != (len(data.readable), data.force_n.shape[1]):
         raise SampleError(
             f"the response is of {forward.n_pillars} pillars, the samples of {len(data.readable)}: "
@@ -124,7 +124,7 @@ def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:
     return moved - slope * expected
 
 
-def without_stuck(data: Columns, forward: ForwardModel | None) -> Columns:
+def without_stuck(data: Columns, forward: SensorModel | None) -> Columns:
     """Mark pillars that do not follow their loads as dead.
 
     A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as

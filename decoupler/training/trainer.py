@@ -14,7 +14,7 @@ from dataset.samples import SampleError
 from decoupler.data.columns import Columns
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.usual_loads import light_loads
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel, ModelInverse
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key
@@ -96,7 +96,7 @@ def train(
         if len(data) < 2:
             raise SampleError(f"{len(data)} samples cannot train a network: give at least 2 that differ.")
         columns = Columns.of(data.drifted(np.random.default_rng([seed, DRIFTS])), parts)
-        columns = without_stuck(columns, None if response is None else ForwardModel.of(response, parts))
+        columns = without_stuck(columns, None if response is None else SensorModel.of(response, parts))
         forward = explaining(response, columns) if network.feature == "inverse" else None
         trained = fitted_network(columns, network, training, data.design, forward, progress)
     story = {
@@ -113,7 +113,7 @@ def fitted_network(
     network: NetworkConfig,
     training: TrainingConfig,
     design: SensorDesign | None = None,
-    forward: ForwardModel | None = None,
+    forward: SensorModel | None = None,
     progress: Progress = _silent,
 ) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.

@@ -8,20 +8,20 @@ import numpy as np
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Columns, Component
 from decoupler.data.usual_loads import light_loads
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ModelInverse
-from decoupler.inverse.posterior import Posterior as ForcePosterior
+from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
 from decoupler.training.error_bars import best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined
-from decoupler.twin.posterior import Posterior
+from decoupler.twin.posterior import Specimen
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 
 def decoder_of(
-    found: Posterior,
+    found: Specimen,
     component: Component,
     size: tuple[int, int],
     loads_n: FloatArray,
@@ -34,7 +34,7 @@ def decoder_of(
 
     Parameters
     ----------
-    found : Posterior
+    found : Specimen
     component : Component
     size : tuple
         Rows and columns of the array.
@@ -96,8 +96,8 @@ def decoder_of(
 
 
 def decoder_at_strain(
-    found: Posterior,
-    designed: ForcePosterior,
+    found: Specimen,
+    designed: Posterior,
     loads_n: FloatArray,
     errors: ReadingError,
     design: SensorDesign,

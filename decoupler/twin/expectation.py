@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import Component
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.twin.start import started
 from geometry.design import SensorDesign
 from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_volumes
@@ -74,7 +74,7 @@ class Expectation:
     """The mean of the prior and its derivatives, each by one standard deviation of a parameter."""
 
     component: Component
-    forward: ForwardModel  #: the mean, R = c (Σ s (d + B G)² + ρ(G)) with a B of its own for each pillar
+    forward: SensorModel  #: the mean, R = c (Σ s (d + B G)² + ρ(G)) with a B of its own for each pillar
     names: tuple[str, ...]  #: of the k parameters, such as unit.height_mm
     values: FloatArray  #: (k,): of the design
     deviations: FloatArray  #: (k,): standard deviations of the parameters
@@ -92,7 +92,7 @@ class Expectation:
         design, names = response.design, () if sensitivities is None else tuple(sensitivities.parameters)
         deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
-        forward = ForwardModel.of(by_eq1, component).with_own_influences()
+        forward = SensorModel.of(by_eq1, component).with_own_influences()
         rest, c = _at_rest(design, component)
         by_rest, by_log_c, by_influence = [], [], []
         matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
@@ -100,7 +100,7 @@ class Expectation:
             moved, other_c = _at_rest(changed(design, name, STEP * deviation), component)
             by_rest.append((moved - rest) / STEP)
             by_log_c.append(np.log(other_c / c) / STEP)
-            other = ForwardModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
+            other = SensorModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
             by_influence.append(other.with_own_influences().by_component)
         own = _block_sizes(forward.by_component, design.n_units)
         near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
@@ -119,9 +119,9 @@ class Expectation:
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
             widths=HELD if sensitivities is None else Widths(),
         )
-        return expected if response.conducted is None else expected._conducting(ForwardModel.of(response, component))
+        return expected if response.conducted is None else expected._conducting(SensorModel.of(response, component))
 
-    def _conducting(self, forward: ForwardModel) -> Self:
+    def _conducting(self, forward: SensorModel) -> Self:
         """The same with resistances by conduction.
 
         Parameters are taken to change a resistance and its slopes by as much as they change those of eq. 1. The first
@@ -137,7 +137,7 @@ class Expectation:
         by_influence[:, :, 0] = (slopes - by_rest[:, :, :1] * B[:, 0]) / first[:, None]
         return replace(self, forward=forward, by_rest_mm=by_rest, by_influence=by_influence)
 
-    def at_strain(self, designed: ForwardModel, by_weights: FloatArray) -> Self:
+    def at_strain(self, designed: SensorModel, by_weights: FloatArray) -> Self:
         """The same at finite strain: all that parameters change are the weights of the design's maps."""
         return replace(
             self,
@@ -159,7 +159,7 @@ class Expectation:
         P, C, Q = influence.shape
         return cls(
             component=component,
-            forward=ForwardModel(
+            forward=SensorModel(
                 influence=np.ascontiguousarray(influence.transpose(2, 1, 0).reshape(Q, -1)),
                 top=np.arange(P),
                 rest_mm=np.ascontiguousarray(rest.T),
@@ -231,7 +231,7 @@ class Expectation:
         """Offset of each pillar, (P,) [Ω]."""
         return self.widths.offset * self.rest_ohm * state.own[:, 1]
 
-    def sensor(self, state: State) -> ForwardModel:
+    def sensor(self, state: State) -> SensorModel:
         """A sensor, each pillar with an influence of its own."""
         parameters, resistivity, shared, _ = self.parts(state.shared)
         B = self.influence + np.tensordot(parameters, self.by_influence, axes=1)

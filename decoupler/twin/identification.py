@@ -13,8 +13,8 @@ from dataset.samples import SampleError
 from decoupler.data.columns import component_named
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM
-from decoupler.inverse.posterior import Posterior as ForcePosterior
+from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
 from decoupler.training.finite_strain import DRAWS
@@ -23,7 +23,7 @@ from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
-from decoupler.twin.posterior import Posterior, infer, predicted, without_each
+from decoupler.twin.posterior import Specimen, infer, predicted, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.threads import one_blas_thread
@@ -55,11 +55,11 @@ class Twin:
     offset_ohm: FloatArray  #: (P,)
     offset_deviation_ohm: FloatArray  #: (P,)
     excess: float  #: χ² of the readings over their number: 1 if all is as modelled
-    posterior: Posterior
+    posterior: Specimen
     next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
     @classmethod
-    def of(cls, found: Posterior, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
+    def of(cls, found: Specimen, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
         """The twin of a posterior."""
         expected, state = found.expected, found.state
         resistivity = expected.parts(state.shared)[1]
@@ -87,7 +87,7 @@ def identify(
     sensitivities: "ResponseSensitivities | None" = None,
     component: str | None = None,
     loads_n: FloatArray | None = None,
-    at_strain: ForcePosterior | None = None,
+    at_strain: Posterior | None = None,
     draws: int | None = None,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
@@ -177,7 +177,7 @@ def identify(
     return Twin.of(found, decoder.design, decoder, n)
 
 
-def _contradicted(found: Posterior, stated: Widths) -> bool:
+def _contradicted(found: Specimen, stated: Widths) -> bool:
     """Say whether pairs contradict what was stated: by parameters or corrections far off, or loads that do not fit."""
     if np.abs(found.expected.parts(found.state.shared)[0]).max(initial=0.0) > CONTRADICTED:
         return True
@@ -186,7 +186,7 @@ def _contradicted(found: Posterior, stated: Widths) -> bool:
     return bool(too_large or np.sqrt(np.mean(found.scale**2)) > UNFIT)
 
 
-def _widened(decoder: Decoupler, found: Posterior, readings: Readings) -> Decoupler:
+def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupler:
     """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
 
     It is given readings of the most probable sensor that err as each pair would have, had it been left out. Few pairs

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dataset.changed_designs import ChangedDesigns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED
 from decoupler.training.finite_strain import states_of
 from geometry.design import SensorDesign
@@ -66,7 +66,7 @@ class NearDesigns:
             progress(1.0 / len(names))
         return found
 
-    def about_pads(self, values: Mapping[str, float], by_weights: FloatArray) -> ForwardModel:
+    def about_pads(self, values: Mapping[str, float], by_weights: FloatArray) -> SensorModel:
         """The design's forward model with maps so shifted that a design with pads of these values is met by its change.
 
         Parameters

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from dataset.samples import SampleError
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, State, Widths
 from decoupler.twin.linearised import Linear, Readings, Shown
@@ -31,7 +31,7 @@ WIDEST = {"gain": 0.3, "offset": 0.1, "shared": 1.0, "own": 1.0, "misfit": 0.3}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Posterior:
+class Specimen:
     """A sensor as its pairs show it."""
 
     expected: Expectation  #: with the widths that the pairs led to
@@ -44,7 +44,7 @@ class Posterior:
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
 
     @cached_property
-    def sensor(self) -> ForwardModel:
+    def sensor(self) -> SensorModel:
         """The most probable sensor."""
         return self.expected.sensor(self.state)
 
@@ -62,7 +62,7 @@ def infer(
     draws: int = 32,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
-) -> Posterior:
+) -> Specimen:
     """Infer a sensor from pairs.
 
     Parameters
@@ -97,7 +97,7 @@ def infer(
     return _drawn(expected, readings, state, draws, seed)
 
 
-def predicted(found: Posterior, force_n: FloatArray) -> FloatArray:
+def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
     """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
     return Shown(found.expected, found.state, force_n).resistance_ohm
 
@@ -171,7 +171,7 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     return replace(state, own=own + size * (found - own))
 
 
-def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Posterior:
+def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Specimen:
     """The posterior about the most probable state, with draws from it."""
     generator = np.random.default_rng(seed)
     linear = Linear(expected, readings, state)
@@ -186,7 +186,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
         noise[:, p] = marginal.solved(pillar.misfit + pillar.J @ own[p])[0]
     k = len(expected.names)
     widths, deviations = expected.widths, np.sqrt(1.0 - linear.known[:, :2])
-    return Posterior(
+    return Specimen(
         expected=expected,
         state=state,
         covariance=cho_solve((factor, True), np.eye(len(factor))[:, :k])[:k],
@@ -198,7 +198,7 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, 
     )
 
 
-def without_each(found: Posterior, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+def without_each(found: Specimen, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Errors of some pairs' readings as foretold by all other pairs, and how sure these are.
 
     Returns

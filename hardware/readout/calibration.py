@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dataset.imperfections import OPEN_OHM
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import PILLARS, FloatArray

@@ -9,7 +9,7 @@ import numpy as np
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad, known_forces
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import infer
@@ -66,7 +66,7 @@ def calibrated(
     loads are believed as far as their stated errors allow.
     """
     everything = component_named("all")
-    forward = ForwardModel.of(response, everything)
+    forward = SensorModel.of(response, everything)
     forces = force_columns(pairs.force_n, everything)
     modelled = forward.resistances(forces).reshape(pairs.resistance_ohm.shape)
     noise = pairs.noise if noise is None else noise
@@ -98,7 +98,7 @@ def doubt_about(pairs: Pairs, response: "ArrayResponse") -> str | None:
     """Say why the loads of pairs cannot have acted as stated on a sensor of this response; None if they may have."""
     everything = component_named("all")
     forces = force_columns(pairs.force_n, everything)
-    modelled = ForwardModel.of(response, everything).resistances(forces).reshape(pairs.resistance_ohm.shape)
+    modelled = SensorModel.of(response, everything).resistances(forces).reshape(pairs.resistance_ohm.shape)
     doubt = _strange_size(pairs, modelled)
     if doubt or not (pairs.force_n != pairs.force_n[0]).any():
         return doubt

@@ -15,7 +15,7 @@ from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import SENSE_OHM
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
-from decoupler.inverse.forward_model import MIN_WHOLE_OHM, ForwardModel
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.model.tensors import in_torch
@@ -166,13 +166,13 @@ class VirtualSensor:
         self._member = torch.zeros(environments, dtype=torch.int64, device=self._like.device)
         self.reset()
 
-    def _designed(self, response: "ArrayResponse | None") -> ForwardModel:
+    def _designed(self, response: "ArrayResponse | None") -> SensorModel:
         if response is None:
             response, *_ = array_response(self.design, ResponseSettings())
         elif response.design != self.design:
             raise ArgumentError("the response is of another design: leave it out, or give that of the design.")
         require_conducted(response)
-        return ForwardModel.of(response, COMPONENTS["all"])
+        return SensorModel.of(response, COMPONENTS["all"])
 
     @cached_property
     def _pads(self) -> tuple[Tensor, Tensor]:

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from decoupler.data.columns import component_named
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
@@ -149,7 +149,7 @@ def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
     """Influence on the neighbours of a unit in the middle, and condition and noise of the whole map."""
     design = response.design
     rows, cols = design.array.rows, design.array.cols
-    forward = ForwardModel.of(response, component_named("all"))
+    forward = SensorModel.of(response, component_named("all"))
     at_rest = np.zeros((1, forward.n_forces))
     lengths, slopes = forward.jacobian(at_rest)
     readings = 2 * slopes[0] / lengths[0][:, None]  # ∂(ln R)/∂F, as R grows with l²

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
 from decoupler.data.columns import force_columns, readable_columns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
@@ -239,7 +239,7 @@ def unit_rmse(model: Decoupler, data: Samples) -> FloatArray:
 def unit_bayes(response: ArrayResponse, data: Samples, usual_n: FloatArray) -> FloatArray:
     """Bayes limit of every unit, which knows the usual loads (n, rows, cols, 3) [N]; shape (rows, cols, 3) [N]."""
     parts = component_named("all")
-    forward = ForwardModel.of(response, parts)
+    forward = SensorModel.of(response, parts)
     force_n = force_columns(data.force_n, parts)[:LIMIT_SAMPLES]
     readable = readable_columns(parts, data.dead, forward.n_pillars)
     least = bayes(forward, force_n, data.noise, data.bits, readable, force_columns(usual_n, parts))

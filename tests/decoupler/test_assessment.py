@@ -15,8 +15,8 @@ from decoupler import (
 )
 from decoupler.data.columns import Columns, force_columns
 from decoupler.evaluation.assessment import as_plain
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import hooke_forces
 from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, split
 
@@ -38,7 +38,7 @@ def test_holds_what_its_parts_say(model):
     found = assess(model, TEST, RESPONSE)
     least = component_errors(LeastSquares.fitted(Columns.of(TRAIN, ALL)).forces(TEST.resistance_ohm), TEST, ALL)
     hooke = component_errors(hooke_forces(TEST.resistance_ohm, SENSOR, ALL), TEST, ALL)
-    bound = cramer_rao(ForwardModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
+    bound = cramer_rao(SensorModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
     missed = np.abs(model.forces(TEST.resistance_ohm) - TEST.force_n)
     within = [(missed <= width).mean(axis=(0, 1, 2)) for width in model.half_widths(TEST.resistance_ohm)]
     for axis, name in enumerate(("fx", "fy", "fz")):

@@ -23,7 +23,7 @@ from decoupler.export.c_header import compiled_forces, header_text
 from decoupler.export.checked import run_onnx
 from decoupler.export.onnx_file import onnx_model
 from decoupler.export.portable import ExportError
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.tensors import in_torch
 from decoupler.twin import identify
 from geometry.design import Electrics
@@ -31,7 +31,7 @@ from geometry.errors import DesignError
 from tests.decoupler import test_finite_strain as finite
 from tests.decoupler.rounding import float_rounding_n
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
-from tests.decoupler.test_forward_model import conducted
+from tests.decoupler.test_sensor_model import conducted
 
 CC = shutil.which("cc")
 SENSOR = sensor(2, 3)
@@ -75,7 +75,7 @@ def dead(feature: str) -> Case:
 def conducting() -> Case:
     given = conducted(0.5)
     data = labelled(SENSOR, "xyz", 500, seed=0)
-    ohms = ForwardModel.of(given, component_named("all")).resistances(data.force_n.reshape(500, -1))
+    ohms = SensorModel.of(given, component_named("all")).resistances(data.force_n.reshape(500, -1))
     data = read(replace(data, resistance_ohm=ohms.reshape(data.resistance_ohm.shape)), noise=1e-3)
     return Case(train(data[:300], "all", NetworkConfig(feature="inverse"), response=given), data[300:])
 

@@ -9,7 +9,7 @@ from dataset import DatasetSettings, simulate
 from dataset.samples import joined
 from decoupler import SampleError, component_named, train
 from decoupler.data.columns import force_columns
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.model_file import require_same_sensor
 from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import response, sensor
@@ -39,7 +39,7 @@ def model():
 
 def least_net_deviation(data):
     """Of the net Fz [N], of the linear-Gaussian posterior about each load: C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C."""
-    forward = ForwardModel.of(PLAIN, ALL)
+    forward = SensorModel.of(PLAIN, ALL)
     C = np.cov(force_columns(samples(PLAIN, 5000, 3).force_n, ALL).T)
     variance = []
     for force_n in force_columns(data.force_n, ALL)[:200, None]:

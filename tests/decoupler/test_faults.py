@@ -8,12 +8,12 @@ import pytest
 from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(3, 3)
-FORWARD = ForwardModel.of(response(SENSOR), component_named("all"))
+FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
 NOISE = 1e-3
 SMOOTH = np.exp(-0.5 * np.subtract.outer(np.arange(3), np.arange(3)) ** 2 / 1.5**2)  # indenters as wide as two pads
 

@@ -12,7 +12,7 @@ from dataset.measurement import measured
 from dataset.samples import Samples, joined
 from decoupler import SampleError, component_named, train
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.model_file import read_model, write_model
@@ -30,12 +30,12 @@ EVEN = response(SENSOR)
 RESPONSE = replace(
     EVEN, influence_mm_per_n=EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
 )
-LINEAR = ForwardModel.of(RESPONSE, ALL)
+LINEAR = SensorModel.of(RESPONSE, ALL)
 STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
 
 
-def law(strength: float) -> ForwardModel:
+def law(strength: float) -> SensorModel:
     """An array whose forces and squared lengths differ from its linear ones by some percent at strength 1."""
     weights = np.zeros((N_FEATURES, 6))
     weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, 6))
@@ -51,7 +51,7 @@ def law(strength: float) -> ForwardModel:
     return replace(LINEAR, maps=maps)
 
 
-def samples(model: ForwardModel, noise: float = 0.0) -> Samples:
+def samples(model: SensorModel, noise: float = 0.0) -> Samples:
     """Samples at finite strain whose states are `STATES`."""
     squares, _, force_n, _ = model.at_states(STATES)
     shape = (len(STATES), 1, 2, 3)
@@ -91,7 +91,7 @@ def test_mirrored_forces_are_known():
     flipped = STATES[100:200] * np.tile([1.0, -1.0, 1.0], 2)
     missed = []
     for given in (EVEN, RESPONSE):
-        linear = ForwardModel.of(given, ALL)
+        linear = SensorModel.of(given, ALL)
         maps = replace(law(0.0).maps, influence=linear.influence, weights=weights)
         truth = replace(linear, maps=maps)
         found = with_strain_maps(given, ALL, samples(truth)[:20])
@@ -138,7 +138,7 @@ def test_derivatives_are_slopes():
     np.testing.assert_allclose(differences.T, by_parameters[:, :2], rtol=1e-9, atol=1e-6)
 
 
-def expected_at_strain(designed: ForwardModel, by_weights: np.ndarray) -> Expectation:
+def expected_at_strain(designed: SensorModel, by_weights: np.ndarray) -> Expectation:
     """The prior of specimens of a made-up law with two parameters."""
     return Expectation.of(response(SENSOR), two_parameters(), ALL).at_strain(designed, by_weights)
 
@@ -214,7 +214,7 @@ BY_SIZE[FEW] = np.random.default_rng(4).standard_normal((len(FEW), 6)) * 2e-3 * 
 BY_SIZE[N_CURVED] = 0.0  # nothing moves at rest
 
 
-def specimen(size_mm: float, young_mpa: float) -> ForwardModel:
+def specimen(size_mm: float, young_mpa: float) -> SensorModel:
     """A sensor that follows the made-up law with pads and rubber of its own."""
     model, stiffer = law(1.0), young_mpa / SENSOR.matrix_material.young_mpa
     assert model.maps is not None

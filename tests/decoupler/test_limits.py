@@ -6,13 +6,13 @@ import pytest
 from dataset.measurement import reading_deviation
 from decoupler import SampleError, component_named
 from decoupler.data.columns import force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao, exact_inverse
+from decoupler.inverse.sensor_model import SensorModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
 ALL = component_named("all")
-FORWARD = ForwardModel.of(response(SENSOR), ALL)
+FORWARD = SensorModel.of(response(SENSOR), ALL)
 DATA = labelled(SENSOR, "xyz", n_samples=150, seed=0)
 FORCES, COLUMNS = force_columns(DATA.force_n, ALL), pillar_columns(DATA.resistance_ohm, ALL)
 NOISE = 0.002

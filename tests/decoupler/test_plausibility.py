@@ -9,12 +9,12 @@ import pytest
 from dataset import Imperfections
 from decoupler.data.columns import COMPONENTS, component_named
 from decoupler.evaluation.plausibility import disturbance, doubt, explained, nothing_to_learn
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 ALL = component_named("all")
 SENSOR = sensor(3, 3)
-JOINT = ForwardModel.of(response(SENSOR), ALL)
+JOINT = SensorModel.of(response(SENSOR), ALL)
 SPECIMEN = Imperfections(gain_spread=0.1, offset_ohm=100.0, noise=1e-3, bits=12)
 
 
@@ -44,7 +44,7 @@ def test_honest_samples_are_never_doubted(axes, times):
     """Exact or noisy, read by a converter or not, of a poor specimen with dead pillars, one of them or many."""
     component = ALL if len(axes) > 1 else component_named(f"f{axes}")
     exact = lighter(labelled(SENSOR, axes, n_samples=100, seed=2), times)
-    own = ForwardModel.of(response(SENSOR), component)
+    own = SensorModel.of(response(SENSOR), component)
     dead = {"dead_pillars": ((0, 2, "z"),), "dead_rows": (3,)}
     for noise, bits in ((0.0, None), (0.0, 12), (1e-3, 12), (1e-2, None)):
         for more in ({}, {"gain_spread": 0.1, "offset_ohm": 100.0}, {"gain_spread": 0.1, **dead}):
@@ -131,7 +131,7 @@ def test_another_sensor_is_explained_less():
     faint = lighter(labelled(SENSOR, "xyz", n_samples=30, seed=1), 0.001)
     assert explained(read(faint, Imperfections(noise=0.01)), ALL, JOINT) is None
     influence = np.roll(response(SENSOR).influence_mm_per_n, 1, axis=4)
-    other = ForwardModel.of(
+    other = SensorModel.of(
         replace(response(SENSOR), influence_mm_per_n=0.5 * influence + 0.5 * np.roll(influence, -1, 4)), ALL
     )
     assert explained(PAIRS, ALL, other) < 0.9

@@ -16,7 +16,7 @@ from decoupler.data.columns import (
     load_numbers,
     pillar_columns,
 )
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import suited_component, without_stuck
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import PILLARS
@@ -28,7 +28,7 @@ RESPONSE = response(SENSOR)
 
 
 def model(known, component):
-    return None if known is None else ForwardModel.of(known, component)
+    return None if known is None else SensorModel.of(known, component)
 
 
 def samples(axes="xyz", n=200, noise=0.0):

@@ -20,7 +20,7 @@ from decoupler import (
     train,
 )
 from decoupler.data.columns import Columns, force_columns
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training import trainer
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
@@ -221,9 +221,9 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     other = replace(own, influence_mm_per_n=own.influence_mm_per_n * spread)
     network = NetworkConfig(hidden=4, feature="inverse")
     columns = Columns.of(TRAIN, FX)
-    rest_ohm = ForwardModel.of(own, FX).at_rest_ohm()
+    rest_ohm = SensorModel.of(own, FX).at_rest_ohm()
     for given, by_calibration, most in ((own, 0.0, 1e-6), (other, 1e-2, 1e-3)):
-        forward = ForwardModel.of(given, FX).calibrated(columns)
+        forward = SensorModel.of(given, FX).calibrated(columns)
         assert np.abs(forward.at_rest_ohm() / rest_ohm - 1.0).max() >= by_calibration
         inverse = ModelInverse.about(forward, columns.force_n, columns.readable, 0.0)
         untrained = Decoupler.untrained(columns, network, SENSOR, inverse)

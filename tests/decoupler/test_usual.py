@@ -7,13 +7,13 @@ import pytest
 
 from dataset.measurement import measured
 from decoupler.data.columns import component_named
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(3, 3)
-FORWARD = ForwardModel.of(response(SENSOR), component_named("all"))
+FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
 NOISE = 1e-3
 
 

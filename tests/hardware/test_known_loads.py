@@ -8,7 +8,7 @@ import pytest
 from dataset.imperfections import Imperfections
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from geometry import Array, SensorDesign
 from geometry.errors import FileFormatError
 from hardware.readout.averaging import averaged
@@ -28,7 +28,7 @@ def measured(told, acting=None, times=1.0, noise=3e-4, seed=0):
     crossbar = Crossbar(rows=2, cols=3, bits=12, noise=noise)
     gain, offset_ohm = Imperfections(gain_spread=0.2, offset_ohm=200.0, specimen=seed).gain_and_offset(2, 3)
     acting_n = np.stack([weight(text, 2, 3, PAD_MM2).force_n for text in acting or told])
-    designed = ForwardModel.of(RESPONSE, everything).resistances(force_columns(acting_n, everything))
+    designed = SensorModel.of(RESPONSE, everything).resistances(force_columns(acting_n, everything))
     ohms = gain * designed.reshape(-1, 2, 3, 3) + offset_ohm
     means, noises = zip(
         *(averaged(crossbar.counts(np.repeat(state[None], 150, axis=0), generator), crossbar) for state in ohms),

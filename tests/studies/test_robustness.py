@@ -8,8 +8,8 @@ import pytest
 
 from dataset import Imperfections
 from decoupler.data.columns import component_named, force_columns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import bayes, cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from geometry.layout import PILLARS
@@ -80,7 +80,7 @@ def test_limits_of_units_add_up_to_those_of_the_array(sensor):
     parts = component_named("all")
     usual_n = sensor.loads["train"].force_n
     by_unit = study.unit_bayes(sensor.response, data, usual_n)
-    forward, forces = ForwardModel.of(sensor.response, parts), force_columns(data.force_n, parts)
+    forward, forces = SensorModel.of(sensor.response, parts), force_columns(data.force_n, parts)
     whole = bayes(forward, forces, 0.01, None, None, force_columns(usual_n, parts))
     np.testing.assert_allclose((by_unit**2).mean(), (whole**2).mean(), rtol=1e-12)  # the same sums in another order
     assert (by_unit**2).mean() < (cramer_rao(forward, forces, 0.01, None) ** 2).mean()
@@ -89,7 +89,7 @@ def test_limits_of_units_add_up_to_those_of_the_array(sensor):
 def test_few_usual_loads_lower_the_limit_as_said(sensor):
     """m samples of p forces that no reading tells apart: their spread about each other falls by √(1 − p/m)."""
     parts, m = component_named("all"), 40
-    forward = ForwardModel.of(sensor.response, parts)
+    forward = SensorModel.of(sensor.response, parts)
     many = force_columns(sensor.loads["train"].force_n, parts)
     readable = np.ones(forward.n_pillars, dtype=bool)
     readable[2] = False

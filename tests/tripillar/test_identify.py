@@ -9,7 +9,7 @@ from dataset import DatasetSettings, Samples, simulate
 from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.model_file import read_model
 from fem.array.sensitivities import ResponseSensitivities
 from geometry.design_file import design_to_toml
@@ -38,7 +38,7 @@ two,pad,0,2,,60 kg,0.1 %,0,
 def shown(force_n):
     """Resistances of the sensor under forces (n, 3, 3, 3)."""
     everything = component_named("all")
-    return ForwardModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
+    return SensorModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
 
 
 def _derivatives(design, bars, tolerances=None):

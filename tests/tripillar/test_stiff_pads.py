@@ -9,7 +9,7 @@ import pytest
 from dataset import DatasetSettings, simulate
 from dataset.simulation import displacements
 from decoupler import require_same_sensor
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
@@ -139,7 +139,7 @@ def test_pairs_of_other_pads_are_asked_about(responses):
     specimen = DatasetSettings(protocol="three-axis", samples=20, seed=3, noise=1e-3, gain_spread=0.1, offset_ohm=100.0)
     for own, other in (PAD_KINDS, PAD_KINDS[::-1]):
         said: list[str] = []
-        forward = ForwardModel.of(responses[own], JOINT)
+        forward = SensorModel.of(responses[own], JOINT)
         mention_another_sensor(simulate(responses[own], specimen), "samples", JOINT, forward, Caller(say=said.append))
         assert not said
         mention_another_sensor(simulate(responses[other], specimen), "samples", JOINT, forward, Caller(say=said.append))

@@ -15,8 +15,8 @@ import numpy as np
 from dataset import DatasetSettings, Samples, measured_again, simulate
 from dataset.resistance import pillar_resistances
 from decoupler.data.columns import component_named, force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import exact_inverse
+from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.methods.solving import solve_scene
@@ -104,7 +104,7 @@ def resistance_of_a_shorter_pillar() -> float:
 @known("forces back from resistances", 1e-7, "the response is not inverted: please report it.")
 def forces_back_from_resistances() -> float:
     """108 forces -> resistances -> forces again: Gauss-Newton's last step of 1e-12, times a condition number of 2e4."""
-    forward = ForwardModel.of(_paper_response(), component_named("all"))
+    forward = SensorModel.of(_paper_response(), component_named("all"))
     data = _samples("three-axis", 4)
     component = component_named("all")
     force_n = force_columns(data.force_n, component)

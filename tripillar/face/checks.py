@@ -5,7 +5,7 @@ from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import disturbance, doubt, explained
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from tripillar.face.caller import Caller
@@ -15,9 +15,9 @@ from tripillar.face.caller import Caller
 OWN_EXPLAINED = 0.97
 
 
-def joint_model(response: ArrayResponse | None) -> ForwardModel | None:
+def joint_model(response: ArrayResponse | None) -> SensorModel | None:
     """The model from all forces to all pillars, which samples are checked against; None without a response."""
-    return None if response is None else ForwardModel.of(response, COMPONENTS["all"])
+    return None if response is None else SensorModel.of(response, COMPONENTS["all"])
 
 
 def heed(doubted: str | None, name: str, force: bool, caller: Caller) -> dict[str, str]:
@@ -36,7 +36,7 @@ def heed(doubted: str | None, name: str, force: bool, caller: Caller) -> dict[st
     return {"forced": doubted}
 
 
-def mention(data: Samples, name: str, component: Component, forward: ForwardModel | None, caller: Caller) -> None:
+def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, caller: Caller) -> None:
     """Say which forces the component leaves out although they act, and how many samples are given twice."""
     left_out = disturbance(data, component, forward)
     if left_out is not None:
@@ -47,7 +47,7 @@ def mention(data: Samples, name: str, component: Component, forward: ForwardMode
 
 
 def mention_another_sensor(
-    data: Samples, name: str, component: Component, forward: ForwardModel | None, caller: Caller
+    data: Samples, name: str, component: Component, forward: SensorModel | None, caller: Caller
 ) -> None:
     """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
     share = None if forward is None else explained(data, component, forward)

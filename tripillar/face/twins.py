@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples
     from decoupler.data.load_table import KnownLoad
     from decoupler.data.pairs import Pairs
-    from decoupler.inverse.posterior import Posterior as ForcePosterior
+    from decoupler.inverse.posterior import Posterior
     from decoupler.model.decoupler import Decoupler
     from decoupler.twin.identification import Twin
     from decoupler.twin.next_load import NextLoad
@@ -80,7 +80,7 @@ def checked_pairs(
     from decoupler.data.columns import Columns, component_named
     from decoupler.data.pairs import Pairs
     from decoupler.evaluation.plausibility import doubt
-    from decoupler.inverse.forward_model import ForwardModel
+    from decoupler.inverse.sensor_model import SensorModel
     from decoupler.training.suited import without_stuck
     from decoupler.twin.identification import acting
     from hardware.readout.known_loads import doubt_about
@@ -95,7 +95,7 @@ def checked_pairs(
     forced = heed(_contacts(pairs) or doubt(pairs, component, judge), name, force, caller)
     mention(pairs, name, component, judge, caller)
     mention_another_sensor(pairs, name, component, judge, caller)
-    own = None if response is None else ForwardModel.of(response, component)
+    own = None if response is None else SensorModel.of(response, component)
     columns = without_stuck(Columns.of(pairs, component), own)
     return Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced
 
@@ -123,7 +123,7 @@ def with_derivatives(
     return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
 
 
-def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: Caller) -> "ForcePosterior":
+def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: Caller) -> "Posterior":
     """The posterior of a design at finite strain, of a model or learned from samples."""
     from dataset.stored import in_memory
     from decoupler.data.columns import component_named

@@ -18,8 +18,8 @@ from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.assessment import light_touches
 from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from decoupler.twin.identification import identify
@@ -103,7 +103,7 @@ def compare(
         {label: component_errors(forces(ohm), test, component)[name] for label, forces in decouplers.items()}
         for ohm in (test.resistance_ohm, read_ohm)
     )
-    forward = ForwardModel.of(response, component)
+    forward = SensorModel.of(response, component)
     at_rest = {
         label: light_touches(model, forward, ReadingError())[name].at_rest_rmse_n for label, model in models.items()
     }
@@ -170,7 +170,7 @@ def touches(
         )
         for name, forces, sensor, exactly, as_read, zeroed in trials
     ]
-    forward, unit_loads = ForwardModel.of(response, component), np.eye(response.design.n_units)
+    forward, unit_loads = SensorModel.of(response, component), np.eye(response.design.n_units)
     bounds = (cramer_rao(forward, size_n * unit_loads, READ.noise, READ.bits) for size_n in TOUCHES_N)
     limit = tuple(float(np.sqrt(np.mean(bound.diagonal() ** 2))) for bound in bounds)
     return [*rows, TouchErrors(decoupler="limit of the readings", exact_n=(0.0,) * len(TOUCHES_N), read_n=limit)]
@@ -182,7 +182,7 @@ def _touch_errors(
     """Errors [N] by `TOUCHES_N`; with `zeroed` the mean force at rest is subtracted."""
     design = sensor.design
     n_units = design.n_units
-    forward, generator = ForwardModel.of(sensor, COMPONENTS["all"]), np.random.default_rng(0)
+    forward, generator = SensorModel.of(sensor, COMPONENTS["all"]), np.random.default_rng(0)
 
     def predicted_n(force_n: FloatArray) -> FloatArray:
         ohms = forward.resistances(force_n.reshape(len(force_n), -1))

@@ -15,8 +15,8 @@ from dataset.resistance import effective_lengths, largest_factors, pillar_resist
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.metrics import evaluate
-from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
@@ -67,7 +67,7 @@ def failed_row(sample: Sample, error: BaseException, more: str = "") -> Row:
 def sensitivities(response: ArrayResponse) -> list[list[list[float]]]:
     """Relative resistance change of every pillar by 1 N of its own force, (rows, cols, 3) as lists [1/N]."""
     design = response.design
-    G = relative_slopes(ForwardModel.of(response, component_named("all")))
+    G = relative_slopes(SensorModel.of(response, component_named("all")))
     by_unit = self_sensitivities(G, design.n_units).reshape(design.array.rows, design.array.cols, -1)
     found: list[list[list[float]]] = by_unit.tolist()
     return found
@@ -90,7 +90,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     """
     design = response.design
     joint = component_named("all")
-    forward = ForwardModel.of(response, joint)
+    forward = SensorModel.of(response, joint)
     G = relative_slopes(forward)
     own = self_sensitivities(G, design.n_units)
     talk = crosstalk(G, design)
@@ -127,7 +127,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     }
 
 
-def relative_slopes(forward: ForwardModel) -> FloatArray:
+def relative_slopes(forward: SensorModel) -> FloatArray:
     """G = ∂(ln R)/∂F at rest, shape (n_pillars, n_forces) [1/N]; R ∝ l², so G = 2/l ∂l/∂F."""
     lengths, J = forward.jacobian(np.zeros((1, forward.n_forces)))
     return 2 * J[0] / lengths[0][:, None]
@@ -160,7 +160,7 @@ def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
     return found
 
 
-def noise_limited_errors(forward: ForwardModel, force_n: FloatArray, noise: float, bits: int | None) -> FloatArray:
+def noise_limited_errors(forward: SensorModel, force_n: FloatArray, noise: float, bits: int | None) -> FloatArray:
     """Least error of an unbiased estimate of each force component, root mean square over units and loads, (3,) [N].
 
     `force_n` has shape (n, n_forces). The bound is that of Cramér and Rao, a load at a time: that bounds memory.

@@ -5,7 +5,7 @@ import pytest
 
 from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
 from decoupler.data.columns import component_named
-from decoupler.inverse.forward_model import ForwardModel
+from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
@@ -41,7 +41,7 @@ def springs(design=SPRINGS, fall=FALL):
 
 
 def slopes(response):
-    return relative_slopes(ForwardModel.of(response, component_named("all")))
+    return relative_slopes(SensorModel.of(response, component_named("all")))
 
 
 def test_sensitivity_of_a_spring():
@@ -61,7 +61,7 @@ def test_crosstalk_is_that_of_the_neighbour_along_rows_and_columns():
 
 def test_noise_limited_error_of_alone_standing_springs():
     """z: σ/|Gzz|. The x pillar shortens by C/√2 under Fz as under Fx, so Fx takes up the error of both readings."""
-    forward = ForwardModel.of(springs(fall=0), component_named("all"))
+    forward = SensorModel.of(springs(fall=0), component_named("all"))
     sigma, z, x = 1e-3, 2 * C / 10, C / 10
     expected = [np.hypot(sigma / x, sigma / z), np.hypot(sigma / x, sigma / z), sigma / z]
     errors = noise_limited_errors(forward, np.zeros((1, forward.n_forces)), sigma, None)
@@ -89,7 +89,7 @@ def test_scaled_displacements_reach_the_cap_and_no_more():
 
 def test_loads_end_where_the_range_does():
     response = springs()
-    forward = ForwardModel.of(response, component_named("all"))
+    forward = SensorModel.of(response, component_named("all"))
     force_n = loads_at_cap(response, 0.3, n=8, seed=0)[0].reshape(8, -1)
     lengths = forward.lengths(force_n)
     assert np.abs(lengths / forward.lengths(np.zeros((1, 30))) - 1).max() == pytest.approx(0.3, rel=1e-9)

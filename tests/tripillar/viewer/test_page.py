@@ -27,7 +27,7 @@ from tripillar.viewer.page import numbers
 from tripillar.viewer.page.controls import sliders_of, traction_of
 from tripillar.viewer.page.finite import FiniteAnswer
 from tripillar.viewer.page.page import Page
-from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, tractions, with_all_axes
+from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, tractions, with_all_axes
 from tripillar.viewer.sights import panels_of
 
 SQUARE = SensorDesign(array=Array(rows=2, cols=2))
@@ -106,7 +106,7 @@ def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n
 def test_the_inverse_finds_the_forces(design, error):
     """Relative to the largest force. Of soft rubber, whose pillars the datasets' loads turn over, at the cap."""
     response = layer_response(design)
-    sensor, draw = SensorModel(response, inverse_forces(response)), np.random.default_rng(0)
+    sensor, draw = PressedSensor(response, inverse_forces(response)), np.random.default_rng(0)
     loads = PROTOCOLS["three-axis"].draw(np.random.default_rng(3), 20, design)
     within = largest_factors(displacements(response, loads), design.unit, cap=0.3)
     assert (within.max() < 1.0) == (design is SOFT)  # all of them are past the cap
@@ -117,7 +117,7 @@ def test_the_inverse_finds_the_forces(design, error):
 
 def test_readings_are_those_of_a_dataset_and_noise_is_on_the_readings_alone():
     response = layer_response(SQUARE)
-    sensor, draw = SensorModel(response, np.copy), np.random.default_rng(0)
+    sensor, draw = PressedSensor(response, np.copy), np.random.default_rng(0)
     samples = simulate(response, DatasetSettings(protocol="three-axis", samples=2, seed=3))
     exact = sensor.read(samples.traction_mpa[1].reshape(-1, 3), 0.0, draw)
     np.testing.assert_allclose(exact.resistance_ohm, samples.resistance_ohm[1], rtol=1e-12)  # another order of sums

@@ -61,7 +61,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     from tripillar.viewer.page.finite import FiniteStrain
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.scene import Superposition
-    from tripillar.viewer.page.sensing import SensorFeed, SensorModel, inverse_forces, net_forces
+    from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import listening_on, serve
 
     with ExitStack() as stack:
@@ -85,7 +85,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
             by_response = "the linear response's inverse" if is_finite else "the response's inverse"
             subject = Subject(
                 loads=Superposition(field),
-                sensor=SensorModel(response, inverse_forces(response) if model is None else net_forces(model)),
+                sensor=PressedSensor(response, inverse_forces(response) if model is None else net_forces(model)),
                 decoupler=by_response if model is None else f"the model {options.model}",
                 feed=feed,
                 finite=FiniteStrain(design, response) if is_finite else None,

@@ -29,7 +29,7 @@ from tripillar.viewer.page.controls import (
 from tripillar.viewer.page.finite import REST_S, FiniteAnswer, FiniteStrain, is_answer_to
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import ArrayScene, Superposition
-from tripillar.viewer.page.sensing import Reading, SensorFeed, SensorModel
+from tripillar.viewer.page.sensing import PressedSensor, Reading, SensorFeed
 from tripillar.viewer.sights import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
@@ -43,7 +43,7 @@ class Subject:
     """The array that all browsers look at; none changes it."""
 
     loads: Superposition
-    sensor: SensorModel
+    sensor: PressedSensor
     decoupler: str  #: name of what turns resistances into forces
     feed: SensorFeed | None = None  #: of a sensor that can load the array in place of the controls
     finite: FiniteStrain | None = None  #: solves neo-Hookean rubber; `loads` and `sensor` stay linear

@@ -21,7 +21,7 @@ from dataset.resistance import (
 )
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
@@ -53,7 +53,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorModel:
+class PressedSensor:
     """The simulated sensor: exact resistances under loads, and what a decoupler makes of them."""
 
     response: ArrayResponse
@@ -110,7 +110,7 @@ def inverse_forces(response: ArrayResponse) -> Decouple:
     within = largest_factors(displacements(response, loads), design.unit, MAX_STRAIN)
     loads *= np.minimum(within, 1.0)[:, None, None]  # a pillar that turns over cannot be inverted
     force_n = force_columns(by_unit(forces(loads, design), design), joint)
-    forward = ForwardModel.of(response, joint)
+    forward = SensorModel.of(response, joint)
     inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
     return lambda resistance_ohm: inverse.forces(resistance_ohm.reshape(1, -1)).reshape(resistance_ohm.shape)
 

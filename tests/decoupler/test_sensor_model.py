@@ -16,8 +16,8 @@ from decoupler import (
     train,
 )
 from decoupler.data.columns import Columns, force_columns, pillar_columns
-from decoupler.inverse.forward_model import ForwardModel, ModelInverse
 from decoupler.inverse.limits import exact_inverse
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training.suited import explaining, suited_feature
 from fem.array.response import ArrayResponse, ConductedPillars
 from geometry.layout import PILLAR_TOP, pillar_ends
@@ -29,7 +29,7 @@ RESPONSE = response(SENSOR)
 ALL = component_named("all")
 DATA = labelled(SENSOR, "xyz", n_samples=300, seed=0)
 TRAIN, TEST = split(DATA, 200)
-FORWARD = ForwardModel.of(RESPONSE, ALL)
+FORWARD = SensorModel.of(RESPONSE, ALL)
 READABLE = np.ones(FORWARD.n_pillars, dtype=bool)
 TRAINING = Columns.of(DATA, ALL)
 COLUMNS, FORCES = TRAINING.resistance_ohm, TRAINING.force_n
@@ -40,7 +40,7 @@ def test_gives_the_resistances_that_the_dataset_has(name, axes):
     """Two routes from forces to ohms; rounding only."""
     component = component_named(name)
     data = labelled(SENSOR, axes, n_samples=20, seed=0)
-    forward = ForwardModel.of(RESPONSE, component)
+    forward = SensorModel.of(RESPONSE, component)
     found = forward.resistances(force_columns(data.force_n, component))
     np.testing.assert_allclose(found, pillar_columns(data.resistance_ohm, component), rtol=1e-13)
     np.testing.assert_allclose(forward.lengths_of(found) ** 2 * forward.ohm_per_mm2, found, rtol=1e-14)
@@ -149,7 +149,7 @@ def conducted(factor: float) -> ArrayResponse:
 def test_conduction_in_components_that_are_eq_1_is_eq_1(name):
     """However its components are turned; rounding only."""
     component = component_named(name)
-    one, other = (ForwardModel.of(given, component) for given in (RESPONSE, conducted(0.0)))
+    one, other = (SensorModel.of(given, component) for given in (RESPONSE, conducted(0.0)))
     force = np.random.default_rng(0).uniform(10.0, 300.0, (3, one.n_forces))
     for ours, theirs in zip(one.jacobian(force), other.jacobian(force), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
@@ -158,7 +158,7 @@ def test_conduction_in_components_that_are_eq_1_is_eq_1(name):
 def test_conduction_is_differentiated_and_inverted():
     """A component of sign −1: central differences, and Gauss-Newton back to the forces."""
     given = conducted(0.5)
-    forward = ForwardModel.of(given, ALL)
+    forward = SensorModel.of(given, ALL)
     force = FORCES[:5]
     _, J = forward.jacobian(force)
     along = np.random.default_rng(1).standard_normal(force.shape)

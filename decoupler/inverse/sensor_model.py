@@ -34,9 +34,10 @@ HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ForwardModel:
+class SensorModel:
     """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|² + o.
 
+    Loads lead to a state of the electrodes (B, and `maps` of finite strain), a state to readings (c, o of the pillars).
     By eq. 1 d + B F is the vector between a pillar's electrodes. By conduction it has more components, each pillar its
     own, and |v|² = Σ sₖ vₖ² with signs s; the *length* |v| then is the one that eq. 1 would need for R. Forces and
     resistances are columns in the order of `force_columns` and `pillar_columns`.
@@ -125,7 +126,7 @@ class ForwardModel:
         return np.array_equal(self.top, np.arange(self.influence.shape[1] // len(self.rest_mm)))
 
     @cached_property
-    def linear(self) -> "ForwardModel":
+    def linear(self) -> "SensorModel":
         """The same without finite strain: the model whose forces are states."""
         return self if self.maps is None else replace(self, maps=None)
 
@@ -216,7 +217,7 @@ class ForwardModel:
 class ModelInverse:
     """A linear array's model with the few linear corrections that undo it: F ← F + (l − l(F)) Cₖ for k = 0, 1, ..."""
 
-    forward: ForwardModel
+    forward: SensorModel
     centre_n: FloatArray  #: (n_forces,): where it starts
     centre_mm: FloatArray  #: (n_pillars,): lengths there
     correctors: FloatArray  #: C, (n_steps, n_pillars, n_forces) [N/mm]
@@ -224,7 +225,7 @@ class ModelInverse:
     @classmethod
     def about(
         cls,
-        forward: ForwardModel,
+        forward: SensorModel,
         force_n: FloatArray,
         readable: NDArray[np.bool_],
         noise: float,
@@ -325,7 +326,7 @@ def _near(missing: FloatArray, n_usual: int, spread_n: float, enough: float) -> 
 
 
 def _tangent(
-    forward: ForwardModel,
+    forward: SensorModel,
     centre_n: FloatArray,
     force_n: FloatArray,
     readable: NDArray[np.bool_],
