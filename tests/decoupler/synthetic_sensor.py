@@ -70,6 +70,12 @@ def _neighbour(design: SensorDesign) -> FloatArray:
     return np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
 
 
+def noisy(data: Samples, noise: float) -> Samples:
+    """The same samples, read with relative noise."""
+    errors = np.random.default_rng(1).standard_normal(data.resistance_ohm.shape)
+    return replace(data, resistance_ohm=data.resistance_ohm * (1 + noise * errors), noise=noise)
+
+
 def split(data: Samples, n_train: int) -> tuple[Samples, Samples]:
     """The first `n_train` samples and the others."""
     return data[:n_train], data[n_train:]

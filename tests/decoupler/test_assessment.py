@@ -1,7 +1,5 @@
 """An assessment: the model's errors beside limit and baselines, each as its own module gives it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from decoupler.evaluation.assessment import as_plain
 from decoupler.inverse.forward_model import ForwardModel
 from decoupler.inverse.limits import cramer_rao
 from decoupler.model.baseline import hooke_forces
-from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, split
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
@@ -28,12 +26,7 @@ NOISE = 2e-3
 ALL = component_named("all")
 
 
-def noisy(data):
-    errors = np.random.default_rng(1).standard_normal(data.resistance_ohm.shape)
-    return replace(data, resistance_ohm=data.resistance_ohm * (1 + NOISE * errors), noise=NOISE)
-
-
-TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0)), 600)
+TRAIN, TEST = split(noisy(labelled(SENSOR, "xyz", n_samples=700, seed=0), NOISE), 600)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +39,11 @@ def test_holds_what_its_parts_say(model):
     least = component_errors(LeastSquares.fitted(Columns.of(TRAIN, ALL)).forces(TEST.resistance_ohm), TEST, ALL)
     hooke = component_errors(hooke_forces(TEST.resistance_ohm, SENSOR, ALL), TEST, ALL)
     bound = cramer_rao(ForwardModel.of(RESPONSE, ALL), force_columns(TEST.force_n, ALL), NOISE, None)
+    missed = np.abs(model.forces(TEST.resistance_ohm) - TEST.force_n)
+    within = [(missed <= width).mean(axis=(0, 1, 2)) for width in model.half_widths(TEST.resistance_ohm)]
     for axis, name in enumerate(("fx", "fy", "fz")):
         one = found[name]
+        assert one.coverage == pytest.approx([share[axis] for share in within])
         assert one.errors == evaluate(model, TEST)[name]
         assert one.baselines == {"eq. 8, each pillar alone": hooke[name], "least squares on √R": least[name]}
         limit = np.sqrt(np.mean(bound.reshape(100, 6, 3)[..., axis] ** 2))

@@ -94,7 +94,7 @@ def test_a_fold_never_sees_its_test_samples_scaling(one_process):
     assert tested[0].errors == evaluate(same, wild[part])
 
 
-def test_a_failure_in_a_fold_is_said():
+def test_a_failure_in_a_fold_is_said(one_process):
     with pytest.raises(SampleError, match="needs the array's response"):
         cross_validate(DATA, "fx", NetworkConfig(feature="inverse"), FEW, folds=2)
 

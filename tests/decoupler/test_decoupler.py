@@ -5,35 +5,13 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, train
-from decoupler.training.network import Network
 from tests.decoupler.synthetic_sensor import labelled, sensor
 
 SENSOR = sensor(2, 3)
 DATA = labelled(SENSOR, "xyz", n_samples=101, seed=0)
 FEW = TrainingConfig(max_iterations=3)
-
-
-@pytest.mark.parametrize("net", ["plain", "skip"])
-@pytest.mark.parametrize("feature", ["resistance", "root"])
-def test_gives_what_the_torch_network_gives(net, feature):
-    """Two routes: numpy on ohms, torch on scaled inputs; they differ by rounding only."""
-    config = NetworkConfig(hidden=5, net=net, feature=feature)
-    decoupler = train(DATA, "fx", config, FEW)
-    network = Network(config, 6, 6, seed=9)
-    network.load_state_dict(
-        {
-            "hidden": torch.from_numpy(decoupler.hidden_weights),
-            "output": torch.from_numpy(decoupler.output_weights),
-        }
-    )
-    R = DATA.resistance_ohm[..., 1].reshape(-1, 6)
-    scaled = decoupler.input_scaling.scale(np.sqrt(R) if feature == "root" else R)
-    outputs = network(torch.from_numpy(scaled)).detach().numpy()
-    expected = decoupler.output_scaling.unscale(outputs).reshape(-1, 2, 3, 1)
-    np.testing.assert_allclose(decoupler.forces(DATA.resistance_ohm), expected, rtol=1e-11)
 
 
 def test_what_is_no_scan_of_its_sensor_is_refused_and_what_it_does_not_take_does_no_harm():

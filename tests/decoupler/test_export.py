@@ -4,53 +4,38 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import onnxruntime
 import pytest
 
-from decoupler import NetworkConfig, TrainingConfig, train, write_model
+from decoupler import write_model
 from decoupler.export import export_model
 from decoupler.export.c_header import STRICT, header_text
 from decoupler.export.portable import ExportError, output_weights_n
 from geometry import DesignError
 from geometry.storage.files import digest
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.test_contract import made
 from tests.house import House
 
 CC = shutil.which("cc")
 needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler 'cc' is installed")
 ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
-SENSOR = sensor(2, 3)
-AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
-DEAD = np.zeros((2, 3, 3), dtype=bool)
-DEAD[0, 1], DEAD[1, 2, 0] = True, True
 
 
-@cache
-def trained(component: str, feature: str, net: str):
-    """A model of a sensor with dead pillars and gains of its own, and 20 scans of it."""
-    generator = np.random.default_rng(5)
-    gain, offset = generator.uniform(0.8, 1.2, (2, 3, 3)), generator.uniform(-200.0, 200.0, (2, 3, 3))
-    data = labelled(SENSOR, AXES[component], n_samples=80, seed=0)
-    data = replace(data, resistance_ohm=gain * data.resistance_ohm + offset, dead=DEAD)
-    network = NetworkConfig(hidden=5, net=net, feature=feature)
-    model = train(data, component, network, TrainingConfig(max_iterations=3), response=response(SENSOR))
-    return model, np.where(DEAD, np.nan, data.resistance_ohm[:20])
+def trained(name: str = "fz-plain-resistance"):
+    """The decoder of a case of the contract."""
+    return made(name).model
 
 
 def test_as_designed_and_nothing_dead():
-    """Without gains, offsets and dead pillars the exported forms lack those steps, and still agree."""
-    data = labelled(SENSOR, "xyz", n_samples=40, seed=1)
-    model = train(data, "all", NetworkConfig(hidden=4), TrainingConfig(max_iterations=2))
+    """Without a converter and dead pillars the exported forms lack those steps."""
     for name in ("ANY_DEAD", "CONVERTER", "STEPS"):
-        assert f"#define TRIPILLAR_{name} 0\n" in header_text(model, np.float64)
+        assert f"#define TRIPILLAR_{name} 0\n" in header_text(trained("all-skip-root"), np.float64)
 
 
 def test_onnx_says_what_it_is(tmp_path):
-    model, _ = trained("all", "inverse", "skip")
+    model = trained("dead-inverse")
     exported = export_model(model, tmp_path / "model.onnx")
     assert exported.precision == "double"
     assert exported.deviation < ROUNDING
@@ -61,7 +46,7 @@ def test_onnx_says_what_it_is(tmp_path):
     told = session.get_modelmeta().custom_metadata_map
     assert told["component"] == "all"
     assert told["feature"] == "inverse"
-    assert told["design_hash"] == digest(SENSOR)
+    assert told["design_hash"] == digest(model.design)
     assert told["data_hash"] == model.made_from["data_hash"]
     assert told["model_hash"] == model.made_from["recipe"]
     assert "ohm" in told["units"]
@@ -71,7 +56,7 @@ def test_onnx_says_what_it_is(tmp_path):
 @pytest.mark.parametrize("feature", ["root", "inverse"])
 def test_header_states_its_size(feature):
     """Bytes of constants as counted from the arrays in the text: floats of 4, shorts of 2."""
-    header = header_text(trained("all", feature, "skip")[0], np.float32)
+    header = header_text(trained(f"dead-{feature}"), np.float32)
     arrays = re.findall(r"^static const (float|short) \w+((?:\[\d+\])+)", header, re.MULTILINE)
     counted = sum(
         {"float": 4, "short": 2}[kind] * np.prod([int(n) for n in re.findall(r"\d+", size)]) for kind, size in arrays
@@ -82,7 +67,7 @@ def test_header_states_its_size(feature):
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler 'c++' is installed")
 def test_header_is_cpp_too(tmp_path):
     """An Arduino sketch is C++."""
-    (tmp_path / "model.h").write_text(header_text(trained("all", "inverse", "skip")[0], np.float32), encoding="utf-8")
+    (tmp_path / "model.h").write_text(header_text(trained("dead-inverse"), np.float32), encoding="utf-8")
     (tmp_path / "sketch.cpp").write_text(
         '#include "model.h"\nvoid loop(float *r, float *f) { tripillar_forces(r, f); }'
     )
@@ -95,13 +80,13 @@ def test_what_deviates_is_not_kept(name, module, tmp_path, monkeypatch):
     (tmp_path / name).write_text("old")
     monkeypatch.setattr(f"decoupler.export.{module}.output_weights_n", lambda model: 1.001 * output_weights_n(model))
     with pytest.raises(ExportError, match="is not written: its forces deviate from the model's by"):
-        export_model(trained("fz", "inverse", "skip")[0], tmp_path / name)
+        export_model(trained(), tmp_path / name)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "old"
 
 
 def test_what_is_not_installed_is_said(tmp_path, monkeypatch):
-    model, _ = trained("fz", "root", "skip")
+    model = trained()
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     assert export_model(model, tmp_path / "m.onnx").unchecked == "onnxruntime is not installed"
     assert (tmp_path / "m.onnx").stat().st_size > 0
@@ -114,7 +99,7 @@ def test_what_is_not_installed_is_said(tmp_path, monkeypatch):
 
 
 def test_what_is_unknown_is_refused(tmp_path):
-    model, _ = trained("fz", "root", "skip")
+    model = trained()
     with pytest.raises(DesignError, match=r"model.tflite must end in .onnx or .h"):
         export_model(model, tmp_path / "model.tflite")
     with pytest.raises(DesignError, match="precision='half' is unknown; choose one of float, double"):
@@ -123,7 +108,7 @@ def test_what_is_unknown_is_refused(tmp_path):
 
 
 def test_on_the_command_line(tmp_path):
-    write_model(trained("fz", "inverse", "skip")[0], tmp_path / "model.safetensors")
+    write_model(trained(), tmp_path / "model.safetensors")
     house = House(tmp_path)
     done = house.tripillar("export", "--model", "model.safetensors", "--out", "model.onnx")
     assert done.returncode == 0, done.stderr
@@ -133,7 +118,7 @@ def test_on_the_command_line(tmp_path):
     assert result["precision"] == "float"
     assert (tmp_path / result["file"]).exists()
     for words, says in (
-        (("--model", "model.safetensors", "--out", "model.pt"), "must end in .onnx or .h"),
+        (("--model", "model.safetensors", "--out", "model.pt"), "must be a file that ends in .onnx or .h"),
         (("--model", "none.safetensors", "--out", "other.h"), "no such file"),
         (("--model", "model.onnx", "--out", "other.h"), "no safetensors file"),
     ):

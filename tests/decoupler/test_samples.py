@@ -20,7 +20,7 @@ from decoupler.inverse.forward_model import ForwardModel
 from decoupler.training.suited import suited_component, without_stuck
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import PILLARS
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor
 
 ALL = component_named("all")
 SENSOR = sensor(3, 3)
@@ -31,25 +31,23 @@ def model(known, component):
     return None if known is None else ForwardModel.of(known, component)
 
 
-def noisy(axes="xyz", n=200, noise=0.0):
-    data = labelled(SENSOR, axes, n_samples=n, seed=0)
-    errors = np.random.default_rng(1).standard_normal(data.resistance_ohm.shape)
-    return replace(data, resistance_ohm=data.resistance_ohm * (1 + noise * errors), noise=noise)
+def samples(axes="xyz", n=200, noise=0.0):
+    return noisy(labelled(SENSOR, axes, n_samples=n, seed=0), noise)
 
 
 def test_repeated_samples_are_dropped_and_the_first_of_each_stays_in_place():
-    data = noisy(n=5)
+    data = samples(n=5)
     assert Columns.of(data, ALL).distinct().tolist() == [0, 1, 2, 3, 4]
     assert Columns.of(data[[3, 1, 3, 0, 1, 1]], ALL).distinct().tolist() == [0, 1, 3]
 
 
 def test_what_a_component_does_not_take_makes_no_difference():
     """Nor does what a dead pillar reads."""
-    data = noisy(n=5)[[0, 0, 1]]
+    data = samples(n=5)[[0, 0, 1]]
     data.resistance_ohm[1, ..., 1:] *= 1.01  # x and y
     assert len(Columns.of(data, ALL).distinct()) == 3
     assert len(Columns.of(data, component_named("fz")).distinct()) == 2
-    data = noisy(n=5)[[0, 0, 1]]
+    data = samples(n=5)[[0, 0, 1]]
     data.resistance_ohm[1, 2, 1, 0] *= 1.01
     dead = np.zeros((3, 3, 3), dtype=bool)
     dead[2, 1, 0] = True
@@ -67,7 +65,7 @@ def test_loads_are_numbered_as_they_appear():
 @pytest.mark.parametrize("n", [3, 10, 50, 1000])
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_healthy_pillars_are_not_taken_for_stuck(known, noise, n, name):
-    data = Columns.of(noisy(n=n, noise=noise), component_named(name))
+    data = Columns.of(samples(n=n, noise=noise), component_named(name))
     assert without_stuck(data, model(known, component_named(name))) is data
 
 
@@ -80,7 +78,7 @@ def test_stuck_pillars_are_found_whatever_their_noise(known, noise, n, name):
     1 % of noise hides from 20 samples whether a sheared pillar, which moves by 2 %, follows its loads.
     """
     component = component_named(name)
-    data, generator = noisy(n=n, noise=noise), np.random.default_rng(3)
+    data, generator = samples(n=n, noise=noise), np.random.default_rng(3)
     pillar = component.pillars[0]
     places = [(row, col, PILLARS.index(pillar)) for row, col in ((0, 1), (2, 2))]
     for place in places:
@@ -93,7 +91,7 @@ def test_stuck_pillars_are_found_whatever_their_noise(known, noise, n, name):
 
 def test_a_unit_that_was_never_loaded_is_not_stuck():
     """Its pillar hardly moves because nothing moves it; a dead one that is stated stays so."""
-    data = noisy("z", n=100)
+    data = samples("z", n=100)
     dead = np.zeros((3, 3, 3), dtype=bool)
     dead[0, 0, 0] = True
     data.force_n[:, 1, 1] = 300.0
@@ -105,12 +103,12 @@ def test_a_unit_that_was_never_loaded_is_not_stuck():
 def test_if_most_pillars_seem_stuck_it_is_the_expectation_that_is_wrong():
     """A response of a far softer sensor: refused elsewhere, for what it explains."""
     softer = replace(RESPONSE, influence_mm_per_n=-0.01 * RESPONSE.influence_mm_per_n)
-    data = Columns.of(noisy(n=100), ALL)
+    data = Columns.of(samples(n=100), ALL)
     assert without_stuck(data, model(softer, ALL)) is data
 
 
 def test_forces_that_no_sensor_gives_are_named():
-    data = noisy(n=4)
+    data = samples(n=4)
     data.force_n[2, 1, 0, 2] = 1e300
     with pytest.raises(SampleError, match=r"force fz in row 1, col 0 of sample 2 is 1e\+300 N, must be"):
         force_columns(data.force_n, ALL)

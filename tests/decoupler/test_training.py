@@ -51,10 +51,12 @@ def test_momentum_rule_learns():
     assert outcome["mse"] < 0.02
 
 
+@pytest.mark.parametrize(("net", "feature"), [("skip", "root"), ("plain", "resistance")])
 @pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
-def test_reported_error_is_that_of_the_model(trainer):
-    """Found again from forces in newtons; 1e-6 is for the rounding of the scaling."""
-    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(trainer=trainer, max_iterations=5))
+def test_reported_error_is_that_of_the_model(trainer, net, feature):
+    """Torch on scaled inputs, NumPy on ohms: found again in newtons; 1e-6 is for the rounding of the scaling."""
+    network = NetworkConfig(hidden=4, net=net, feature=feature)
+    decoupler = train(TRAIN, "fx", network, TrainingConfig(trainer=trainer, max_iterations=5))
     outcome = decoupler.made_from["outcome"]
     error_n = decoupler.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
     scaled = error_n.reshape(len(error_n), -1) / decoupler.output_scaling.half_range
