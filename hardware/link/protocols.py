@@ -24,7 +24,7 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class BoardProtocol:
-    """What a kind of board speaks."""
+    """The bytes that a kind of board sends and hears."""
 
     decoder: Callable[[], Decoder] = FrameDecoder  #: makes a new one for each connection
     question: bytes = b"?"  #: that is answered by INFO

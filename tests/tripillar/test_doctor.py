@@ -41,7 +41,8 @@ def test_a_broken_solver_is_a_line_and_not_the_end_and_a_wrong_answer_is_told(mo
 
 
 def test_what_may_not_be_written_or_opened_is_wrong(monkeypatch):
-    monkeypatch.setattr(ports, "list_ports", lambda: [ports.Port(device="/dev/null", description="", hardware_id="")])
+    listed = ports.ListedPort(device="/dev/null", description="", hardware_id="")
+    monkeypatch.setattr(ports, "list_ports", lambda: [listed])
     assert surroundings.serial_ports().state == "ok"
     monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
     for check, named in ((surroundings.cache(), "TRIPILLAR_CACHE"), (surroundings.serial_ports(), "dialout")):
