@@ -159,7 +159,7 @@ def test_deviations_hold_on_unseen_scans(case):
         trusted[row, col, model.component.forces.index(name)] = False
     off = np.abs(model.forces(case.test.resistance_ohm) - truth)
     one, two = model.half_widths(case.test.resistance_ohm)
-    assert 0.6 < (off <= one)[:, trusted].mean() < 0.78
+    assert 0.6 < (off <= one)[:, trusted].mean() < 0.8  # what is promised of every decoder
     assert (off <= two)[:, trusted].mean() > 0.92
 
 
