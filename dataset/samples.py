@@ -177,20 +177,20 @@ class Samples(AnySamples):
         return replace(self, **arrays, made_from=self._of_part)
 
     @property
-    def shape(self) -> tuple[int, int]:  # type: ignore[override]
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]  # of the base an attribute, which nobody sets
         rows, cols = self.force_n.shape[1:3]
         return rows, cols
 
     @property
-    def variables(self) -> tuple[str, ...]:  # type: ignore[override]
+    def variables(self) -> tuple[str, ...]:  # type: ignore[override]  # of the base an attribute, which nobody sets
         return tuple(self.arrays())
 
     @property
-    def dtype(self) -> np.dtype[Any]:  # type: ignore[override]
+    def dtype(self) -> np.dtype[Any]:  # type: ignore[override]  # of the base an attribute, which nobody sets
         return self.force_n.dtype
 
     @cached_property
-    def content_hash(self) -> str:  # type: ignore[override]
+    def content_hash(self) -> str:  # type: ignore[override]  # of the base an attribute, which nobody sets
         return digest(self.force_n, self.resistance_ohm)
 
     def drifted(self, generator: np.random.Generator) -> "Samples":

@@ -58,7 +58,7 @@ class StoredSamples(AnySamples):
         return int(self._data.sizes["sample"])
 
     @cached_property
-    def strain_model(self) -> FloatArray | None:  # type: ignore[override]
+    def strain_model(self) -> FloatArray | None:  # type: ignore[override]  # of the base an attribute, which nobody sets
         return np.asarray(self._data["strain_model"], np.float64) if "strain_model" in self.variables else None
 
     def _stated_hashes(self) -> dict[str, list[str]]:
@@ -79,7 +79,7 @@ class StoredSamples(AnySamples):
         return hashes
 
     @cached_property
-    def content_hash(self) -> str:  # type: ignore[override]
+    def content_hash(self) -> str:  # type: ignore[override]  # of the base an attribute, which nobody sets
         """Hash of those of the leaves of forces and resistances; computed from all where none is stated."""
         if set(LABELS) <= self._hashes.keys():
             return leaves_hash(self._hashes)

@@ -34,10 +34,10 @@ def frames(draw):
 
 
 @st.composite
-def infos(draw):
+def infos(draw, max_rows=255, max_cols=85):
     return Info(
-        rows=draw(st.integers(1, 255)),
-        cols=draw(st.integers(1, 85)),
+        rows=draw(st.integers(1, max_rows)),
+        cols=draw(st.integers(1, max_cols)),
         bits=draw(st.integers(8, 16)),
         scan_mode=draw(st.sampled_from(ScanMode)),
         firmware=draw(st.tuples(U8, U8, U8)),

@@ -23,7 +23,7 @@ from tests.hardware.recording.recorded_frames import (
     record,
     without_info,
 )
-from tests.hardware.test_decoder import U8, U16, U32
+from tests.hardware.test_decoder import U8, U16, U32, infos
 
 EACH_FILE = settings(
     max_examples=25,
@@ -43,16 +43,7 @@ def path(tmp_path):
 @st.composite
 def boards(draw):
     """A board, and frames of it, each with its time of arrival and whether a run begins with it."""
-    info = Info(
-        rows=draw(st.integers(1, 3)),
-        cols=draw(st.integers(1, 3)),
-        bits=draw(st.integers(8, 16)),
-        scan_mode=draw(st.sampled_from(ScanMode)),
-        firmware=draw(st.tuples(U8, U8, U8)),
-        rate_hz=draw(st.integers(1, 65535)),
-        serial=draw(U32),
-        sense_ohm=draw(st.integers(1, 2**32 - 1)),
-    )
+    info = draw(infos(max_rows=3, max_cols=3))
     sequence, device_us, sent = draw(U16), draw(U32), []
     for _ in range(draw(st.integers(1, 12))):
         counts = draw(st.lists(st.integers(0, 2**info.bits - 1), min_size=info.n_crossings, max_size=info.n_crossings))
