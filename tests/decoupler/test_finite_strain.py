@@ -198,8 +198,8 @@ def decoder_of_the_law():
 def learned():
     """Trained on samples of the made-up law, linear ones among them."""
     linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
-    with mock.patch("decoupler.training.finite_strain.DRAWS", 12_000):  # enough for two units
-        return train(joined([linear, samples(law(1.0), noise=1e-3)[:1000]]), response=response(SENSOR))
+    with mock.patch("decoupler.training.finite_strain.DRAWS", 4_000):  # enough for two units
+        return train(joined([linear, samples(law(1.0), noise=1e-3)[:600]]), response=response(SENSOR))
 
 
 def test_training_takes_the_posterior_of_what_it_learned(decoder):
