@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
-from hardware.link.serial_ports import PortError
+from hardware.link.serial_ports import PortError, link_to
 
 Counts = Callable[[float], NDArray[Any]]
 _RATES_HZ = range(1, 1001)  # that it can hold
@@ -177,12 +177,7 @@ class VirtualBoard:
     def _connect(self) -> None:
         self._fds, self._port = _terminal()
         if self._link:
-            if self._link.exists() and not self._link.is_symlink():
-                raise PortError(f"{self._link} exists and is no link: give another name for the link to the port.")
-            beside = self._link.with_name(self._link.name + ".new")
-            beside.unlink(missing_ok=True)
-            beside.symlink_to(self._port)
-            beside.replace(self._link)
+            link_to(self._link, self._port)
 
     def _disconnect(self) -> None:
         if self._fds is None:

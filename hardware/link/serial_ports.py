@@ -6,12 +6,16 @@ A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one,
 
 import contextlib
 import errno
+import os
 import socket
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
+import psutil
 import serial
 from serial.tools.list_ports import comports
 from serial.urlhandler import protocol_socket
@@ -33,6 +37,7 @@ PORT_FAULTS = (
     TypeError,  # of a port whose file descriptor has become None
     ValueError,  # of one whose file descriptor has become -1; of a setting that the port does not know
 )  #: everything a port is known to raise, wherever it fails
+BEGINS = "board-that-begins-"  #: target of a link whose board is on its way, with the process behind it
 _WRITE_TIMEOUT_S = 0.05  # a board that does not listen must not hold up the reading
 
 
@@ -197,3 +202,39 @@ class _SocketPort(protocol_socket.Serial):
             self._socket.close()
             self._socket = None
             self.is_open = False
+
+
+def link_to(link: Path, target: str) -> None:
+    """Let a link point to a port, whatever it pointed to before.
+
+    Raises
+    ------
+    PortError
+        If there is something else of that name.
+    """
+    if link.exists() and not link.is_symlink():
+        raise PortError(f"{link} exists and is no link: give another name for the link to the port.")
+    beside = link.with_name(link.name + ".new")
+    beside.unlink(missing_ok=True)
+    beside.symlink_to(target)
+    beside.replace(link)
+
+
+@contextlib.contextmanager
+def claimed(link: Path | None) -> Iterator[None]:
+    """Keep a free link's name for a board of this process that takes seconds to begin: see `is_claimed`."""
+    target = f"{BEGINS}{os.getpid()}"
+    if link is not None and not link.exists():
+        link_to(link, target)
+    try:
+        yield
+    finally:
+        if link is not None and link.is_symlink() and os.readlink(link) == target:
+            link.unlink()
+
+
+def is_claimed(port: str) -> bool:
+    """True for a link whose board has yet to begin, in a process that runs."""
+    target = os.readlink(port) if os.path.islink(port) else ""
+    number = target.removeprefix(BEGINS)
+    return number != target and number.isdecimal() and psutil.pid_exists(int(number))

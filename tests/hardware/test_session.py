@@ -14,7 +14,7 @@ from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError
+from hardware.link.serial_ports import PortError, claimed, link_to
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
@@ -140,22 +140,27 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
 
 
 def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
-    """And no other: not a recording's name, not a server's; nor for longer than said."""
+    """And no other: not a recording's name, not a server's; nor for longer than said but where a board begins."""
     link, looked = tmp_path / "board", []
-    with VirtualBoard(COUNTS, INFO) as board:
+    monkeypatch.setattr(session, "APPEARS_S", 0.01)
+    with VirtualBoard(COUNTS, INFO) as board, claimed(link):
 
         def look(seconds):
             looked.append(seconds)
             if len(looked) == 3:
-                link.symlink_to(board.port)
+                link_to(link, board.port)
 
         monkeypatch.setattr(session.time, "sleep", look)
         with session.connect(str(link)) as (scanner, _):
             assert scanner.info == INFO
         assert len(looked) == 3
+    assert link.is_symlink()  # the board's by now
     for port in (str(tmp_path), "missing.frames", "socket://127.0.0.1:9", ""):
         session._await(port)
     assert len(looked) == 3
+    monkeypatch.undo()
     monkeypatch.setattr(session, "APPEARS_S", 0.01)
+    with claimed(tmp_path / "never"):
+        pass
     with pytest.raises(PortError, match="no such port"), session.connect(str(tmp_path / "never")):
         pass

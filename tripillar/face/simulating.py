@@ -110,31 +110,35 @@ def board(
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
     if scene is not None and (design is not None or pressure_mpa is not None):
         raise DesignError("a scene has its own design and loads: leave design= and pressure_mpa= out.")
-    from dataset.imperfections import Imperfections
-    from hardware.boards.simulated import counts_over_time, run_board, suited_kind, write_truth
-    from hardware.boards.virtual_board import NO_TERMINALS
-    from hardware.readout.calibration import Electronics
-
     if sys.platform == "win32":
+        from hardware.boards.virtual_board import NO_TERMINALS
+
         raise DesignError(NO_TERMINALS)
-    told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
-    wires = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
-    electronics = Electronics(**{name: ohms for name, ohms in wires.items() if ohms is not None})
-    replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
-    specimen_of = Imperfections(gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=specimen)
-    motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
-    rows, cols = motion.resistance_ohm.shape[1:3]
-    told = replace(told, rows=rows, cols=cols)
-    suited, why = suited_kind(told) if chip == "auto" else (chip, "")
-    caller.say(why)
-    counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
-    if written is not None:
-        write_truth(motion, written)
-    with run_board(suited, told, counts, kept) as running:
-        port = str(link or running.port)
-        files = [] if written is None else [written]
-        caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)
-        yield port
+    from hardware.link.serial_ports import claimed
+
+    with claimed(kept):  # what follows takes seconds to load and to solve
+        from dataset.imperfections import Imperfections
+        from hardware.boards.simulated import counts_over_time, run_board, suited_kind, write_truth
+        from hardware.readout.calibration import Electronics
+
+        told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
+        wires = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
+        electronics = Electronics(**{name: ohms for name, ohms in wires.items() if ohms is not None})
+        replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
+        specimen_of = Imperfections(gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=specimen)
+        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
+        rows, cols = motion.resistance_ohm.shape[1:3]
+        told = replace(told, rows=rows, cols=cols)
+        suited, why = suited_kind(told) if chip == "auto" else (chip, "")
+        caller.say(why)
+        counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
+        if written is not None:
+            write_truth(motion, written)
+        with run_board(suited, told, counts, kept) as running:
+            port = str(link or running.port)
+            files = [] if written is None else [written]
+            caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)
+            yield port
 
 
 def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: Any) -> "Info":
