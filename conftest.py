@@ -1,5 +1,6 @@
 """Fixtures of every test: a cache of its own or one shared by all, folders that are filled once, and Ctrl-C."""
 
+import gc
 import itertools
 import os
 import re
@@ -55,6 +56,12 @@ set_hypothesis_home_dir(SHARED / "hypothesis")
 def pytest_unconfigure() -> None:
     if "PYTEST_XDIST_WORKER" not in os.environ:
         _scratch.cleanup()
+
+
+def pytest_collection_finish() -> None:
+    """Leave what libraries and tests have made so far out of every later collection of garbage: a twentieth less time."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
