@@ -22,28 +22,29 @@ RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 
 FRICTION = (0.1, 1.0)
 PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
 CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
-VERSION = 2  #: raise when the same settings give other samples
+VERSION = 3  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
 def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
-    It gives their tractions (m, n_units, 3) [MPa], the force on each unit's share of the top over its pad's area, and
-    displacements (m, n_units, 2, 3) [mm]; 0 of numbers from `wanted` on. A sample depends on seed, block and number.
+    It gives their tractions (m, n_units, 3) [MPa], the force on each unit's share of the top over its pad's area,
+    displacements (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on. A sample
+    depends on seed, block and number.
     """
 
     def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
-        traction, displacement = (
-            np.zeros((len(numbers), design.n_units, 3)),
-            np.zeros((len(numbers), design.n_units, 2, 3)),
+        traction, displacement, moment = (
+            np.zeros((len(numbers), design.n_units, *shape)) for shape in ((3,), (2, 3), (2,))
         )
         for place in np.flatnonzero(numbers < wanted):
-            contact = _drawn(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
+            contact = drawn_press(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
             traction[place] = contact.force_n.reshape(-1, 3) * per_area
             displacement[place] = contact.electrode_mm.reshape(-1, 2, 3)
-        return [traction, displacement]
+            moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
+        return [traction, displacement, moment]
 
     return draw
 
@@ -58,6 +59,7 @@ def samples_of(contacts: Sequence[Contact]) -> Samples:
         force_n=force,
         traction_mpa=force * np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2,
         displacement_mm=moved,
+        moment_nmm=np.stack([contact.unit_moment_nmm for contact in contacts]),
         length_mm=length,
         resistance_ohm=pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm),
         design=design,
@@ -92,8 +94,8 @@ def write_contact(contact: Contact, path: Path) -> None:
     write_netcdf(sample.assign(maps).assign_coords({**places, "direction": ["x", "y"]}).assign_attrs(story), path)
 
 
-def _drawn(generator: np.random.Generator, surface: SurfaceCompliance) -> Contact:
-    """A random shape, pressed and dragged somewhere."""
+def drawn_press(generator: np.random.Generator, surface: SurfaceCompliance, cells: int = CELLS) -> Contact:
+    """A random shape, pressed and dragged somewhere, on a grid of so many cells along its longer side."""
     design = surface.design
     height, (wide, deep, _) = design.unit.height_mm, design.slab_mm
     turn = generator.uniform(0.0, 180.0)
@@ -111,7 +113,7 @@ def _drawn(generator: np.random.Generator, surface: SurfaceCompliance) -> Contac
         at_mm=(wide * generator.uniform(-0.5, 0.5), deep * generator.uniform(-0.5, 0.5)),
         slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),
         friction=generator.uniform(*FRICTION),
-        cells=CELLS,
+        cells=cells,
     )
 
 

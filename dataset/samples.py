@@ -145,6 +145,7 @@ class Samples(AnySamples):
     traction_mpa: FloatArray | None = None  #: (n, rows, cols, 3): force over pad area [MPa]; z < 0 pushes down
     displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
     length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
+    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): ∫ p x, ∫ p y about each unit's middle; None of pads
     effective_length_mm: FloatArray | None = None  #: (n, rows, cols, 3): √(R V/ρ) of conduction [mm]; None by eq. 1
     strain_model: FloatArray | None = None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     error_estimate: FloatArray | None = None  #: (n,): of the displacements, relative; None if not known

@@ -117,7 +117,8 @@ def simulate_part(
     require_conducted(response)
     require_variables(only or ())
     design, n = response.design, len(numbers)
-    arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in _kept_shapes(design, only).items()}
+    shapes = _kept_shapes(design, only, settings.protocol)
+    arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in shapes.items()}
 
     def fill(start: int) -> tuple[int, int]:
         """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
@@ -144,9 +145,10 @@ def simulate_part(
     )
 
 
-def _kept_shapes(design: SensorDesign, only: Sequence[str] | None) -> dict[str, tuple[int, ...]]:
+def _kept_shapes(design: SensorDesign, only: Sequence[str] | None, protocol: str = "") -> dict[str, tuple[int, ...]]:
     """Shape of one sample of each variable that `simulate` keeps."""
-    by_design = [name for name in ARRAYS if design.electrics.is_conduction or name != "effective_length_mm"]
+    absent = {"effective_length_mm": not design.electrics.is_conduction, "moment_nmm": protocol != INDENT}
+    by_design = [name for name in ARRAYS if not absent.get(name)]
     names = [name for name in by_design if only is None or name in (*LABELS, *only)]
     return {name: VARIABLES[name].shape(design.array.rows, design.array.cols) for name in names}
 
@@ -325,18 +327,21 @@ def _block(
 
     def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         if settings.protocol == INDENT:
-            traction, displacement = pressed(waiting, attempt)
+            drawn = pressed(waiting, attempt)
         else:
             protocol, generator = PROTOCOLS[settings.protocol], np.random.default_rng([settings.seed, number, attempt])
             traction = protocol.draw(generator, len(waiting), design)
-            displacement = displacements(response, traction, protocol.axes)
-        return [traction, displacement], ~(largest_strains(displacement, design.unit) > settings.cap)
+            drawn = [traction, displacements(response, traction, protocol.axes)]
+        return drawn, ~(largest_strains(drawn[1], design.unit) > settings.cap)
 
-    (traction, displacement), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
+    (traction, displacement, *moment), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
     effective = None
     if design.electrics.is_conduction and response.conducted is not None:
         effective = conducted_lengths(response.conducted, traction * design.pad.size_mm**2)
-    return labelled(traction, displacement, effective, design, settings, readout, number * BLOCK), redrawn
+    found = labelled(traction, displacement, effective, design, settings, readout, number * BLOCK)
+    if moment:  # of contacts
+        found["moment_nmm"] = moment[0].reshape(-1, design.array.rows, design.array.cols, 2)
+    return found, redrawn
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:

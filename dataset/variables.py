@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from dataset.imperfections import OPEN_OHM
 from geometry.layout import AXES, ELECTRODES, PILLARS
 
-COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES)}
+COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES), "place": list(AXES[:2])}
 #: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 _UNIT = ("sample", "row", "col")
@@ -42,6 +42,10 @@ VARIABLES = {
     "effective_length_mm": Variable(  # of conduction alone
         (*_UNIT, "pillar"),
         {"units": "mm", "note": "that eq. 1 would need for the pillar's exact resistance, of conduction"},
+    ),
+    "moment_nmm": Variable(  # of contacts alone
+        (*_UNIT, "place"),
+        {"units": "N mm", "note": "of the pressure about the unit's middle, over its share of the top"},
     ),
     # of samples at finite strain alone
     "strain_model": Variable(

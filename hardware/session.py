@@ -27,7 +27,7 @@ from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
-    from decoupler.model.decoupler import Decoupler
+    from decoupler.touch.touch_file import AnyDecoder
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
@@ -94,7 +94,7 @@ def _await(port: str) -> None:
 @contextmanager
 def live(
     port: str,
-    model: "Decoupler | Path | str",
+    model: "AnyDecoder | Path | str",
     calibration: Path | str | None = None,
     speed: float = 1.0,
     **settings: Any,
@@ -130,12 +130,11 @@ def live(
             for scan in scans:
                 print(scan.time_s, scan.force_n[2, 3], scan.deviation_n[2, 3])
     """
-    if isinstance(model, Path | str):
-        from decoupler.model.model_file import read_model
+    from decoupler.touch.touch_file import read_model
 
-        model = read_model(Path(model))
+    decoder = read_model(Path(model)) if isinstance(model, Path | str) else model
     with connect(port, calibration, speed, **settings) as (scanner, known):
-        yield LiveSensor(scanner, model, known)
+        yield LiveSensor(scanner, decoder, known)
 
 
 def scans_within(scanner: Scanner, seconds: float = math.inf) -> Iterator[Scan | None]:
@@ -189,7 +188,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     return np.array(taken)
 
 
-def hashes_of(model: "Decoupler") -> dict[str, str]:
+def hashes_of(model: "AnyDecoder") -> dict[str, str]:
     """Hashes of the model and its design, which a recording keeps."""
     found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
     return {name: str(value) for name, value in found.items() if value}

@@ -32,7 +32,7 @@ ROOMS = {
         "methods",
         "pictures",
     ],
-    "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "export"],
+    "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "touch", "export"],
     "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "simulators", "face", "cli"],
     "studies": ["pictures", "bench", "edge_cases", "gates", "paper", "robustness"],

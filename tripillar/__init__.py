@@ -47,7 +47,7 @@ TYPE_CHECKING = False  # as of `typing`, which takes time to load: a program tak
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from dataset.stored import read_samples
-    from decoupler.model.model_file import read_model
+    from decoupler.touch.touch_file import read_model
     from geometry.design import SensorDesign
     from geometry.design_file import read_design
     from geometry.errors import TriPillarError
@@ -70,7 +70,7 @@ _NAMES_BY_HOME = {
     "geometry.errors": ["TriPillarError"],
     "dataset.samples": ["Samples"],
     "dataset.stored": ["read_samples"],
-    "decoupler.model.model_file": ["read_model"],
+    "decoupler.touch.touch_file": ["read_model"],
     "hardware.session": ["live"],
     "hardware.virtual.sensor": ["VirtualSensor"],
     "tripillar.face.bodies": ["response", "solve"],

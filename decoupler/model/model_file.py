@@ -51,7 +51,6 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
     """Write a model file with the hash of its content, whole or not at all."""
     header = {
         "format": FORMAT,
-        KEY: BLANK.decode(),
         "component": decoupler.component.name,
         "rows": decoupler.rows,
         "cols": decoupler.cols,
@@ -64,9 +63,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
         header |= stated(decoupler.uncertainty.errors)
-    arrays = {name: np.ascontiguousarray(array) for name, array in _arrays(decoupler)}
-    content = save(arrays, {HEADER: json.dumps(header)})  # one entry: safetensors shuffles several
-    write_bytes(path, *sealed(content))
+    save_file(header, decoupler, path)
 
 
 def read_model(path: Path) -> Decoupler:
@@ -76,6 +73,28 @@ def read_model(path: Path) -> Decoupler:
     ------
     FileFormatError
         If the file is missing, damaged, foreign, of an earlier version, or holds what makes no sense.
+    """
+    header, arrays = opened_file(path)
+    try:
+        decoupler = _assembled(header, arrays)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
+    try:
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            _try_out(decoupler)
+    except (ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
+        said = " ".join(str(error).split())
+        raise FileFormatError(f"{path}: its arrays do not belong together ({said}): {_MEND}.") from None
+    return decoupler
+
+
+def opened_file(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file of `save_file`.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged or foreign.
     """
     path = Path(path)
     require_intact(path, _MEND)
@@ -91,19 +110,19 @@ def read_model(path: Path) -> Decoupler:
         reason = "a folder" if path.is_dir() else "truncated or no safetensors file"
         raise FileFormatError(f"{path}: {reason}: {_MEND}.") from None
     try:
-        decoupler = _assembled(json.loads(metadata[HEADER]), arrays)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        return dict(json.loads(metadata[HEADER])), arrays
+    except (TypeError, ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
-    try:
-        with np.errstate(all="ignore"):  # what comes of it is looked at
-            _try_out(decoupler)
-    except (ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
-        said = " ".join(str(error).split())
-        raise FileFormatError(f"{path}: its arrays do not belong together ({said}): {_MEND}.") from None
-    return decoupler
 
 
-def require_same_sensor(decoupler: Decoupler, data: AnySamples, model: Path, dataset: Path) -> None:
+def save_file(header: dict[str, Any], part: Any, path: Path) -> None:
+    """Write a header and the arrays of a dataclass with the hash of their content, whole or not at all."""
+    arrays = {name: np.ascontiguousarray(array) for name, array in arrays_of(part)}
+    content = save(arrays, {HEADER: json.dumps({KEY: BLANK.decode()} | header)})  # safetensors shuffles several
+    write_bytes(path, *sealed(content))
+
+
+def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: Path) -> None:
     """Refuse data of another sensor than the model's; `model` and `dataset` are the names for the message.
 
     Raises
@@ -151,14 +170,14 @@ def _flat(table: dict[str, Any], group: str = "") -> dict[str, float | str]:
     return flat
 
 
-def _arrays(part: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
+def arrays_of(part: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
     """The arrays of a model, or of a part, with their paths; the dead pillars once, as the model's own."""
     for spec in fields(part):
         value, name = getattr(part, spec.name), f"{path}{spec.name}"
         if isinstance(value, np.ndarray) and name != "least_squares.dead":
             yield name, value
         elif is_dataclass(value) and not isinstance(value, SensorDesign | type):
-            yield from _arrays(value, f"{name}.")
+            yield from arrays_of(value, f"{name}.")
 
 
 def _try_out(decoupler: Decoupler) -> None:
@@ -169,7 +188,7 @@ def _try_out(decoupler: Decoupler) -> None:
     ValueError, IndexError, TypeError, AttributeError, AssertionError
         If a number is missing or none comes out, or arrays are missing or their shapes do not belong together.
     """
-    for name, array in _arrays(decoupler):
+    for name, array in arrays_of(decoupler):
         if array.dtype.kind not in "fib" or not np.isfinite(array).all():
             raise ValueError(f"{name} is not finite")
     rest_ohm = decoupler.rest_resistances()
@@ -217,11 +236,11 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         "least_squares.component": component,
         "least_squares.dead": dead,
     }
-    found: Decoupler = _built(Decoupler, arrays, said)
+    found: Decoupler = built_of(Decoupler, arrays, said)
     return found
 
 
-def _built(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], path: str = "") -> Any:
+def built_of(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], path: str = "") -> Any:
     """A part of a model from the arrays below its path and what the header says; parts without arrays are left out."""
     values = {}
     for name, hint in get_type_hints(kind).items():
@@ -229,5 +248,5 @@ def _built(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], path:
         if whole in arrays or whole in said:
             values[name] = arrays.get(whole, said.get(whole))
         elif is_dataclass(inner) and any(one.startswith(f"{whole}.") for one in arrays):
-            values[name] = _built(inner, arrays, said, f"{whole}.")
+            values[name] = built_of(inner, arrays, said, f"{whole}.")
     return kind(**values)

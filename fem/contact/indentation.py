@@ -103,13 +103,15 @@ class Indentation:
         whole = np.zeros((3, patch.ny, patch.nx))
         whole[-len(force) :] = force
         moved = compliance.moved_mm(whole * UP)
+        loads = patch.unit_loads(whole, self.design.array)
         contact = Contact(
             **{one.name: getattr(self, one.name) for one in fields(Indentation)},
             patch=patch,
             cell_force_n=whole,
             displacement_mm=moved,
             gap_mm=self.heights_mm(patch, past) - moved[2],
-            force_n=patch.unit_forces(whole, self.design),
+            force_n=loads[..., :3],
+            unit_moment_nmm=loads[..., 3:],
             electrode_mm=compliance.electrodes_mm(whole * UP),
         )
         return contact, touched
@@ -127,6 +129,7 @@ class Contact(Indentation):
     displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
     gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
     force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
+    unit_moment_nmm: FloatArray  #: (rows, cols, 2): of the pressure on it about its middle, as of `Patch.unit_loads`
     electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes along x, y, z
     error_estimate: float = np.inf  #: relative error of the units' forces, as a norm over all of them
     electrode_error_estimate: float = np.inf  #: the same of the electrodes' displacements

@@ -7,7 +7,7 @@ upper electrodes come likewise from a table of the layer and the difference. `Pa
 grid of one contact.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
 from fem.tetrahedra.mixed import taylor_hood
-from geometry.design import Material, Pad, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -36,6 +36,7 @@ ROUND = 8.0  #: heights beyond the array after which the endless one repeats its
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
 FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
@@ -55,6 +56,21 @@ class SurfaceCompliance:
     @property
     def tile_mm(self) -> float:
         return self.design.slab_mm[0] / self.on_tiles.shape[2]
+
+    def on_grid(self, nx: int, ny: int) -> FloatArray:
+        """Displacement of the upper electrodes by a force on each cell of a grid over the whole top [mm/N].
+
+        Shape (ny, nx, 3, rows·cols·n_upper·3), float32: forces along x, y, z up; cells row by row from the lowest x, y.
+        """
+        x, y, _ = self.design.slab_mm
+        fine = Patch((-x / 2, -y / 2), (x / 2, y / 2), PARTS * nx, PARTS * ny)
+        whole = PatchCompliance(self, fine)
+        rest = self.on_electrodes.reshape(-1, *self.on_electrodes.shape[-3:])
+        found = np.einsum("yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True)
+        found = found.astype(np.float32).reshape(ny, nx, 3, -1, 3)
+        for number, (sy, kernel, sx) in enumerate(whole.electrode_kernels()):
+            found[:, :, :, number] += np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
+        return found.reshape(ny, nx, 3, -1)
 
 
 def surface_compliance(
@@ -232,15 +248,24 @@ class Patch:
         """Middles of the cells along y, (ny,)."""
         return np.asarray(self.low_mm[1] + (np.arange(self.ny) + 0.5) * self.cell_mm[1], np.float64)
 
-    def unit_forces(self, force_n: FloatArray, design: SensorDesign) -> FloatArray:
-        """Force on each unit's share of the top, pitch × pitch, (rows, cols, 3) [N]; cells on a border are divided."""
-        counts, shares = (design.array.cols, design.array.rows), []
-        for low, high, n, count in zip(self.low_mm, self.high_mm, (self.nx, self.ny), counts, strict=True):
+    def unit_loads(self, force_n: FloatArray, array: Array) -> FloatArray:
+        """Load on each unit's share of the top, pitch × pitch, (rows, cols, 5); cells on a border are divided.
+
+        The force along x, y, z [N], and the moments of z about the share's middle, ∫ p (x − x₀) and ∫ p (y − y₀)
+        [N mm].
+        """
+        sides = []
+        for low, high, n, count in zip(
+            self.low_mm, self.high_mm, (self.nx, self.ny), (array.cols, array.rows), strict=True
+        ):
             ends = np.linspace(low, high, n + 1)
-            borders = (np.arange(count + 1) - count / 2) * design.array.pitch_mm
+            borders = (np.arange(count + 1) - count / 2) * array.pitch_mm
             inside = np.clip(ends[:, None], borders[:-1], borders[1:])
-            shares.append(np.diff(inside, axis=0) / np.diff(ends)[:, None])
-        return (shares[1].T @ force_n @ shares[0]).transpose(1, 2, 0)
+            share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
+            sides.append((share, share * ((inside[1:] + inside[:-1]) / 2 - (borders[:-1] + borders[1:]) / 2)))
+        (sx, mx), (sy, my) = sides
+        moments = sy.T @ force_n[2] @ mx, my.T @ force_n[2] @ sx
+        return np.concatenate([sy.T @ force_n @ sx, moments]).transpose(1, 2, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,19 +304,21 @@ class PatchCompliance:
 
     def _electrodes_of_layer(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the electrodes of the endless layer, (n_units·n_upper, 3), from the table."""
+        return np.stack([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in self.electrode_kernels()])
+
+    def electrode_kernels(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Of each electrode: shares of the patch's rows in nodes of the table, what forces there do, and of columns.
+
+        Shapes (ny, n), (n, m, 3, 3) [mm/N], displacement first, and (nx, m).
+        """
         surface, patch = self.surface, self.patch
         squares = electrode_squares(surface.design)
-        middles = (squares[:, :2] + squares[:, 2:]) / 2
         stride = max(1, int(min(patch.cell_mm) / surface.step_mm))  # no finer than the grid
         table, step = surface.table[::stride, ::stride], surface.step_mm * stride
-        found = np.empty((len(middles), 3))
-        for number, (x, y) in enumerate(middles):
+        for x, y in (squares[:, :2] + squares[:, 2:]) / 2:
             (at_x, sx), (at_y, sy) = _tabled(patch.x_mm, x, step), _tabled(patch.y_mm, y, step)
-            gathered = sy.T @ force_n @ sx  # (3, nodes along y, nodes along x)
             signs = np.where(at_x[:, None] < 0, MIRROR_X, 1.0) * np.where(at_y[:, None, None] < 0, MIRROR_Y, 1.0)
-            kernel = table[np.abs(at_y)[:, None], np.abs(at_x)]
-            found[number] = np.einsum("yxa,yxab,yxb,byx->a", signs, kernel, signs, gathered, optimize=True)
-        return found
+            yield sy, signs[..., :, None] * table[np.abs(at_y)[:, None], np.abs(at_x)] * signs[..., None, :], sx
 
     def _on_tiles(self, force_n: FloatArray) -> FloatArray:
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
@@ -299,11 +326,11 @@ class PatchCompliance:
     @cached_property
     def _columns(self) -> tuple[FloatArray, slice]:
         """Shares of the patch's columns in columns of tiles, and which tiles these are."""
-        return _shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm, self.degree)
+        return shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm, self.degree)
 
     @cached_property
     def _rows(self) -> tuple[FloatArray, slice]:
-        return _shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
+        return shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
 
     @cached_property
     def _near(self) -> FloatArray:
@@ -313,7 +340,7 @@ class PatchCompliance:
         return part.reshape(int(np.prod(part.shape[:3])), -1)
 
 
-def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, slice]:
+def shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, slice]:
     """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and which m tiles.
 
     The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A row that is
@@ -329,6 +356,11 @@ def _shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> t
     shares, own = np.zeros((len(at), stop - start)), first[:, None] - start + np.arange(degree + 1)
     shares[np.arange(len(at))[:, None], own] = powers @ lagrange[1:] @ np.tri(degree + 2, degree + 1, -1)
     return shares, slice(start, stop)
+
+
+def _spread(shares_of_parts: FloatArray) -> FloatArray:
+    """Shares of cells, of those of the middles of their parts."""
+    return np.asarray(shares_of_parts.reshape(-1, PARTS, shares_of_parts.shape[1]).mean(axis=1))
 
 
 def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np.ndarray, FloatArray]:

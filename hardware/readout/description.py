@@ -13,7 +13,7 @@ from hardware.readout.wrench import SIGNS, pad_positions
 from hardware.recording.topics import plain_numbers
 
 if TYPE_CHECKING:
-    from decoupler.model.decoupler import Decoupler
+    from decoupler.touch.touch_file import AnyDecoder
 
 FRAME = "tripillar"  #: name of the frame of the touched surface
 UNITS = {"force": "N", "moment": "N mm", "length": "mm", "resistance": "ohm", "time": "s"}
@@ -88,7 +88,7 @@ class SensorDescription:
         }
 
 
-def describe(model: "Decoupler", info: Info) -> SensorDescription:
+def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
     """The sensor on a board, as a model knows it."""
     rows, cols, axes, pillars = model.rows, model.cols, model.component.axes, model.component.pillars
     shape, unknown = (rows, cols, len(PILLARS)), np.full((rows, cols, len(PILLARS)), np.nan)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
-    from decoupler.model.decoupler import Decoupler
+    from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
@@ -47,7 +47,7 @@ class Forces:
     stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
     device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
-    model: "Decoupler | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
@@ -139,7 +139,7 @@ class ForceReader:
     ----------
     info : Info
         Of the board.
-    model : Decoupler
+    model : Decoupler or TouchDecoder
         Trained for this array; its design says what the sensor shows at rest.
     calibration : SensorCalibration, optional
         Of this very sensor; without one it is taken to be as designed.
@@ -154,7 +154,7 @@ class ForceReader:
     """
 
     def __init__(
-        self, info: Info, model: "Decoupler", calibration: SensorCalibration | None = None, crosstalk: bool = True
+        self, info: Info, model: "AnyDecoder", calibration: SensorCalibration | None = None, crosstalk: bool = True
     ) -> None:
         if (model.rows, model.cols) != (info.rows, info.cols):
             raise FileFormatError(
@@ -188,8 +188,9 @@ class ForceReader:
     def fault_test(self) -> "FaultTest | None":
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
+        from decoupler.model.decoupler import Decoupler
 
-        return None if self._uncertain is None else FaultTest.of(self._uncertain)
+        return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
 
     def _require_fit(self) -> None:
         calibration, model = self.calibration, self.model
@@ -232,7 +233,7 @@ class LiveSensor:
     ----------
     scanner : Scanner
         Entered.
-    model : Decoupler
+    model : Decoupler or TouchDecoder
         Trained for this array.
     calibration : SensorCalibration
         Of this sensor.
@@ -243,7 +244,7 @@ class LiveSensor:
         If board, model and calibration do not belong together.
     """
 
-    def __init__(self, scanner: Scanner, model: "Decoupler", calibration: SensorCalibration) -> None:
+    def __init__(self, scanner: Scanner, model: "AnyDecoder", calibration: SensorCalibration) -> None:
         self.scanner, self.model = scanner, model
         self._reader = ForceReader(scanner.info, model, calibration)
         self._window: list[FloatArray] = []
@@ -290,7 +291,7 @@ class LiveSensor:
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
     recording: Recording,
-    model: "Decoupler",
+    model: "AnyDecoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
 ) -> Forces:
@@ -299,7 +300,7 @@ def replay(
     Parameters
     ----------
     recording : Recording
-    model : Decoupler
+    model : Decoupler or TouchDecoder
         Trained for this array.
     calibration : SensorCalibration, optional
         Used instead of the one that the recording holds.

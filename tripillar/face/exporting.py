@@ -10,11 +10,12 @@ from geometry.design import SensorDesign
 from geometry.errors import ArgumentError, DesignError
 from geometry.storage.files import write_bytes
 from tripillar.face.caller import Caller, current
-from tripillar.face.inputs import File, ModelLike, model_of, require_there, to_write
+from tripillar.face.inputs import File, ModelLike, pads_model_of, require_there, to_write
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.model.decoupler import Decoupler
+    from decoupler.touch import TouchDecoder
     from decoupler.twin.identification import Twin
     from fem.array.response import ArrayResponse
     from hardware.recording import Recording
@@ -106,7 +107,7 @@ def _model_written(
         raise DesignError("a model needs out=FILE that ends in .onnx or .h.")
     from decoupler.export import export_model
 
-    exported = export_model(model_of(model), file, precision)
+    exported = export_model(pads_model_of(model, "export"), file, precision)
     checked = f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
     said = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
     caller.answer(lambda: {"file": str(file), **asdict(exported)}, said, file)
@@ -155,7 +156,7 @@ def damage(path: Path, recorded: "Recording") -> str:
     return f"warning: {path}: {said}" if said else ""
 
 
-def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", path: Path | str) -> None:
+def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | TouchDecoder | Twin", path: Path | str) -> None:
     """Write a file, whole or not at all.
 
     Parameters
@@ -189,6 +190,7 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", pa
     from decoupler.export import export_model
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import write_model
+    from decoupler.touch import TouchDecoder, write_touch
     from decoupler.twin.identification import Twin
     from decoupler.twin.twin_file import most_probable, write_twin
     from fem.array.response import ArrayResponse, write_response
@@ -208,6 +210,8 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | Twin", pa
             raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")
         write_model(thing.decoder, decoder)
         write_twin(thing, path, decoder)
+    elif isinstance(thing, TouchDecoder):
+        write_touch(thing, path)
     elif not isinstance(thing, Decoupler):
         raise ArgumentError(
             f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."

@@ -19,8 +19,8 @@ from tripillar.face.inputs import (
     Protocol,
     SamplesLike,
     design_of,
-    model_of,
     name_of,
+    pads_model_of,
     require_above_0,
     require_there,
     samples_of,
@@ -197,7 +197,9 @@ def identify(
         if pairs > len(read):
             raise DesignError(f"pairs={pairs} must be at most {len(read)}: there are no more.")
         read = read[:pairs]
-    at_finite = model_of(model) if model is not None else None if finite is None else samples_of(finite, False)
+    at_finite = (
+        pads_model_of(model, "identify") if model is not None else None if finite is None else samples_of(finite, False)
+    )
     found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force, caller)
     result: dict[str, Any] = {
         "pairs": found.n_pairs,

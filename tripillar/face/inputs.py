@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.model.decoupler import Decoupler
+    from decoupler.touch import AnyDecoder
     from fem.array.response import ArrayResponse
     from fem.scene.scene import Scene
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     DesignLike = SensorDesign | File
     SamplesLike = AnySamples | File
     PairsLike = AnySamples | Pairs | File
-    ModelLike = Decoupler | File
+    ModelLike = AnyDecoder | File
     SceneLike = Scene | File
     BodyLike = SensorDesign | Scene | File
 else:
@@ -54,13 +55,23 @@ def samples_of(source: "SamplesLike", labels_only: bool = True) -> "AnySamples":
     return read_samples(Path(source), labels_only=labels_only)
 
 
-def model_of(source: "ModelLike") -> "Decoupler":
+def model_of(source: "ModelLike") -> "AnyDecoder":
     """A model, or that of a file."""
     if not isinstance(source, Path | str):
         return source
-    from decoupler.model.model_file import read_model
+    from decoupler.touch.touch_file import read_model
 
     return read_model(Path(source))
+
+
+def pads_model_of(source: "ModelLike", what: str) -> "Decoupler":
+    """A model of loads on pads; one of touch is refused."""
+    from decoupler.model.decoupler import Decoupler
+
+    model = model_of(source)
+    if not isinstance(model, Decoupler):
+        raise DesignError(f"{name_of(source, 'model')} is a decoder of touch: {what} takes a model of loads on pads.")
+    return model
 
 
 def response_of(design: SensorDesign, response: "ArrayResponse | None" = None) -> "ArrayResponse":

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.crossval import Fold
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import NetworkConfig, TrainingConfig
+    from decoupler.touch import TouchDecoder
     from fem.array.response import ArrayResponse
 
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -42,15 +43,17 @@ Component = Literal["fz", "fx", "fy", "all"]
 Net = Literal["plain", "skip"]
 Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
+TOUCH_READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: readings of touch where data say nothing else
 GOAL = Parameter(name="--goal")
 ITERATIONS = Parameter(name="--iterations")
 DATA = "a data set of 'tripillar dataset', or measured samples"
 
 
 def train(
-    data: SeveralSamples,
+    data: Annotated[SeveralSamples | None, Parameter(required=False)],
     component: Component | None = None,
     *,
+    touch: bool = False,
     out: Annotated[File | None, Parameter(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
@@ -63,16 +66,18 @@ def train(
     response: Response | None = None,
     force: bool = False,
     **settings: Any,
-) -> "Decoupler":
-    """Train a network that turns resistances into forces.
+) -> "Decoupler | TouchDecoder":
+    """Train a network that turns resistances into forces; or make a decoder of touches on bare rubber.
 
     Parameters
     ----------
     data : Samples, StoredSamples or path, or several
-        Data set to train on; several of one sensor, linear and at finite strain, count as one. Leave samples for tests
-        out; of more than 20,000 a random draw is learned from.
+        Data set to train on, not with touch; several of one sensor, linear and at finite strain, count as one. Leave
+        samples for tests out; of more than 20,000 a random draw is learned from.
     component : str, optional
         Forces that the network tells, along one axis or all; default: those that act.
+    touch : bool
+        Make a decoder of whatever presses on bare rubber, from presses that are solved for the design: 4 minutes, once.
     out : path, optional
         Model file to write (.safetensors).
     net : str
@@ -102,7 +107,7 @@ def train(
 
     Returns
     -------
-    Decoupler
+    Decoupler or TouchDecoder
         ``forces(resistance_ohm)`` gives forces [N], ``half_widths(resistance_ohm)`` those [N] that hold
         68 % and 95 % of their errors.
 
@@ -129,6 +134,12 @@ def train(
     True
     """
     caller = current()
+    if touch:
+        if data is not None or component is not None or response is not None:
+            raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
+        return _touch_decoder(design_of(design), to_write("out", out, ".safetensors", read=(design,)), caller)
+    if data is None:
+        raise DesignError("give data=, samples to train on; or touch=True.")
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     require_there(*sources, what=DATA)
     out = to_write("out", out, ".safetensors", read=(*sources, design))
@@ -164,6 +175,25 @@ def train(
     text = f"{outcome['iterations']} iterations in {seconds:.1f} s to mse {outcome['mse']:.2e} ({outcome['reason']})"
     caller.answer(result, text, *([] if out is None else [out]))
     return model
+
+
+def _touch_decoder(design: SensorDesign, out: Path | None, caller: Caller) -> "TouchDecoder":
+    """A decoder of touches; its library comes from the cache or is made."""
+    from dataset.measurement import ReadingError
+    from decoupler.touch import TouchDecoder, touch_library, write_touch
+    from decoupler.touch.presses import PRESSES
+    from fem.contact.surface import require_bare
+
+    require_bare(design)
+    advance = caller.bars.begin("presses", total=PRESSES)
+    library, _, reused = touch_library(design, PRESSES, lambda done: advance(done, ""))
+    decoder = TouchDecoder(design=design, errors=ReadingError(**TOUCH_READ), library=library)
+    if out is not None:
+        write_touch(decoder, out)
+    result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
+    text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
+    caller.answer(lambda: result | {"seconds": caller.bars.seconds()}, text, *([] if out is None else [out]))
+    return decoder
 
 
 def evaluate(
@@ -250,12 +280,15 @@ def evaluate(
     assert model is not None
     from decoupler import assess, require_same_sensor
     from decoupler.evaluation.assessment import as_plain
+    from decoupler.touch import TouchDecoder
     from tripillar.face.checks import warn_of_test
     from tripillar.face.tables import assessment_table
 
     named = name_of(model, "model")
     decoupler, samples = model_of(model), samples_of(data)
     require_same_sensor(decoupler, samples, Path(named), Path(name))
+    if isinstance(decoupler, TouchDecoder):
+        return _assessed_touch(decoupler, data, caller)
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
@@ -265,6 +298,19 @@ def evaluate(
     _mention_untrusted(decoupler, caller)
     caller.answer(lambda: as_plain(assessed), lambda: [assessment_table(assessed)])
     return assessed
+
+
+def _assessed_touch(decoder: "TouchDecoder", data: SamplesLike, caller: Caller) -> "dict[str, Assessment]":
+    """Errors of a touch decoder: of units, of the net force and of its place."""
+    from dataset import in_memory
+    from decoupler.touch import assess_touch
+    from tripillar.face.tables import assessed_touch_tables
+
+    samples = in_memory(samples_of(data, labels_only=False))
+    advance = caller.bars.begin("touches", total=len(samples))
+    found = assess_touch(decoder, samples, lambda done: advance(done, ""))
+    caller.answer(found.plain, lambda: assessed_touch_tables(found))
+    return found.by_force
 
 
 class NetworkSettings(NamedTuple):

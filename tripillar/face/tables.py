@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.assessment import Assessment
     from decoupler.evaluation.crossval import Fold
     from decoupler.evaluation.metrics import ForceErrors
+    from decoupler.touch import TouchAssessment
     from fem.contact import Contact
     from fem.scene.solution import Solution
     from tripillar.pipeline.comparison import Comparison
@@ -118,6 +119,17 @@ def assessment_table(assessed: "Mapping[str, Assessment]") -> Table:
             table.add_row("", "this model under 0-10 N on one pad", "", f"{light.touch_rmse_n:.3f}", "", times)
         table.add_section()
     return table
+
+
+def assessed_touch_tables(found: "TouchAssessment") -> list[Table]:
+    """Errors of a touch decoder: of units by force, then of the net force, its place and the units that are loaded."""
+    table = _headed(("of all contacts",), ("value",))
+    table.add_row("median error of the net Fz", f"{found.net_fz_median_pct:.1f}%")
+    table.add_row(r"median error of the centre of pressure \[mm]", f"{found.centre_mm:.2f}")
+    one, two = found.loaded_coverage
+    table.add_row(r"RMSE of Fz on units that carry over 1 N \[N]", f"{found.loaded_rmse_n:.2f}")
+    table.add_row("their errors within the 68 % and 95 % deviation", f"{one:.1%} and {two:.1%}")
+    return [assessment_table(found.by_force), table]
 
 
 def _coverage(assessed: "Mapping[str, Assessment]") -> str:

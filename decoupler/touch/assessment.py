@@ -1,0 +1,94 @@
+"""Errors of a touch decoder on contacts: of units, of the net force, of the place, and how far its deviations hold."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dataset.samples import Samples
+from decoupler.evaluation.assessment import Assessment
+from decoupler.evaluation.metrics import component_errors
+from decoupler.touch.decoder import WIDTHS, TouchDecoder
+from geometry.layout import FloatArray, unit_centres
+from geometry.threads import one_blas_thread
+
+LOADED_N = 1.0  #: force of a unit from which on it is loaded
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchAssessment:
+    """Errors of a touch decoder."""
+
+    by_force: dict[str, Assessment]  #: of units, by force
+    net_fz_median_pct: float  #: median relative error of the net force along z
+    centre_mm: float  #: median distance of the centre of pressure from the true one
+    loaded_rmse_n: float  #: of Fz on units that carry over `LOADED_N`
+    loaded_coverage: tuple[float, float]  #: shares of these errors within the 68 % and the 95 % half-width
+
+    def plain(self) -> dict[str, Any]:
+        """The same as JSON has it."""
+        found = {name: asdict(one) for name, one in self.by_force.items()}
+        return {name: one.pop("errors") | one for name, one in found.items()} | {
+            "net": {"fz_median_pct": self.net_fz_median_pct, "centre_mm": self.centre_mm},
+            "loaded": {"fz_rmse_n": self.loaded_rmse_n, "coverage": list(self.loaded_coverage)},
+        }
+
+
+@one_blas_thread()
+def assess_touch(
+    decoder: TouchDecoder, data: Samples, progress: Callable[[int], None] = lambda done: None
+) -> TouchAssessment:
+    """Assess a touch decoder on contacts that it has not seen, read as the data state.
+
+    Raises
+    ------
+    SampleError
+        As `TouchDecoder.reading` does.
+    """
+    reader = decoder if data.errors.is_exact else replace(decoder, errors=data.errors)
+    touches = []
+    for reading in reader.reading(data.resistance_ohm):
+        touches.append(reader.touched(reading))
+        progress(1)
+    units = decoder.rows * decoder.cols
+    true_n = data.force_n.reshape(len(data), units, 3)
+    found_n = np.stack([each.force_n for each in touches])
+    deviation_n = np.stack([each.deviation_n for each in touches])
+    moments = np.stack([each.moment_nmm for each in touches])
+    missed = np.abs(found_n - true_n)
+    within = [missed <= width * deviation_n for width in WIDTHS]
+    errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
+    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "light": None}
+    by_force = {
+        name: Assessment(
+            errors=one, coverage=(float(within[0][..., k].mean()), float(within[1][..., k].mean())), **nothing
+        )
+        for k, (name, one) in enumerate(errors.items())
+    }
+    net_n, true_net_n = found_n[..., 2].sum(axis=1), true_n[..., 2].sum(axis=1)
+    pressed = true_net_n > 0
+    places = unit_centres(decoder.design)
+    known = data.moment_nmm
+    centres = _centres(found_n[..., 2], places, moments if known is not None else 0.0 * moments)
+    true_centres = _centres(
+        true_n[..., 2], places, np.zeros_like(moments) if known is None else known.reshape(moments.shape)
+    )
+    loaded = true_n[..., 2] > LOADED_N
+    return TouchAssessment(
+        by_force=by_force,
+        net_fz_median_pct=_median(100.0 * np.abs(net_n / np.where(pressed, true_net_n, 1.0) - 1.0)[pressed]),
+        centre_mm=_median(np.linalg.norm(centres - true_centres, axis=1)[pressed]),
+        loaded_rmse_n=float(np.sqrt((missed[..., 2][loaded] ** 2).mean())) if loaded.any() else 0.0,
+        loaded_coverage=tuple(float(each[..., 2][loaded].mean()) if loaded.any() else 1.0 for each in within),  # type: ignore[arg-type]
+    )
+
+
+def _centres(pressing_n: FloatArray, places_mm: FloatArray, moment_nmm: FloatArray) -> FloatArray:
+    """Centres of pressure (n, 2) [mm] of units' forces (n, units) and moments about their middles (n, units, 2)."""
+    total = np.maximum(pressing_n.sum(axis=1), 1e-9)[:, None]
+    return np.asarray(((pressing_n[..., None] * places_mm).sum(axis=1) + moment_nmm.sum(axis=1)) / total)
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0

@@ -1,0 +1,257 @@
+"""Forces of whatever presses: presses of a library fitted to a scan, weighed with the nearest ones' forces."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from dataset.measurement import ReadingError
+from dataset.resistance import rest_resistances
+from dataset.samples import SampleError
+from decoupler.data.columns import COMPONENTS, Component, Scaling
+from decoupler.touch.morph import PRIOR, Fit, Part, Sensing, fitted
+from decoupler.touch.presses import TouchLibrary
+from decoupler.touch.regression import NEAREST, Regression
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pillar_volumes
+
+STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
+STEPS = 4
+CONSIDERED = 400  #: nearest rows among which starts are sought
+SHARE = 0.8  #: of the fitted presses in the answer, beside the nearest ones' forces
+OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
+SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
+SECOND_STARTS = 4
+FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
+NEWEST = 512  #: scans whose answers are kept
+TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
+OF_FORCE, OF_LARGEST, LEAST_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
+AT_REST = 1e-3  #: share of scans at rest that are taken for a touch
+HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
+WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: these have wider tails than normal ones
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touched:
+    """What acts on a sensor, from one scan."""
+
+    force_n: FloatArray  #: (units, 3)
+    deviation_n: FloatArray  #: (units, 3)
+    factors_n: FloatArray  #: (units·3, m): independent errors of the forces; their squares add up
+    moment_nmm: FloatArray  #: (units, 2): of the pressure about each unit's middle
+    chi2: float  #: of the best fit over the number of readings; of rest, at rest
+    fits: tuple[Fit, ...] = ()  #: none at rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchDecoder:
+    """A decoder of touches on bare rubber; never changed, only used."""
+
+    design: SensorDesign
+    errors: ReadingError
+    library: TouchLibrary
+    made_from: dict[str, Any] = field(default_factory=dict)
+
+    dead = ensemble = usual = inverse = load_test = least_squares = uncertainty = posterior = None
+    is_identified, knows_uncertainty = False, True
+
+    @property
+    def rows(self) -> int:
+        return self.design.array.rows
+
+    @property
+    def cols(self) -> int:
+        return self.design.array.cols
+
+    @property
+    def component(self) -> Component:
+        return COMPONENTS["all"]
+
+    @property
+    def reading_noise(self) -> float:
+        return self.errors.own_relative
+
+    @property
+    def design_hash(self) -> str:
+        from geometry.storage.files import digest
+
+        return digest(self.design)
+
+    @property
+    def output_scaling(self) -> Scaling:
+        """Centre 0 and the largest forces of the library."""
+        largest = np.abs(self.library.unit[:, :, :3]).max(axis=(0, 1)).astype(float)
+        n = self.rows * self.cols
+        return Scaling(np.zeros(3 * n), np.tile(largest, n).astype(float))
+
+    @cached_property
+    def sensing(self) -> Sensing:
+        return Sensing(grid=self.library.grid, design=self.design)
+
+    @cached_property
+    def mm2_per_ohm(self) -> FloatArray:
+        """Squared length of a pillar over its resistance, (m,)."""
+        own = pillar_volumes(self.design.unit) / self.design.resistivity_ohm_mm
+        return np.tile(own, self.rows * self.cols)
+
+    @cached_property
+    def rest_mm2(self) -> FloatArray:
+        """Squared lengths at rest, (m,)."""
+        return np.tile((self.sensing.rest_mm**2).sum(axis=1), self.rows * self.cols)
+
+    @cached_property
+    def regression(self) -> Regression:
+        return Regression(
+            reading=self.sensing.reading(self.library.moved_mm.astype(float)).astype(np.float32),
+            unit=self.library.unit.astype(np.float32),
+            scale_mm2=2.0 * self.design.unit.height_mm,
+            noise=self._deviation(np.zeros(len(self.rest_mm2))),
+        )
+
+    def rest_resistances(self) -> FloatArray:
+        """Resistances (rows, cols, 3) [Ω] as designed, with nothing on the sensor."""
+        return np.broadcast_to(rest_resistances(self.design), (self.rows, self.cols, 3))
+
+    def read_by(self, noise: float) -> "TouchDecoder":
+        """The same decoder for readings that err by so much."""
+        return replace(self, errors=replace(self.errors, noise=noise))
+
+    def reading(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, 3) [Ω] show.
+
+        Raises
+        ------
+        SampleError
+            If the array is another size than the decoder's, or a resistance is not finite or not above 0.
+        """
+        ohms = np.asarray(resistance_ohm, dtype=float)
+        if ohms.shape[1:] != (self.rows, self.cols, 3):
+            raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {self.rows}, {self.cols}, 3).")
+        if not (np.isfinite(ohms) & (ohms > 0)).all():
+            raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
+        return ohms.reshape(len(ohms), -1) * self.mm2_per_ohm - self.rest_mm2
+
+    def _deviation(self, reading: FloatArray) -> FloatArray:
+        return self.errors.deviation((reading + self.rest_mm2) / self.mm2_per_ohm) * self.mm2_per_ohm
+
+    def quick(self, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Forces and moments (units, 5) under a reading (m,) and their deviations, from the nearest presses alone."""
+        regression = self.regression
+        return regression.answer(reading, regression.nearest(reading, NEAREST))
+
+    def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
+        """What acts, from one reading (m,) [mm²]; `last` is what acted a scan before, if it is known."""
+        own = self._deviation(reading)
+        at_rest = float((reading / own) @ (reading / own))
+        if at_rest < chdtri(len(reading), AT_REST):
+            return self._resting(at_rest / len(reading))
+        regression = self.regression
+        rows = regression.nearest(reading, CONSIDERED)
+        near, near_deviation = regression.answer(reading, rows[:NEAREST])
+        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
+        fits = self._fits(reading, deviation, rows, last)
+        costs = np.array([fit.cost for fit in fits])
+        weights = np.exp((costs.min() - costs) / TEMPER)
+        weights /= weights.sum()
+        answers = [fit.forces() for fit in fits]
+        morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
+        touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
+        blend = SHARE * morphed + (1.0 - SHARE) * near
+        force = touching * blend[:, :3]
+        by_fits = [np.sqrt(SHARE * w) * root for w, (_, root) in zip(weights, answers, strict=True)]
+        apart = [np.sqrt(SHARE * w) * (each - morphed)[:, :3] for w, (each, _) in zip(weights, answers, strict=True)]
+        apart += [np.sqrt(SHARE * (1.0 - SHARE)) * (morphed - near)[:, :3], np.sqrt(1.0 - touching) * blend[:, :3]]
+        factors = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
+        floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + LEAST_N**2)
+        alone = np.sqrt(floor**2 + (1.0 - SHARE) * near_deviation[:, :3] ** 2 + (1.0 - touching) * self.hidden_n**2)
+        return Touched(
+            force_n=force,
+            deviation_n=np.sqrt((factors**2).sum(axis=1).reshape(-1, 3) + alone**2),
+            factors_n=np.column_stack([factors, np.diag(alone.ravel())]),
+            moment_nmm=touching * blend[:, 3:],
+            chi2=min(fit.chi2 for fit in fits) / len(reading),
+            fits=tuple(fits),
+        )
+
+    def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any, last: Touched | None) -> list[Fit]:
+        """The best fits of one contact, and of two where one does not explain the reading."""
+        nothing = np.zeros((1, len(PRIOR)))
+        first = [fitted(reading, deviation, [part], nothing, 1) for part in self._starts(rows, STARTS)]
+        best = sorted(first, key=lambda fit: fit.cost)[:KEPT]
+        fits = [fitted(reading, deviation, fit.parts, fit.q, STEPS) for fit in best]
+        one = min(fits, key=lambda fit: fit.cost)
+        if one.chi2 > SECOND * len(reading):
+            left = reading - self.sensing.reading(one.moved_mm[None])[0]
+            for part in self._starts(self.regression.nearest(left, CONSIDERED), SECOND_STARTS):
+                two = fitted(reading, deviation, [*one.parts, part], np.vstack([one.q, nothing]), STEPS)
+                if two.cost + SECOND_COST < one.cost:
+                    fits.append(replace(two, cost=two.cost + SECOND_COST))
+        return fits
+
+    def _starts(self, rows: Any, count: int) -> list[Part]:
+        """The presses of the nearest rows, each once, as their rows have them."""
+        library, seen, found = self.library, set[int](), list[Part]()
+        for row in rows:
+            if (press := int(library.source[row])) not in seen:
+                seen.add(press)
+                symmetry, *shift = library.how[row]
+                found.append(Part.of(self.sensing, *library.presses.turned(press, int(symmetry), np.array(shift))))
+                if len(found) == count:
+                    break
+        return found
+
+    @cached_property
+    def hidden_n(self) -> FloatArray:
+        """Deviation of the force on each unit (units, 3) [N] by a touch that is not told from rest.
+
+        Half of what 95 % of the library's presses on the unit have at most when they are as light as that.
+        """
+        readings, units = self.regression.reading, self.regression.unit[:, :, :3].astype(float)
+        seen = ((readings / self.regression.noise) ** 2).sum(axis=1)
+        scale = np.sqrt(HIDDEN / np.maximum(seen, 1e-9))
+        top = units[:, :, 2].argmax(axis=1)
+        found = np.empty(units.shape[1:])
+        for unit in range(len(found)):
+            own = top == unit if (top == unit).any() else np.ones(len(top), dtype=bool)
+            found[unit] = np.quantile(np.abs(units[own, unit]) * scale[own, None], 0.95, axis=0) / WIDTHS[1]
+        return found
+
+    def _resting(self, chi2: float) -> Touched:
+        n = len(self.rest_mm2) // 3
+        return Touched(
+            force_n=np.zeros((n, 3)),
+            deviation_n=self.hidden_n,
+            factors_n=np.diag(self.hidden_n.ravel()),
+            moment_nmm=np.zeros((n, 2)),
+            chi2=chi2,
+        )
+
+    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
+        """What acts in each scan (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
+        return [self._newest(reading.tobytes()) for reading in self.reading(resistance_ohm)]
+
+    @cached_property
+    def _newest(self) -> Callable[[bytes], Touched]:
+        """What acts, by a reading's bytes; the newest scans are kept, since deviations are asked for after forces."""
+        return lru_cache(NEWEST)(lambda reading: self.touched(np.frombuffer(reading)))
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
+        return self._shaped([each.force_n for each in self.touches(resistance_ohm)])
+
+    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
+        deviation = self._shaped([each.deviation_n for each in self.touches(resistance_ohm)])
+        return WIDTHS[0] * deviation, WIDTHS[1] * deviation
+
+    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths of `forces` and the covariance (n, m, m) of sums of them, weights (rows·cols·3, m)."""
+        found = self.touches(resistance_ohm)
+        sums = [weights.T @ each.factors_n for each in found]
+        return WIDTHS[0] * self._shaped([each.deviation_n for each in found]), np.stack([s @ s.T for s in sums])
+
+    def _shaped(self, values: list[FloatArray]) -> FloatArray:
+        return np.array(values).reshape(len(values), self.rows, self.cols, 3)

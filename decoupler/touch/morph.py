@@ -1,0 +1,191 @@
+"""Presses of the library, changed until they explain a scan: damped Gauss-Newton on nine numbers a contact.
+
+The numbers q are the logarithm of the amplitude, the place along x and y, the logarithms of the stretches along x and
+y, the turn, drag added as a share of the pressure along x and y, and the logarithm of a factor on the shear.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from decoupler.touch.presses import UPWARDS, Grid
+from geometry.design import SensorDesign
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
+
+#: standard deviations of q before a scan is seen; of places in heights
+PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
+STEP = PRIOR / np.array([35, 30, 30, 10, 10, 10, 12, 12, 10])  #: of one-sided differences
+POINTS = 12  #: along each side of a patch, at which its forces act at most
+INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, their forces taken away
+DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
+MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensing:
+    """How a sensor's pillars read displacements of their electrodes."""
+
+    grid: Grid
+    design: SensorDesign
+
+    @cached_property
+    def rest_mm(self) -> FloatArray:
+        """Pillars at rest, (3 pillars, 3)."""
+        bottom, top = pillar_ends(self.design.unit).transpose(1, 0, 2)
+        return np.asarray(top - bottom)
+
+    def reading(self, moved_mm: FloatArray) -> FloatArray:
+        """Changes of the pillars' squared lengths (n, 3 units) [mm²] by displacements (n, e) of electrodes [mm]."""
+        tops = moved_mm.reshape(len(moved_mm), -1, 2, 3)[:, :, PILLAR_TOP]
+        return (2 * (tops * self.rest_mm).sum(axis=-1) + (tops**2).sum(axis=-1)).reshape(len(moved_mm), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A press as forces at points of the top, to be changed."""
+
+    sensing: Sensing
+    place_mm: FloatArray  #: (2, n)
+    force_n: FloatArray  #: (3, n), z positive in compression
+
+    @classmethod
+    def of(cls, sensing: Sensing, box_mm: FloatArray, cells: FloatArray) -> "Part":
+        """A press on its patch (3, ny, nx); cells of a fine patch are gathered, at their pressure's middle."""
+        ny, nx = cells.shape[1:]
+        x, y = np.meshgrid(
+            box_mm[0] + (np.arange(nx) + 0.5) * (box_mm[2] - box_mm[0]) / nx,
+            box_mm[1] + (np.arange(ny) + 0.5) * (box_mm[3] - box_mm[1]) / ny,
+        )
+        column, row = np.arange(nx) * min(nx, POINTS) // nx, np.arange(ny) * min(ny, POINTS) // ny
+        group = (row[:, None] * POINTS + column).ravel()
+        forces = cells.reshape(3, -1)
+        pressing = np.bincount(group, forces[2])
+        on = pressing > 0
+        place = [np.bincount(group, forces[2] * each.ravel())[on] / pressing[on] for each in (x, y)]
+        return cls(sensing, np.stack(place), np.stack([np.bincount(group, each)[on] for each in forces]))
+
+    @cached_property
+    def middle_mm(self) -> FloatArray:
+        """Centre of pressure, (2, 1)."""
+        return (self.place_mm * self.force_n[2]).sum(axis=1, keepdims=True) / self.force_n[2].sum()
+
+    def changed(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Places (b, 2, n) and forces (b, 3, n) by q (b, 9); what leaves the slab bears nothing."""
+        half = self.sensing.grid.slab_mm[:, None] / 2
+        x, y = self.place_mm - self.middle_mm
+        cos, sin, (fx, fy, pressing) = np.cos(q[:, 5, None]), np.sin(q[:, 5, None]), self.force_n
+        along = (cos * x - sin * y) * np.exp(q[:, 3, None]), (sin * x + cos * y) * np.exp(q[:, 4, None])
+        place = np.stack(along, axis=1) + self.middle_mm + self.sensing.design.unit.height_mm * q[:, 1:3, None]
+        shear = np.exp(q[:, 8, None])
+        force = np.stack([
+            shear * (cos * fx - sin * fy) + q[:, 6, None] * pressing,
+            shear * (sin * fx + cos * fy) + q[:, 7, None] * pressing,
+            np.broadcast_to(pressing, (len(q), len(pressing))),
+        ], axis=1)  # fmt: skip
+        force *= np.exp(q[:, :1, None]) * (np.abs(place) < half).all(axis=1, keepdims=True)
+        inside = (1 - INSIDE) * half
+        return np.clip(place, -inside, inside), force
+
+    def moved(self, q: FloatArray) -> FloatArray:
+        """Displacements (b, e) of the electrodes [mm]; forces are put on the grid's cells with their first moments."""
+        place, force = self.changed(q)
+        grid, b = self.sensing.grid, len(q)
+        count = np.array(grid.by_cell.shape[1::-1])[:, None]
+        at = place / grid.cell_mm[:, None] + (count - 1) / 2
+        cell = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
+        off = at - cell
+        square = off**2 - 1 / 12
+        share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2])  # (3, b, 2, n)
+        low, high = cell.min(axis=(0, 2)) - 1, cell.max(axis=(0, 2)) + 2
+        wide, deep = (high - low).tolist()
+        first = np.arange(b)[:, None] * wide * deep + (cell[:, 1] - low[1]) * wide + cell[:, 0] - low[0]
+        steps = [(i, j) for i in range(3) for j in range(3)]
+        index = np.concatenate([(first + (i - 1) * wide + j - 1).ravel() for i, j in steps])
+        weight = np.stack([share[i, :, 1] * share[j, :, 0] for i, j in steps])
+        used = np.zeros(wide * deep, dtype=bool)
+        used[index % (wide * deep)] = True
+        on_cells = np.empty((b, np.count_nonzero(used), 3), np.float32)
+        for axis in range(3):
+            values = np.bincount(index, (weight * (UPWARDS[axis] * force[:, axis])).ravel(), b * wide * deep)
+            on_cells[:, :, axis] = values.reshape(b, -1)[:, used]
+        row, column = np.divmod(np.flatnonzero(used), wide)
+        part = grid.by_cell[row + low[1], column + low[0]]
+        return (on_cells.reshape(b, -1) @ part.reshape(-1, part.shape[-1])).astype(float)
+
+    def units(self, q: FloatArray) -> FloatArray:
+        """Loads of units, (b, units, 5), as `Patch.unit_loads`."""
+        place, force = self.changed(q)
+        array = self.sensing.design.array
+        rows, cols, pitch = array.rows, array.cols, array.pitch_mm
+        count = np.array([[cols], [rows]])
+        unit = np.clip(np.floor(place / pitch + count / 2), 0, count - 1).astype(np.int64)
+        off = place - (unit - (count - 1) / 2) * pitch
+        index = (unit[:, 1] * cols + unit[:, 0] + rows * cols * np.arange(len(q))[:, None]).ravel()
+        values = [*force.swapaxes(0, 1), force[:, 2] * off[:, 0], force[:, 2] * off[:, 1]]
+        found = [np.bincount(index, each.ravel(), rows * cols * len(q)) for each in values]
+        return np.stack(found, axis=1).reshape(len(q), rows * cols, 5).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parts that were changed until they explain a scan as well as they can."""
+
+    parts: tuple[Part, ...]
+    q: FloatArray  #: (parts, 9)
+    cost: float  #: χ² and what q costs by its prior
+    chi2: float  #: of the readings alone
+    curvature: FloatArray  #: (9 parts, 9 parts): of half the cost
+    moved_mm: FloatArray  #: (e,): of all parts together
+
+    def forces(self) -> tuple[FloatArray, FloatArray]:
+        """Forces of units (units, 5), and their changes (units·3, 9 parts) by q times the root of its covariance."""
+        found = [part.units(_and_steps(q)) for part, q in zip(self.parts, self.q, strict=True)]
+        slopes = np.concatenate([(each[1:] - each[0]) / STEP[:, None, None] for each in found])[:, :, :3]
+        root = np.linalg.cholesky(np.linalg.inv(self.curvature))
+        return np.sum([each[0] for each in found], axis=0), slopes.reshape(len(slopes), -1).T @ root
+
+
+def _and_steps(q: FloatArray) -> FloatArray:
+    """A q (9,), and it with each number changed by its step, (10, 9)."""
+    return q + np.vstack([np.zeros(len(STEP)), np.diag(STEP)])
+
+
+def fitted(reading: FloatArray, deviation: FloatArray, parts: Sequence[Part], q: FloatArray, steps: int) -> Fit:
+    """Gauss-Newton from q (parts, 9) on a reading (m,) with deviations (m,) [mm²], in so many steps at most."""
+    sensing, prior = parts[0].sensing, np.tile(PRIOR**-2.0, len(parts))
+
+    def costs(read: FloatArray, at: FloatArray) -> FloatArray:
+        return np.asarray((((reading - read) / deviation) ** 2).sum(axis=-1) + (at**2 * prior).sum(axis=-1))
+
+    damping, before = 0.3, np.inf
+    for step in range(steps + 1):
+        each = [part.moved(_and_steps(own)) for part, own in zip(parts, q, strict=True)]
+        moved = np.sum([one[0] for one in each], axis=0)
+        read = sensing.reading(np.concatenate([moved[None], *(moved + one[1:] - one[0] for one in each)]))
+        slopes = ((read[1:] - read[0]) / np.tile(STEP, len(parts))[:, None] / deviation).T
+        cost, flat, left = float(costs(read[0], q.ravel())), q.ravel(), (reading - read[0]) / deviation
+        curvature = slopes.T @ slopes + np.diag(prior)
+        if step == steps or before - cost < MIN_GAIN:
+            break
+        downhill = slopes.T @ left - prior * flat
+        for _ in range(3):
+            tried = damping * DAMPINGS
+            damped = curvature + tried[:, None, None] * np.diag(curvature.diagonal())
+            limit = np.tile(PRIOR, len(parts))
+            change = np.linalg.solve(damped, np.broadcast_to(downhill, (len(tried), len(flat)))[..., None])[..., 0]
+            new = flat + np.clip(change, -limit, limit)
+            by_part = new.reshape(len(new), -1, len(PRIOR)).swapaxes(0, 1)
+            found = costs(
+                sensing.reading(np.sum([part.moved(own) for part, own in zip(parts, by_part, strict=True)], axis=0)),
+                new,
+            )
+            best = int(found.argmin())
+            if found[best] < cost:
+                break
+            damping *= 100.0
+        else:
+            break
+        before, q, damping = cost, new[best].reshape(q.shape), max(float(tried[best]) / 2, 1e-4)
+    return Fit(tuple(parts), q, cost, float((left**2).sum()), curvature, moved)

@@ -1,0 +1,55 @@
+"""A touch decoder as one safetensors file; and whatever decoder a file holds."""
+
+from pathlib import Path
+
+from dataset.measurement import ReadingError
+from decoupler.model import model_file
+from decoupler.model.decoupler import Decoupler
+from decoupler.model.model_file import built_of, opened_file, save_file
+from decoupler.touch.decoder import TouchDecoder
+from geometry.design_file import design_from_toml, design_to_toml
+from geometry.errors import FileFormatError
+from geometry.storage.files import stated
+
+AnyDecoder = Decoupler | TouchDecoder  #: of loads on pads, or of whatever presses
+FORMAT = "tripillar-touch-1"
+_MEND = "make it anew with 'tripillar train --touch'"
+
+
+def write_touch(decoder: TouchDecoder, path: Path) -> None:
+    """Write a touch decoder with the hash of its content, whole or not at all."""
+    header = {
+        "format": FORMAT,
+        "design": design_to_toml(decoder.design),
+        "design_hash": decoder.design_hash,
+        "library": decoder.library.cache_key,
+        "made_from": decoder.made_from,
+    }
+    save_file(header | stated(decoder.errors), decoder, path)
+
+
+def read_model(path: Path) -> AnyDecoder:
+    """Read a model file of `train`, of pads or of touch.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged, foreign, of an earlier version, or holds what makes no sense.
+    """
+    header, arrays = opened_file(path)
+    if not str(header.get("format")).startswith(FORMAT[:-1]):
+        return model_file.read_model(path)
+    try:
+        if header["format"] != FORMAT:
+            raise ValueError(f"format is {header['format']}, not {FORMAT}")
+        said = {
+            "design": design_from_toml(header["design"]),
+            "errors": ReadingError(noise=float(header["noise"]), bits=header["bits"]),
+            "made_from": dict(header["made_from"]),
+            "library.cache_key": str(header["library"]),
+        }
+        found: TouchDecoder = built_of(TouchDecoder, arrays, said)
+        found.touches(0.99 * found.rest_resistances()[None])  # no decoder is given out that cannot
+        return found
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise FileFormatError(f"{path}: its parts do not belong together ({error}): {_MEND}.") from None

@@ -1,0 +1,153 @@
+"""Touch on bare rubber: presses of the library against contacts solved anew, fits, rest, two contacts, the file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, SampleError, simulate
+from dataset.measurement import ReadingError
+from decoupler.touch import TouchDecoder, assess_touch, read_model, touch_library, write_touch
+from decoupler.touch.decoder import WIDTHS, Touched
+from decoupler.touch.morph import PRIOR, Part, fitted
+from decoupler.touch.presses import Presses
+from fem.array.solving import ResponseSettings, solve_response
+from fem.contact import Cylinder, press, surface_compliance
+from geometry.design import Array, SensorDesign
+from geometry.errors import FileFormatError
+
+DESIGN = SensorDesign(array=Array(rows=4, cols=4))
+READ = ReadingError(noise=1e-3, bits=12)
+N = 25
+
+
+@pytest.fixture(scope="module")
+def decoder(module_cache):
+    return TouchDecoder(design=DESIGN, errors=READ, library=touch_library(DESIGN, 150)[0])
+
+
+@pytest.fixture(scope="module")
+def module_cache():
+    """The cache of all tests, also for fixtures that live as long as the module."""
+    with pytest.MonkeyPatch.context() as patch:
+        import os
+
+        patch.setenv("TRIPILLAR_CACHE", f"{os.environ['TRIPILLAR_TESTS']}/cache")
+        yield
+
+
+@pytest.fixture(scope="module")
+def contacts(module_cache):
+    """Contacts that the library has not seen, read with noise and converter."""
+    response = solve_response(DESIGN, ResponseSettings(method="layer"))
+    settings = DatasetSettings(protocol="indent", samples=N, seed=105, noise=READ.noise, bits=READ.bits)
+    return simulate(response, settings)
+
+
+@pytest.mark.parametrize("symmetry", range(8))
+def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
+    """A bar pressed and dragged, solved anew in each symmetry: electrodes and loads of units, to the grids' error."""
+    surface = surface_compliance(DESIGN)[0]
+
+    def contact(symmetry):
+        turn, at, slide = 20.0, np.array([4.0, -3.0]), np.array([1.0, 0.3])
+        if symmetry & 4:
+            turn, at, slide = 90.0 - turn, at[::-1], slide[::-1]
+        for bit, axis in ((1, 0), (2, 1)):
+            if symmetry & bit:
+                turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
+        return press(surface, Cylinder(6.0, 9.0, turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5)
+
+    solved, turned = contact(symmetry), Presses.of([contact(0)]).turned(0, symmetry, np.zeros(2))
+    moved = decoder.library.grid.moved(*turned)
+    assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
+    part = Part.of(decoder.sensing, *turned)
+    force_n = part.units(np.zeros((1, 9)))[0, :, :3]
+    assert force_n == pytest.approx(solved.force_n.reshape(-1, 3), abs=0.03 * solved.force_n.max())
+    spread = part.moved(np.zeros((1, 9)))[0]
+    assert spread == pytest.approx(moved, abs=0.02 * float(np.abs(moved).max()))
+
+
+def test_a_changed_press_is_found_again(decoder):
+    """Moved, stretched, turned, heavier and dragged: exact readings lead back to its forces; slopes are differences."""
+    part = decoder._starts([0], 1)[0]
+    true = 0.4 * PRIOR[None] * np.array([1, -1, 1, 1, -1, 1, 1, -1, 1])
+    reading = decoder.sensing.reading(part.moved(true))[0]
+    fit = fitted(reading, np.full(len(reading), 1e-3), [part], np.zeros((1, 9)), 20)
+    assert fit.chi2 < 0.2 * len(reading)  # of deviations of a micrometre times a millimetre
+    found, root = fit.forces()
+    expected = part.units(true)[0]
+    assert found[:, :3] == pytest.approx(expected[:, :3], abs=0.05 * expected[:, 2].max())  # the prior pulls
+    assert np.sqrt((root**2).sum(axis=1)).max() < 0.05 * expected[:, 2].max()
+
+
+def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
+    """With 150 presses in the library: some 40 % of what 0 N would miss; the fast answer is worse."""
+    found = assess_touch(decoder, contacts)
+    none = np.sqrt((contacts.force_n[..., 2] ** 2).mean())
+    assert found.by_force["fz"].errors.rmse_n < 0.5 * none
+    assert found.net_fz_median_pct < 25
+    assert found.centre_mm < 1.5
+    one, two = found.loaded_coverage
+    assert 0.6 < one < 0.97
+    assert two > 0.9
+    readings = decoder.reading(contacts.resistance_ohm)
+    quick = np.stack([decoder.quick(reading)[0][:, 2] for reading in readings])
+    missed = np.sqrt(((quick - contacts.force_n[..., 2].reshape(N, -1)) ** 2).mean())
+    assert found.by_force["fz"].errors.rmse_n < missed < none
+
+
+def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder, contacts):
+    generator, rest_ohm = np.random.default_rng(0), decoder.rest_resistances()
+    scans = READ.read(np.repeat(rest_ohm[None], 50, axis=0), generator)
+    force_n = decoder.forces(scans)
+    assert np.count_nonzero(force_n.any(axis=(1, 2, 3))) <= 1  # one in a thousand is promised
+    reading, net_n = decoder.regression.reading, decoder.regression.unit[:, :, 2].sum(axis=1)
+    seen_by = np.linalg.norm(reading, axis=1) / net_n
+    part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
+    light = part.units(np.zeros((1, 9)))[0]
+    moved = part.moved(np.zeros((1, 9))) / light[:, 2].sum()  # of 1 N
+    ohms = (decoder.sensing.reading(moved) + decoder.rest_mm2) / decoder.mm2_per_ohm
+    seen = READ.read(np.repeat(ohms.reshape(1, 4, 4, 3), 20, axis=0), generator)
+    missed = np.abs(decoder.forces(seen).reshape(20, 16, 3) - light[:, :3] / light[:, 2].sum())
+    assert missed[..., 2].max() < 1.1
+    assert (missed.reshape(20, 4, 4, 3) <= decoder.half_widths(seen)[1]).mean() > 0.95
+
+
+def test_two_contacts_are_told_apart(decoder):
+    """One near an electrode of each of two opposite units, solved alone: together they are no press of the library."""
+    surface = surface_compliance(DESIGN)[0]
+    both = [
+        press(surface, Cylinder(4.0, 4.0, 30.0), 0.8, at_mm=at, friction=0.3) for at in ((-18.0, -18.0), (12.0, 12.0))
+    ]
+    moved = sum(one.electrode_mm.reshape(1, -1) for one in both)
+    found = decoder.touched(decoder.sensing.reading(moved)[0])
+    expected = sum(one.force_n for one in both).reshape(-1, 3)
+    assert any(len(fit.parts) == 2 for fit in found.fits)
+    assert (np.abs(found.force_n - expected) < 3 * found.deviation_n).all()
+    assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 10}
+
+
+def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):
+    write_touch(decoder, tmp_path / "touch.safetensors")
+    again = read_model(tmp_path / "touch.safetensors")
+    some = contacts.resistance_ohm[:3]
+    assert np.array_equal(again.forces(some), np.concatenate([decoder.forces(one[None]) for one in some]))
+    sums = np.eye(48)[:, :2]
+    deviation_n, covariance = again.deviations(some, sums)
+    assert deviation_n == pytest.approx(decoder.half_widths(some)[0])
+    own = np.sqrt(covariance[:, [0, 1], [0, 1]])
+    assert WIDTHS[0] * own == pytest.approx(deviation_n.reshape(3, -1)[:, :2])
+    whole = bytearray((tmp_path / "touch.safetensors").read_bytes())
+    whole[len(whole) // 2] ^= 1
+    (tmp_path / "touch.safetensors").write_bytes(whole)
+    with pytest.raises(FileFormatError, match=r"touch\.safetensors: "):
+        read_model(tmp_path / "touch.safetensors")
+
+
+def test_readings_that_are_none_are_refused(decoder):
+    with pytest.raises(SampleError, match=r"expected \(n, 4, 4, 3\)"):
+        decoder.forces(np.ones((1, 6, 6, 3)))
+    with pytest.raises(SampleError, match="not finite or not above 0"):
+        decoder.forces(np.full((1, 4, 4, 3), np.nan))
+    assert isinstance(replace(decoder).touched(decoder.reading(decoder.rest_resistances()[None])[0]), Touched)
