@@ -341,6 +341,7 @@ def replay(
         raise DesignError("ros2=True says what is in an MCAP file: add out=FILE.mcap, or leave ros2=True out.")
     require_there(source, what="a recording")
     require_there(model, what=MODEL)
+    require_there(calibration, what="a calibration file")
     if speed is not None:
         if not speed >= 1e-3:
             raise DesignError(f"speed={speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")

@@ -129,7 +129,7 @@ def solve(
     -0.2
     """
     caller, path = current(), to_write("vtu", vtu, ".vtu", read=(scene,))
-    require_there(scene, what="a scene file; see docs/scenes.md")
+    require_there(scene, what="a scene file; see docs/physics.md")
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
     from fem.scene.scene_file import read_scene
