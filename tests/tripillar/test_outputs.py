@@ -9,37 +9,21 @@ import time
 import pytest
 
 from geometry import FileFormatError
-from geometry.storage.files import replacing, require_folder, scratch
+from geometry.storage.files import replacing, require_folder
 from geometry.storage.unfinished import MARK, remove_leftovers, remove_unfinished
 from tests.house import House
 
 
-@pytest.fixture
-def pipe(tmp_path):
-    path = tmp_path / "pipe.nc"
-    os.mkfifo(path)
-    return path
-
-
 @pytest.mark.skipif(os.name != "posix", reason="pipes with names are POSIX's")
-def test_what_is_no_file_is_refused_and_left_alone(tmp_path, pipe):
-    for path, kind in ((pipe, "a pipe"), (tmp_path, "a folder")):
+def test_what_is_no_file_is_refused_and_left_alone(tmp_path):
+    pipe = tmp_path / "pipe.nc"
+    os.mkfifo(pipe)
+    for path, kind in ((pipe, "a pipe"), (tmp_path, "a folder"), (pipe / "a.nc", "is not a folder")):
         with pytest.raises(FileFormatError, match=kind), replacing(path):
             raise AssertionError("must not begin")
     assert pipe.is_fifo()
-    with pytest.raises(FileFormatError, match="is not a folder"), replacing(tmp_path / "pipe.nc" / "a.nc"):
-        raise AssertionError("must not begin")
     with pytest.raises(FileFormatError, match="is not a folder"):
         require_folder(pipe)
-
-
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root makes devices")
-def test_a_device_is_refused_and_left_alone(tmp_path):
-    path = tmp_path / "full"
-    os.mknod(path, 0o600 | 0o020000, os.makedev(1, 7))
-    with pytest.raises(FileFormatError, match="a device"), replacing(path):
-        raise AssertionError("must not begin")
-    assert path.is_char_device()
 
 
 def test_a_link_is_followed(tmp_path):
@@ -89,12 +73,6 @@ def test_an_interrupt_as_soon_as_the_folder_is_there_removes_it(tmp_path, monkey
     with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "data.txt"):
         pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_scratch_is_removed():
-    with scratch() as folder:
-        (folder / "a").write_text("x")
-    assert not folder.exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")

@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 from dataset import read_samples
+from fem.array.solving import ResponseSettings
 from hardware import Info
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
@@ -18,10 +19,10 @@ MODEL = "out/models/contact-fz-skip17-inverse.safetensors"
 @pytest.fixture(scope="module")
 def house(tmp_path_factory):
     """All that the whole pipeline makes for two units, of fewer samples than the paper's."""
-    folder = tmp_path_factory.mktemp("house")
-    house = House(folder, cache=folder / "cache")
+    house = House(tmp_path_factory.mktemp("house"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tripillar.pipeline.run.SPLITS", {"train": (400, 1), "test": (100, 2)})
+        patch.setattr("tripillar.pipeline.run.SETTINGS", {"soft": ResponseSettings(tolerance=2e-2)})
         house.outcome = house.result(*RUN)
         yield house
 
@@ -104,7 +105,7 @@ def test_response_and_mesh_and_design_and_cad(house):
         assert list(opened["load_axis"].values) == ["x", "y", "z"]
     meshing = ("cad", "--mesh", "--design", "small.toml", "--out", "solids", "--quiet")
     first, second = (house.result(*meshing) for _ in range(2))
-    assert [first["mesh"]["reused"], second["mesh"]["reused"], len(first["files"])] == [False, True, 21]
+    assert (second["mesh"]["reused"], len(first["files"])) == (True, 21)
     printed = house.tripillar("design").stdout
     assert house.tripillar("design", "--out", "paper.toml").returncode == 0
     assert (house.folder / "paper.toml").read_text() == printed
