@@ -19,6 +19,7 @@ from tripillar.face.inputs import (
     Protocol,
     SamplesLike,
     design_of,
+    given,
     model_of,
     name_of,
     require_above_0,
@@ -158,14 +159,14 @@ def identify(
     ['own.safetensors', 'own.toml']
     """
     caller = current()
-    given = (data, loads, design, finite, model)
+    read_too = (data, loads, design, finite, model)
     _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
     if have is not None and not next_loads:
         raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
     require_above_0(seconds=seconds, timeout=timeout)
-    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=given)
-    twin = to_write("twin", twin, ".toml", read=(*given, out))
-    require_there(*given, loads, calibration, what="what is to be read")
+    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=read_too)
+    twin = to_write("twin", twin, ".toml", read=(*read_too, out))
+    require_there(*read_too, calibration, what="what is to be read")
     if finite is not None and model is not None:
         raise DesignError("give finite= or model=, not both: each holds the design at finite strain.")
     if pairs is not None and pairs < 1:
@@ -290,8 +291,7 @@ def _electronics(calibration: "File | None", switch_ohm: float | None, line_ohm:
     from hardware.readout.calibration import Electronics, read_calibration
 
     known = Electronics() if calibration is None else read_calibration(Path(calibration)).electronics
-    given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
-    return replace(known, **{name: ohms for name, ohms in given.items() if ohms is not None})
+    return replace(known, **given(switch_ohm=switch_ohm, line_ohm=line_ohm))
 
 
 def _measured(
