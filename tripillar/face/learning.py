@@ -1,9 +1,10 @@
 """Train and test networks on samples that are checked first."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -14,6 +15,7 @@ from tripillar.face.inputs import (
     DesignLike,
     File,
     ModelLike,
+    Options,
     SamplesLike,
     design_of,
     model_of,
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.data.enough import AnySamples
     from decoupler.evaluation.assessment import Assessment
-    from decoupler.evaluation.crossval import Fold
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import NetworkConfig, TrainingConfig
     from fem.array.response import ArrayResponse
@@ -132,15 +133,14 @@ def train(
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     require_there(*sources, what=DATA)
     out = to_write("out", out, ".safetensors", read=(*sources, design))
-    stated = None if design is None else design_of(design)
-    from decoupler.model.settings import TrainingConfig
-
-    training = TrainingConfig(trainer=trainer, seed=seed, goal_mse=goal_mse, max_iterations=max_iterations, **settings)
+    asked = _asked(
+        component=component, net=net, hidden=hidden, trainer=trainer, feature=feature, goal_mse=goal_mse,
+        max_iterations=max_iterations, seed=seed, design=design, response=response, force=force, settings=settings,
+    )  # fmt: skip
+    training = asked.training
     samples, name = _together(sources), name_of(sources[0], "samples")
     few = _enough(samples, seed, name, caller, "train the network")
-    parts, network, solved, forced = _checked(
-        few, name, component, NetworkSettings(net, hidden, feature), stated, response, force, caller
-    )
+    parts, network, solved, forced = _checked(few, name, asked, caller)
     from decoupler import train  # loads torch: only once the samples are found right
     from decoupler.model.model_file import write_model
 
@@ -166,23 +166,17 @@ def train(
     return model
 
 
+TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "goal_mse", "seed", "design", "force")
+
+
 def evaluate(
     model: Annotated[ModelLike | None, Parameter(required=False)],
     data: SamplesLike,
     *,
     limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
     folds: int | None = None,
-    component: Component | None = None,
-    net: Net = "skip",
-    hidden: int = 17,
-    trainer: Trainer = "varpro",
-    feature: Feature = "auto",
-    goal_mse: Annotated[float | None, GOAL] = None,
-    seed: int = 0,
-    design: DesignLike | None = None,
     response: Response | None = None,
-    force: bool = False,
-    **settings: Any,
+    **training: Annotated[Any, TRAINING],
 ) -> "dict[str, Assessment]":
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
 
@@ -200,8 +194,10 @@ def evaluate(
         Compute the least error that the readings allow, too.
     folds : int, optional
         Number of parts to cross-validate, each tested once; the paper uses 10.
-    component, net, hidden, trainer, feature, goal_mse, seed, design, response, force, **settings
-        As of `train`, with folds.
+    response : ArrayResponse, optional
+        Response of the sensor; default: solved with the default tolerance if need be.
+    **training
+        With folds: component, net, hidden, trainer, feature, goal_mse, seed, design, force and more, as of `train`.
 
     Returns
     -------
@@ -235,18 +231,13 @@ def evaluate(
     require_there(data, what=DATA)
     if (model is None) == (folds is None):
         raise DesignError("give model=, or folds= to cross-validate: one of them.")
-    stated = None if design is None else design_of(design)
     name = name_of(data, "samples")
     if folds is not None:
-        from decoupler.model.settings import TrainingConfig
-
-        training = TrainingConfig(trainer=trainer, goal_mse=goal_mse, seed=seed, **settings)
-        form = NetworkSettings(net, hidden, feature)
-        return _cross_validated(
-            samples_of(data), name, component, folds, training, form, stated, response, force, caller
-        )
-    if component is not None or design is not None:
-        raise DesignError("component= and design= are of folds=: a model has its own.")
+        asked = signature(train).bind(data, response=response, **training)
+        asked.apply_defaults()
+        return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments), caller)
+    if training:
+        raise DesignError(f"{', '.join(f'{name}=' for name in training)} of folds=: a model has its own.")
     assert model is not None
     from decoupler import assess, require_same_sensor
     from decoupler.evaluation.assessment import as_plain
@@ -267,25 +258,36 @@ def evaluate(
     return assessed
 
 
-class NetworkSettings(NamedTuple):
-    """Form of a network as it was asked for; its inputs may yet have to be chosen."""
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A network as it was asked for, whose inputs may yet have to be chosen, and what its samples are checked by."""
 
+    component: Component | None
     net: Net
     hidden: int
     feature: Feature
+    training: "TrainingConfig"
+    design: SensorDesign | None
+    response: "ArrayResponse | None"
+    force: bool
+
+
+def _asked(
+    *, component: Component | None, net: Net, hidden: int, feature: Feature, design: "DesignLike | None",
+    response: "ArrayResponse | None", force: bool, settings: dict[str, Any], data: object = None, out: object = None,
+    **training: Any,
+) -> Asked:  # fmt: skip
+    """What `train` is asked by its arguments."""
+    from decoupler.model.settings import TrainingConfig
+
+    return Asked(
+        component=component, net=net, hidden=hidden, feature=feature, training=TrainingConfig(**training, **settings),
+        design=None if design is None else design_of(design), response=response, force=force,
+    )  # fmt: skip
 
 
 def _cross_validated(
-    samples: "AnySamples",
-    name: str,
-    component: Component | None,
-    folds: int,
-    training: "TrainingConfig",
-    form: NetworkSettings,
-    design: SensorDesign | None,
-    response: "ArrayResponse | None",
-    force: bool,
-    caller: Caller,
+    samples: "AnySamples", name: str, folds: int, asked: Asked, caller: Caller
 ) -> "dict[str, Assessment]":
     """Errors of networks trained on all folds but the one that tests them."""
     import numpy as np
@@ -296,11 +298,11 @@ def _cross_validated(
     from decoupler.evaluation.crossval import over_folds, split_folds, summary
     from tripillar.face.tables import crossval_table
 
-    split_folds(min(len(samples), ENOUGH), folds, training.seed)  # refuses too many before anything takes time
-    few = _enough(samples, training.seed, name, caller, "are split")
-    parts, network, solved, _ = _checked(few, name, component, form, design, response, force, caller)
+    split_folds(min(len(samples), ENOUGH), folds, asked.training.seed)  # refuses too many before anything takes time
+    few = _enough(samples, asked.training.seed, name, caller, "are split")
+    parts, network, solved, _ = _checked(few, name, asked, caller)
     advance = caller.bars.begin(f"{folds} folds", total=folds)
-    tested: list[Fold] = cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
+    tested = cross_validate(few, parts, network, asked.training, folds, solved, lambda _: advance(1, ""))
     caller.answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
     return {force: Assessment(errors=errors, **nothing) for force, errors in over_folds(tested, np.mean).items()}
@@ -336,14 +338,7 @@ def _enough(samples: "AnySamples", seed: int, name: str, caller: Caller, purpose
 
 
 def _checked(
-    samples: "Samples",
-    name: str,
-    component: Component | None,
-    form: NetworkSettings,
-    design: SensorDesign | None,
-    response: "ArrayResponse | None",
-    force: bool,
-    caller: Caller,
+    samples: "Samples", name: str, asked: Asked, caller: Caller
 ) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     from decoupler import component_named
@@ -352,9 +347,9 @@ def _checked(
     from decoupler.training.suited import suited_component, suited_feature
     from tripillar.face.checks import heed, joint_model, mention
 
-    net, feature = form.net, form.feature
-    automatic, named = feature == "auto", component or suited_component(samples)
-    network, parts = NetworkConfig(hidden=form.hidden, net=net), component_named(named)
+    net, feature, design, response, force = asked.net, asked.feature, asked.design, asked.response, asked.force
+    automatic, named = feature == "auto", asked.component or suited_component(samples)
+    network, parts = NetworkConfig(hidden=asked.hidden, net=net), component_named(named)
     sensor = samples.design or design
     if sensor is None and response is None and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
