@@ -41,7 +41,7 @@ def shown(force_n):
     return SensorModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
 
 
-def _derivatives(design, bars, tolerances=None):
+def _derivatives(design, tolerances=None):
     return RESPONSE, SENSITIVITIES if tolerances is None else SENSITIVITIES.with_tolerances(tolerances)
 
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
 from geometry.errors import DesignError, require_type
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -141,10 +141,10 @@ def identify(
 
     >>> import tripillar as tp
     >>> from dataclasses import replace
+    >>> from geometry import Array
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> soft = replace(tp.response(design), influence_mm_per_n=1.1 * tp.response(design).influence_mm_per_n)
     >>> own = tp.dataset(soft, samples=120, seed=2, noise=0.001, gain_spread=0.1)
     >>> twin = tp.identify(own[:20])
@@ -160,7 +160,7 @@ def identify(
     """
     caller = current()
     read_too = (data, loads, design, finite, model)
-    _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
+    _require_sense(data, port, loads, keep, out, twin, next_loads)
     if have is not None and not next_loads:
         raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
     require_above_0(seconds=seconds, timeout=timeout)
@@ -189,9 +189,9 @@ def identify(
         read = _pairs(data, sensor)
     if as_designed:
         assert read is not None
-        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force, caller)
+        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force)
     if read is None:
-        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances, caller)
+        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances)
         caller.answer(lambda: {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
         return first
     if pairs is not None:
@@ -199,7 +199,7 @@ def identify(
             raise DesignError(f"pairs={pairs} must be at most {len(read)}: there are no more.")
         read = read[:pairs]
     at_finite = model_of(model) if model is not None else None if finite is None else samples_of(finite, False)
-    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force, caller)
+    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force)
     result: dict[str, Any] = {
         "pairs": found.n_pairs,
         "parameters": {name: list(value) for name, value in found.parameters.items()},
@@ -219,13 +219,12 @@ def identify(
     if next_loads:
         result["next"] = [vars(one) for one in found.next_loads]
         lines += _proposed(found.next_loads)
-    caller.answer(lambda: result, "\n".join(lines), *([] if out is None else [out]))
+    caller.answer(lambda: result, "\n".join(lines), out)
     return found
 
 
 def _require_sense(
-    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int,
-    caller: Caller,
+    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int
 ) -> None:  # fmt: skip
     """Refuse options that do not go together."""
     if data is not None and port is not None:
@@ -234,7 +233,7 @@ def _require_sense(
         raise DesignError("loads= and keep= go with port= alone: pairs of data= have their loads.")
     if data is None and port is None and not next_loads:
         raise DesignError("give data= or port=; next_loads= alone says where to begin.")
-    if caller.is_typed and out is None and not next_loads:
+    if current().is_typed and out is None and not next_loads:
         raise DesignError("give out= for the model, or next_loads= for the loads to measure.")
     if out is not None and data is None and port is None:
         raise DesignError("out= needs pairs: give data= or port= too.")
@@ -324,7 +323,6 @@ def _calibrated(
     noise: float | None,
     out: Path | None,
     force: bool,
-    caller: Caller,
 ) -> "SensorCalibration":
     """Gain and offset of every pillar, the design taken as exact."""
     from decoupler.data.pairs import Pairs
@@ -334,7 +332,7 @@ def _calibrated(
 
     if not isinstance(pairs, Pairs):
         raise DesignError("as_designed=True takes pairs of a board, a recording or a table: a data set has no circuit.")
-    found, residual = calibrated(pairs, respond(sensor, caller.bars)[1], electronics, serial, noise, force)
+    found, residual = calibrated(pairs, respond(sensor, current().bars)[1], electronics, serial, noise, force)
     if out is not None:
         write_calibration(found, out)
     gains, offsets_ohm = ([float(each.min()), float(each.max())] for each in (found.gain, found.offset_ohm))
@@ -344,5 +342,5 @@ def _calibrated(
         f"{len(pairs)} loads: gains {gains[0]:.3f} to {gains[1]:.3f}, offsets {offsets_ohm[0]:.0f} to "
         f"{offsets_ohm[1]:.0f} Ω; what is left: {100 * residual:.2f} %"
     )
-    caller.answer(lambda: result, text, *([] if out is None else [out]))
+    current().answer(lambda: result, text, out)
     return found

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -117,9 +117,8 @@ def train(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> samples = tp.dataset(design, samples=200, noise=0.001)
     >>> model = tp.train(samples, hidden=4)
     >>> model.component.name, model.network.feature
@@ -139,8 +138,8 @@ def train(
     )  # fmt: skip
     training = asked.training
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = _enough(samples, seed, name, caller, "train the network")
-    parts, network, solved, forced = _checked(few, name, asked, caller)
+    few = _enough(samples, seed, name, "train the network")
+    parts, network, solved, forced = _checked(few, name, asked)
     from decoupler import train  # loads torch: only once the samples are found right
     from decoupler.model.model_file import write_model
 
@@ -149,7 +148,7 @@ def train(
     model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
     if out is not None:
         write_model(model, out)
-    _mention_untrusted(model, caller)
+    _mention_untrusted(model)
 
     def result() -> dict[str, Any]:
         from decoupler.evaluation.metrics import evaluate as errors_on
@@ -162,7 +161,7 @@ def train(
 
     outcome = model.made_from["outcome"]
     text = f"{outcome['iterations']} iterations in {seconds:.1f} s to mse {outcome['mse']:.2e} ({outcome['reason']})"
-    caller.answer(result, text, *([] if out is None else [out]))
+    caller.answer(result, text, out)
     return model
 
 
@@ -215,9 +214,8 @@ def evaluate(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> model = tp.train(tp.dataset(design, samples=1000, seed=1, noise=0.001), hidden=4)
     >>> found = tp.evaluate(model, tp.dataset(design, samples=100, seed=2, noise=0.001))
     >>> list(found), found["fz"].ratio < 1.15
@@ -235,7 +233,7 @@ def evaluate(
     if folds is not None:
         asked = signature(train).bind(data, response=response, **training)
         asked.apply_defaults()
-        return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments), caller)
+        return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments))
     if training:
         raise DesignError(f"{', '.join(f'{name}=' for name in training)} of folds=: a model has its own.")
     assert model is not None
@@ -250,10 +248,10 @@ def evaluate(
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
-    solved = _response(samples, name, samples.design or decoupler.design, response, caller) if limits else None
-    warn_of_test(decoupler, named, samples, name, solved, caller)
+    solved = _response(samples, name, samples.design or decoupler.design, response) if limits else None
+    warn_of_test(decoupler, named, samples, name, solved)
     assessed = assess(decoupler, samples, solved)
-    _mention_untrusted(decoupler, caller)
+    _mention_untrusted(decoupler)
     caller.answer(lambda: as_plain(assessed), lambda: [assessment_table(assessed)])
     return assessed
 
@@ -286,9 +284,7 @@ def _asked(
     )  # fmt: skip
 
 
-def _cross_validated(
-    samples: "AnySamples", name: str, folds: int, asked: Asked, caller: Caller
-) -> "dict[str, Assessment]":
+def _cross_validated(samples: "AnySamples", name: str, folds: int, asked: Asked) -> "dict[str, Assessment]":
     """Errors of networks trained on all folds but the one that tests them."""
     import numpy as np
 
@@ -299,11 +295,11 @@ def _cross_validated(
     from tripillar.face.tables import crossval_table
 
     split_folds(min(len(samples), ENOUGH), folds, asked.training.seed)  # refuses too many before anything takes time
-    few = _enough(samples, asked.training.seed, name, caller, "are split")
-    parts, network, solved, _ = _checked(few, name, asked, caller)
-    advance = caller.bars.begin(f"{folds} folds", total=folds)
+    few = _enough(samples, asked.training.seed, name, "are split")
+    parts, network, solved, _ = _checked(few, name, asked)
+    advance = current().bars.begin(f"{folds} folds", total=folds)
     tested = cross_validate(few, parts, network, asked.training, folds, solved, lambda _: advance(1, ""))
-    caller.answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
+    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
     return {force: Assessment(errors=errors, **nothing) for force, errors in over_folds(tested, np.mean).items()}
 
@@ -321,24 +317,24 @@ def _together(sources: "Sequence[SamplesLike]") -> "AnySamples":
     return several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
 
 
-def _mention_untrusted(model: "Decoupler", caller: Caller) -> None:
+def _mention_untrusted(model: "Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
-    for row, col, name in model.untrusted() if caller.is_typed and not caller.as_json else []:
-        caller.say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
+    for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
+        current().say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 
-def _enough(samples: "AnySamples", seed: int, name: str, caller: Caller, purpose: str) -> "Samples":
+def _enough(samples: "AnySamples", seed: int, name: str, purpose: str) -> "Samples":
     """The samples, or a draw of those that are too many; says so."""
     from decoupler.data.enough import drawn
 
     few = drawn(samples, seed)
     if len(few) < len(samples):
-        caller.say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
     return few
 
 
 def _checked(
-    samples: "Samples", name: str, asked: Asked, caller: Caller
+    samples: "Samples", name: str, asked: Asked
 ) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     from decoupler import component_named
@@ -353,10 +349,10 @@ def _checked(
     sensor = samples.design or design
     if sensor is None and response is None and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    forced = heed(nothing_to_learn(samples, parts), name, force, caller)
+    forced = heed(nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if net == "skip" if automatic else feature == "inverse":
-        solved = _response(samples, name, sensor, response, caller)
+        solved = _response(samples, name, sensor, response)
     chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
     if automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
@@ -365,13 +361,13 @@ def _checked(
         note = f"the data state no design, but the response of {which} explains them and is used"
     judging = solved
     if samples.design is not None or design is not None or response is not None:
-        judging = _response(samples, name, sensor, response, caller) if solved is None else solved
+        judging = _response(samples, name, sensor, response) if solved is None else solved
     elif chosen != "inverse":
         judging = None  # a guessed design that does not explain the samples cannot judge them
     judge = joint_model(judging)
-    forced |= heed(None if forced else doubt(samples, parts, judge), name, force, caller)
-    caller.say(note)
-    mention(samples, name, parts, judge, caller)
+    forced |= heed(None if forced else doubt(samples, parts, judge), name, force)
+    current().say(note)
+    mention(samples, name, parts, judge)
     return named, replace(network, feature=chosen), solved, forced
 
 
@@ -380,18 +376,14 @@ def _fits(design: SensorDesign, samples: "AnySamples") -> bool:
 
 
 def _response(
-    samples: "AnySamples",
-    name: str,
-    design: SensorDesign | None,
-    given: "ArrayResponse | None",
-    caller: Caller,
+    samples: "AnySamples", name: str, design: SensorDesign | None, given: "ArrayResponse | None"
 ) -> "ArrayResponse | None":
     """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
     from fem.array.response import ArrayResponse
     from tripillar.pipeline.run import respond
 
     if given is None:
-        return None if design is None or not _fits(design, samples) else respond(design, caller.bars)[1]
+        return None if design is None or not _fits(design, samples) else respond(design, current().bars)[1]
     require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
     if not _fits(given.design, samples) or (design is not None and given.design != design):
         raise DesignError(

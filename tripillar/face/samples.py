@@ -11,7 +11,7 @@ from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from geometry.layout import PILLARS
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -119,9 +119,8 @@ def dataset(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> samples = tp.dataset(design, "contact", 50, noise=0.001, bits=12, gain_spread=0.1)
     >>> len(samples), samples.resistance_ohm.shape
     (50, (50, 1, 2, 3))
@@ -136,7 +135,9 @@ def dataset(
         out = to_write("out", out, ".nc", ".zarr", read=(design,))
     in_leaves = out is not None and is_zarr(out)
     sensor, twin, solved = _sensor(design)
-    dead = {name: tuple(specimen[name]) for name in ("dead_pillars", "dead_rows", "dead_cols") if name in specimen}
+    dead: dict[str, Any] = {
+        name: tuple(specimen[name]) for name in ("dead_pillars", "dead_rows", "dead_cols") if name in specimen
+    }
     dead["dead_pillars"] = tuple(map(_place, dead.get("dead_pillars", ())))
     require_counts(workers=workers)
     require_pool(workers, scheduler)
@@ -169,7 +170,7 @@ def dataset(
     solved = solved or respond(with_model(sensor, "linear"), caller.bars)[1]
     made: Samples | StoredSamples
     if finite:
-        made = _finite_samples(replace(solved, design=sensor), settings, readout, workers, scheduler, caller)
+        made = _finite_samples(replace(solved, design=sensor), settings, readout, workers, scheduler)
         made = made if names is None else made.only(*names)
         story: dict[str, Any] = made.made_from | {"kept": 0}
         if out is not None:
@@ -198,7 +199,7 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
-    caller.answer(lambda: result, line, *([] if out is None else [out]))
+    caller.answer(lambda: result, line, out)
     return made
 
 
@@ -274,12 +275,11 @@ def _finite_samples(
     readout: "Readout | None",
     workers: int | None,
     scheduler: str | None,
-    caller: Caller,
 ) -> "Samples":
     """Samples at finite strain by workers, those of earlier runs taken up again."""
     from dataset.finite_strain import n_groups, require_finite
     from tripillar.sweep.finite_samples import simulate_finite
 
     require_finite(response.design)
-    advance = caller.bars.begin("dataset", total=n_groups(settings.samples))
+    advance = current().bars.begin("dataset", total=n_groups(settings.samples))
     return simulate_finite(response, settings, readout, workers, scheduler, advance)

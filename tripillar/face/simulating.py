@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, Options, SceneLike, design_of, given, to_write
 
 if TYPE_CHECKING:
@@ -94,9 +94,8 @@ def board(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
     >>> with tp.board(design, chip="python") as port, tp.live(port, model) as scans:
     ...     scan = next(iter(scans))
@@ -126,7 +125,7 @@ def board(
         electronics = Electronics(**given(switch_ohm=switch_ohm, line_ohm=line_ohm))
         replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
         own = Imperfections(**specimen)
-        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
+        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s)
         rows, cols = motion.resistance_ohm.shape[1:3]
         told = replace(told, rows=rows, cols=cols)
         suited, why = suited_kind(told) if chip == "auto" else (chip, "")
@@ -136,8 +135,7 @@ def board(
             write_truth(motion, written)
         with run_board(suited, told, counts, kept) as running:
             port = str(link or running.port)
-            files = [] if written is None else [written]
-            caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)
+            caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", written)
             yield port
 
 
@@ -151,9 +149,7 @@ def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: 
     return Info(scan_mode=scan_mode, sense_ohm=sense, **told)
 
 
-def _motion(
-    sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float, caller: Caller
-) -> "Motion":
+def _motion(sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float) -> "Motion":
     """One period of a scene, or of the press and slide."""
     from hardware.boards.simulated import PressAndSlide, press_and_slide, scene_motion
 
@@ -165,5 +161,5 @@ def _motion(
     from tripillar.pipeline.run import respond
 
     if sensor is None or isinstance(sensor, SensorDesign | Path | str):
-        return press_and_slide(respond(design_of(sensor), caller.bars)[1], script)
+        return press_and_slide(respond(design_of(sensor), current().bars)[1], script)
     return press_and_slide(sensor, script)
