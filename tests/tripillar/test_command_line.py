@@ -38,7 +38,7 @@ def test_a_bare_command_prints_its_help(tmp_path):
 def test_talk_and_silence(tmp_path):
     """-v says every step on stderr, -q nothing but the file; stdout is the same."""
     house = House(tmp_path)
-    asked = ["response", "--design", "small.toml", "--tolerance", "0.05", "-o", "r.nc"]
+    asked = ["response", "--design", "small.toml", "--method", "layer", "-o", "r.nc"]
     loud = house.tripillar(*asked, "-v")
     still = house.tripillar(*asked, "-q")
     assert still.stderr.splitlines() == ["r.nc"]

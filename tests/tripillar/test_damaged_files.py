@@ -6,10 +6,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from fem.array.solving import ResponseSettings, array_response
-from geometry import FileFormatError, SensorDesign
+from geometry import FileFormatError
 from geometry.storage.seal import MARK
-from tests.tripillar.made_files import KINDS, SMALL
+from tests.tripillar.made_files import KINDS
 
 FLIPS = 400
 
@@ -46,19 +45,3 @@ def test_flipped_bits_are_refused_or_change_nothing(name, tmp_path):
         assert found is None or flat(found) == good, f"bit {bit} changes what is read"
         refused += found is None
     assert refused > 0.9 * FLIPS  # the few others fell on the mark, or on blanks and names of no meaning in JSON
-
-
-def test_a_cached_response_is_made_anew_if_damaged(tmp_path, caplog):
-    """One line names the file; the answer is that of an intact cache."""
-    settings = ResponseSettings(method="layer")
-    design = SensorDesign(array=SMALL.array)
-    first, path, _ = array_response(design, settings)
-    assert array_response(design, settings)[2]
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
-    again, _, reused = array_response(design, settings)
-    assert not reused
-    assert np.array_equal(again.influence_mm_per_n, first.influence_mm_per_n)
-    assert caplog.messages == [f"{path} is damaged or of an earlier version: it is made anew."]
-    assert array_response(design, settings)[2]

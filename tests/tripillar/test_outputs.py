@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 
 from geometry import FileFormatError
@@ -78,12 +79,13 @@ def test_an_interrupt_as_soon_as_the_folder_is_there_removes_it(tmp_path, monkey
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_what_swallows_it(tmp_path, number, code):
-    """Libraries swallow an exception, or compute on; what is unfinished is removed and one line is said."""
+    """Libraries swallow an exception, or compute on; what is unfinished or was started ends, in a line."""
     program = (
         "from tripillar.terminal import interrupts; interrupts.install()\n"
-        "import time; from pathlib import Path; from geometry.storage.files import replacing\n"
+        "import subprocess, time; from pathlib import Path; from geometry.storage.files import replacing\n"
+        "started = subprocess.Popen(['sleep', '60'])\n"
         "with replacing(Path('data.txt')) as temporary:\n"
-        "    print('begun', flush=True)\n"
+        "    print(started.pid, flush=True)\n"
         "    while True:\n"
         "        try: time.sleep(60)\n"
         "        except BaseException: pass"
@@ -95,7 +97,7 @@ def test_a_signal_ends_what_swallows_it(tmp_path, number, code):
             [sys.executable, "-c", program], cwd=tmp_path, env=environment, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         ) as process:  # fmt: skip
-            assert process.stdout.readline() == "begun\n"
+            started = int(process.stdout.readline())
             begin = time.monotonic()
             process.send_signal(number)
             said = process.communicate(timeout=60)[1]
@@ -104,4 +106,5 @@ def test_a_signal_ends_what_swallows_it(tmp_path, number, code):
             break
     assert seconds < 2
     assert (process.returncode, said) == (code, "tripillar: interrupted.\n")
+    assert not psutil.pid_exists(started) or psutil.Process(started).status() == psutil.STATUS_ZOMBIE
     assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]

@@ -88,7 +88,7 @@ train --data semi.csv -o m.safetensors -> its columns are separated by semicolon
 identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
 evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
 evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, data 17
-evaluate --model model.safetensors --data data.nc --component fz -> --component of --folds: a model has its own
+evaluate --model model.safetensors --data data.nc --component fz -> a model has its own: leave --component out
 evaluate --folds 1 --data data.nc --component all -> --folds 1 must be from 2 to 2
 evaluate --folds 10 --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
 identify --data data.nc -o x.safetensors --pairs 0 -> --pairs 0 must be at least 1

@@ -235,7 +235,8 @@ def evaluate(
         asked.apply_defaults()
         return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments))
     if training:
-        raise DesignError(f"{', '.join(f'{name}=' for name in training)} of folds=: a model has its own.")
+        given = ", ".join(f"{name}=" for name in training)
+        raise DesignError(f"a model has its own: leave {given} out, or cross-validate with folds=.")
     assert model is not None
     from decoupler import assess, require_same_sensor
     from decoupler.evaluation.assessment import as_plain
