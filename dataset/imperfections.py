@@ -33,12 +33,12 @@ class Imperfections(ReadingError):
     wire 2j carries the z and y pillars of array column j, 2j+1 its x pillars.
     """
 
-    gain_spread: float = quantity(0.0, "each pillar's resistance has a factor, uniform in 1 ± gain_spread")
-    offset_ohm: float = quantity(0.0, "standard deviation of what is added to each pillar's resistance")
-    specimen: int = quantity(0, "seed of the specimen's factors and offsets")
-    dead_pillars: tuple[Place, ...] = ()  #: pillars that are broken, as (row, col, name)
-    dead_rows: tuple[int, ...] = ()  #: broken row wires, from 0 to below 2·rows
-    dead_cols: tuple[int, ...] = ()  #: broken column wires, from 0 to below 2·cols
+    gain_spread: float = quantity(0.0, "spread of the pillars' gains: each is uniform in 1 ± this")
+    offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]")
+    specimen: int = quantity(0, "seed of gains and offsets; each is another specimen")
+    dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
+    dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")
+    dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, from 0 to below 2·cols; can be repeated")
 
     def __post_init__(self) -> None:
         super().__post_init__()

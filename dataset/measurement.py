@@ -5,7 +5,7 @@ the input and ground, so its reading is the fraction R_sense/(R + R_sense) of fu
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,8 +37,8 @@ class Readout(Protocol):
 class ReadingError(Drifts):
     """Errors of a reading: what each pillar has by itself, and the drifts that pillars share; drawn anew for each."""
 
-    noise: float = quantity(0.0, "relative standard deviation of a measured resistance")
-    bits: int | None = None  #: resolution of the converter; None reads exactly
+    noise: float = quantity(0.0, "standard deviation of a reading, relative to the resistance")
+    bits: int | None = field(default=None, metadata={"meaning": "bits of the converter; default: exact readings"})
 
     def __post_init__(self) -> None:
         super().__post_init__()

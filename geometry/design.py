@@ -156,10 +156,12 @@ class Drifts:
         "-15 % hot and +10 % hot and humid (Interlink, FSR 400 data sheet); 12 % in 48 h under load, 2.5 % of an ink",
         "of low drift (Sensitronics). After a warm-up 0.005, 0.005, 0.002 may do. Measure yours: unloaded, an hour.",
     )
-    drift: float = quantity(0.0, "deviation of a drift that all resistances share, relative: 0.005 is 0.5 %", True)
-    drift_tilt: float = quantity(0.0, "of one linear over the array along x and along y, at its outermost units", True)
-    drift_pillar: float = quantity(0.0, "of one that each pillar has on its own", True)
-    drift_offset_ohm: float = quantity(0.0, "of one that adds as many ohms to all resistances [Ω]", True)
+    drift: float = quantity(
+        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True
+    )
+    drift_tilt: float = quantity(0.0, "standard deviation of one linear over the array along x and y, at the rim", True)
+    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True)
+    drift_offset_ohm: float = quantity(0.0, "standard deviation of one that adds as much to all readings [Ω]", True)
 
     def __post_init__(self) -> None:
         require_sound(self)

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -130,6 +131,17 @@ def test_bounds_are_called_min_and_max():
         if isinstance(node, ast.Name) and node.id.lstrip("_").startswith(("LEAST_", "MOST_"))
     }
     assert not wrong
+
+
+def test_pages_that_are_pointed_to_are_there():
+    """In messages, docstrings and comments."""
+    named = {
+        (name_of(path), page)
+        for path in sources(*FLOORS)
+        for page in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))
+    }
+    assert named
+    assert not {(name, page) for name, page in named if not (ROOT / page).is_file()}
 
 
 def test_files_are_short():

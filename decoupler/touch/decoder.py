@@ -28,7 +28,7 @@ SECOND_STARTS = 4
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 NEWEST = 512  #: scans whose answers are kept
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
-OF_FORCE, OF_LARGEST, LEAST_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
+OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
 AT_REST = 1e-3  #: share of scans at rest that are taken for a touch
 HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
 WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: these have wider tails than normal ones
@@ -36,7 +36,7 @@ WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: th
 
 @dataclass(frozen=True, kw_only=True)
 class Touched:
-    """What acts on a sensor, from one scan."""
+    """Forces and moments on a sensor, from one scan."""
 
     force_n: FloatArray  #: (units, 3)
     deviation_n: FloatArray  #: (units, 3)
@@ -142,8 +142,8 @@ class TouchDecoder:
         regression = self.regression
         return regression.answer(reading, regression.nearest(reading, NEAREST))
 
-    def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
-        """What acts, from one reading (m,) [mm²]; `last` is what acted a scan before, if it is known."""
+    def touched(self, reading: FloatArray) -> Touched:
+        """Touch of one reading (m,) [mm²]."""
         own = self._deviation(reading)
         at_rest = float((reading / own) @ (reading / own))
         if at_rest < chdtri(len(reading), AT_REST):
@@ -152,7 +152,7 @@ class TouchDecoder:
         rows = regression.nearest(reading, CONSIDERED)
         near, near_deviation = regression.answer(reading, rows[:NEAREST])
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
-        fits = self._fits(reading, deviation, rows, last)
+        fits = self._fits(reading, deviation, rows)
         costs = np.array([fit.cost for fit in fits])
         weights = np.exp((costs.min() - costs) / TEMPER)
         weights /= weights.sum()
@@ -165,7 +165,7 @@ class TouchDecoder:
         apart = [np.sqrt(SHARE * w) * (each - morphed)[:, :3] for w, (each, _) in zip(weights, answers, strict=True)]
         apart += [np.sqrt(SHARE * (1.0 - SHARE)) * (morphed - near)[:, :3], np.sqrt(1.0 - touching) * blend[:, :3]]
         factors = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
-        floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + LEAST_N**2)
+        floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + MIN_DEVIATION_N**2)
         alone = np.sqrt(floor**2 + (1.0 - SHARE) * near_deviation[:, :3] ** 2 + (1.0 - touching) * self.hidden_n**2)
         return Touched(
             force_n=force,
@@ -176,7 +176,7 @@ class TouchDecoder:
             fits=tuple(fits),
         )
 
-    def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any, last: Touched | None) -> list[Fit]:
+    def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
         first = [fitted(reading, deviation, [part], nothing, 1) for part in self._starts(rows, STARTS)]
@@ -230,7 +230,7 @@ class TouchDecoder:
         )
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        """What acts in each scan (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
+        """Touches of scans (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
         return [self._newest(reading.tobytes()) for reading in self.reading(resistance_ohm)]
 
     @cached_property

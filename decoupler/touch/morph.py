@@ -25,7 +25,7 @@ MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensing:
-    """How a sensor's pillars read displacements of their electrodes."""
+    """Readings of a sensor's pillars by displacements of their electrodes."""
 
     grid: Grid
     design: SensorDesign

@@ -16,6 +16,11 @@ Every command with its options, as `tripillar COMMAND --help` prints them; this 
 themselves. Results go to stdout (with `--json` as one object), progress and names of files to stderr. A mistake is one
 line and exit code 2. *Also* names the options that are told here, since many commands have them:"""
 
+OF_THE_PROGRAM = (
+    "- `--version`: Print the version and exit.",
+    "- `--install-completion`: Let the shell complete commands, options and choices.",
+)
+
 
 def reference() -> str:
     """The whole page, Markdown."""
@@ -24,7 +29,7 @@ def reference() -> str:
     told = {name: [shown(each) for each in options_of(app, name)] for name in names}
     counts = Counter(line for lines in told.values() for line in lines)
     common = [line for line, count in counts.items() if count >= COMMON]
-    blocks = [TITLE, "\n".join(["- `--version`: Print the version and exit.", *common])]
+    blocks = [TITLE, "\n".join([*OF_THE_PROGRAM, *common])]
     for heading, commands in COMMANDS.items():
         blocks.append(f"## {heading}")
         for name in commands:

@@ -17,7 +17,7 @@ from hardware.streams.ros2_file import ros2_channels, ros2_messages
 def write_forces(recording: Recording, forces: Forces, path: Path, ros2: bool = False) -> None:
     """Write forces in the format that the suffix of `path` names, whole or not at all.
 
-    NetCDF (.nc) and MCAP (.mcap) as `docs/recordings.md` has them, or with `ros2` as `docs/streams.md`.
+    NetCDF (.nc) and MCAP (.mcap) as `docs/frames.md` has them, with `ros2` as its streams.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ def test_units_share_the_whole_force_about_its_centre_and_gaps_close_where_it_pr
     assert np.abs(contact.gap_mm[contact.state != OPEN]).max() < 1e-3 * contact.depth_mm
     assert (contact.cell_force_n[2] >= 0).all()
     patch = Patch((-3.0, -1.0), (3.0, 1.0), 3, 1)  # the middle cell lies on the border
-    assert patch.unit_forces(np.ones((3, 1, 3)), pair.design)[0, :, 2].tolist() == [1.5, 1.5]
+    assert patch.unit_loads(np.ones((3, 1, 3)), pair.design.array)[0, :, 2].tolist() == [1.5, 1.5]
 
 
 def test_mirrored_contacts_are_mirror_images(pair: SurfaceCompliance):

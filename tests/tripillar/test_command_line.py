@@ -1,107 +1,31 @@
-"""Options and help that all commands share, completion in a shell, Ctrl-C."""
+"""The program: version, completion in a shell, progress, pipes, Ctrl-C."""
 
-import inspect
 import os
-import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from contextlib import suppress
-from importlib import import_module
 
 import psutil
 import pytest
 
-from geometry.design import Array, SensorDesign
-from geometry.design_file import design_from_toml
 from tests.house import House
-from tripillar.cli.app import COMMANDS, GONE, app_of
-from tripillar.cli.help import meaning, options_of
 from tripillar.terminal.progress import Bars
-
-APP = app_of()
-NAMES = [name for names in COMMANDS.values() for name in names]
-OPTIONS = {name: options_of(APP, name) for name in NAMES}
-MAX_COMMANDS = 21
-UNKNOWN = "--no-such-flag"
-
-
-def flags(name):
-    return {flag for entry in OPTIONS[name] for flag in entry.all_options}
-
-
-def test_flags_are_the_same_everywhere():
-    """Numbers come as JSON too; -o is --out; who can be asked to be quiet can be asked to talk."""
-    assert len(NAMES) <= MAX_COMMANDS
-    for name in NAMES:
-        given = flags(name)
-        assert {"--json", "-q", "-v", "--quiet", "--verbose"} <= given, name
-        assert ("-o" in given) == ("--out" in given), name
-        assert given == {flag.lower() for flag in given}, name
-
-
-@pytest.mark.parametrize("width", [80, 120])
-def test_help_prints_every_word_as_written(tmp_path, monkeypatch, width):
-    """A unit in brackets, such as [s], is no markup; an option's help begins with a noun or a verb, not with "Of"."""
-    house = House(tmp_path)
-    house.environment["COLUMNS"] = str(width)
-    overview = "".join(house.tripillar("--help").stdout.split())
-    for name in NAMES:
-        text = house.tripillar(name, "--help").stdout
-        assert all(len(line) <= width for line in text.splitlines()), name
-        summary = APP[name].help.strip().partition("\n")[0]
-        assert summary[0].isupper(), name
-        assert summary.endswith("."), name
-        assert "".join(f"{name}{summary}".split()) in overview, name
-        shown = "".join(text.split())
-        for entry in OPTIONS[name]:
-            told = meaning(entry)
-            assert told[0].isupper(), (name, told)
-            assert told.split()[0] not in ("Of", "In", "For", "Its", "True", "False", "As"), (name, told)
-            assert all("".join(word.split()) in shown for word in told.split()), (name, told)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_command_keeps_the_contracts(tmp_path, name):
-    """What is missing, else an unknown flag, is one line and exit code 2; the job's docstring says each parameter."""
-    house = House(tmp_path)
-    said = house.refusal(name, UNKNOWN)
-    required = [flag for entry in OPTIONS[name] if entry.required for flag in entry.all_options]
-    assert f"Unknown option: {UNKNOWN}" in said or any(f"{flag} is missing: " in said for flag in required)
-    heading = next(jobs for jobs in COMMANDS.values() if name in jobs)
-    module, _, function = heading[name].partition(":")
-    job = getattr(import_module(f"tripillar.face.{module}"), function or name)
-    told = inspect.getdoc(job)
-    for given in inspect.signature(job).parameters.values():
-        assert given.kind is given.VAR_KEYWORD or re.search(rf"\b{given.name}\b", told), given.name
-
-
-def test_the_design_option_goes_with_every_command_that_needs_one():
-    """DESIGN's contract: it solves or draws for a sensor, so it can be told which."""
-    for name in ("cad", "response", "dataset", "run", "view", "board", "identify", "train", "evaluate", "press"):
-        assert "--design" in flags(name), name
-
-
-@pytest.mark.parametrize("name", GONE)
-def test_a_command_that_is_gone_says_the_new_one(tmp_path, name):
-    line = House(tmp_path).refusal(name, "--whatever")
-    assert line.startswith(f"tripillar: {name} is gone: write tripillar ")
-    assert line.split("write tripillar ")[1].split()[0].rstrip(".;") in NAMES
-
-
-def test_a_design_of_another_size_is_written_whole(tmp_path):
-    said = House(tmp_path).tripillar("design", "--rows", "2", "--cols", "3").stdout
-    assert design_from_toml(said) == SensorDesign(array=Array(rows=2, cols=3))
 
 
 def test_version(tmp_path):
     assert House(tmp_path).process("--version").stdout.startswith("tripillar 0.")
 
 
-def test_the_shell_completes(tmp_path):
-    """The script that --install-completion installs knows commands, options and choices."""
-    script = APP.generate_completion(prog_name="tripillar", shell="bash")
+def test_the_shell_completes(tmp_path, monkeypatch):
+    """--install-completion installs a script that knows commands, options and choices."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", "/bin/bash")
+    done = House(tmp_path).tripillar("--install-completion", "--shell", "bash")
+    assert done.returncode == 0, done.stderr
+    script = "".join(path.read_text() for path in tmp_path.rglob("*") if path.is_file())
     assert all(word in script for word in ("doctor", "--explain", "varpro"))
 
 
@@ -114,7 +38,7 @@ def test_a_bare_command_prints_its_help(tmp_path):
 def test_talk_and_silence(tmp_path):
     """-v says every step on stderr, -q nothing but the file; stdout is the same."""
     house = House(tmp_path)
-    asked = ["response", "--design", "small.toml", "--tolerance", "0.05", "-o", "r.nc"]
+    asked = ["response", "--design", "small.toml", "--method", "layer", "-o", "r.nc"]
     loud = house.tripillar(*asked, "-v")
     still = house.tripillar(*asked, "-q")
     assert still.stderr.splitlines() == ["r.nc"]
@@ -150,22 +74,18 @@ def test_nobody_reads_any_more(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is sent to a process group, which is POSIX")
 def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
-    """As a terminal sends it: to the command and to the processes that it started, while their libraries load."""
+    """As a terminal sends it: to the command and to the processes that it started; stopped while it is looked at."""
     house = House(tmp_path)
-    made = ("dataset", "--protocol", "contact-fz", "--samples", "200", "--design", "small.toml", "-o", "d.nc", "-q")
-    assert house.tripillar(*made).returncode == 0
+    assert house.tripillar("response", "--design", "small.toml", "-o", "r.nc", "-q").returncode == 0  # in the cache
+    words = ("--protocol", "contact-fz", "--samples", "400000", "--design", "small.toml", "--workers", "2", "-q")
     is_at_work = False
-    for _ in range(5):  # until it is seen with its workers; it is stopped while it is looked at, lest it ends meanwhile
+    for _ in range(5):
         with subprocess.Popen(
-            house.command("evaluate", "--folds", "10", "--data", "d.nc", "--component", "fz", "-q"),
-            cwd=tmp_path,
-            env=house.environment,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        ) as process:
+            house.command("dataset", *words, "-o", "many.zarr"), cwd=tmp_path, env=house.environment,
+            stderr=subprocess.PIPE, text=True, start_new_session=True,
+        ) as process:  # fmt: skip
             while len(processes_of_group(process.pid)) < 3 and process.poll() is None:
-                time.sleep(0.1)
+                time.sleep(0.02)
             with suppress(ProcessLookupError):  # it has ended
                 os.killpg(process.pid, signal.SIGSTOP)
                 is_at_work = len(processes_of_group(process.pid)) >= 3
@@ -174,10 +94,12 @@ def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
             _, said = process.communicate(timeout=60)
         if is_at_work:
             break
-    assert (process.returncode, said) == (130, "tripillar: interrupted.\n")
+        shutil.rmtree(tmp_path / "many.zarr", ignore_errors=True)
+    assert (process.returncode, said.count("\n")) == (130, 1)
+    assert said.startswith("tripillar: stopped; the samples in ")
     end_s = time.monotonic() + 60
     while processes_of_group(process.pid) and time.monotonic() < end_s:
-        time.sleep(0.1)
+        time.sleep(0.02)
     assert not processes_of_group(process.pid)
 
 

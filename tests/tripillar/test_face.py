@@ -57,14 +57,7 @@ def test_importing_it_is_instant_and_loads_nothing_heavy():
     assert loaded == []
 
 
-def test_what_is_no_part_of_it_cannot_be_written(tmp_path):
-    with pytest.raises(tp.TriPillarError, match="a dict cannot be written"):
-        tp.write({}, tmp_path / "x")
-    with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
-        tp.train({})
-
-
-def test_a_given_response_is_used_and_one_of_another_design_refused(monkeypatch):
+def test_a_given_response_is_used_and_what_is_of_another_design_or_type_refused(monkeypatch):
     """Whatever its tolerance or method, and none is solved."""
     design = tp.SensorDesign()
     design = replace(design, array=replace(design.array, rows=1, cols=2))
@@ -86,3 +79,7 @@ def test_a_given_response_is_used_and_one_of_another_design_refused(monkeypatch)
             call(other)
         with pytest.raises(tp.TriPillarError, match=r"^response is of type Samples, expected ArrayResponse"):
             call(samples)
+    with pytest.raises(tp.TriPillarError, match="a dict cannot be written"):
+        tp.write({}, "x")
+    with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
+        tp.train({})

@@ -27,20 +27,13 @@ def drawn(renderable):
     return capture.get()
 
 
-def test_rows_go_up_and_columns_to_the_right():
-    """Row 0 has the least y: it is drawn last."""
-    force_n = np.arange(6.0).reshape(2, 3, 1)
-    lines = drawn(force_table(force_n, ("z",), 10.0)).splitlines()
+def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear():
+    """Row 0 has the least y: it is drawn last. Of a model of shear alone the number is its size."""
+    lines = drawn(force_table(np.arange(6.0).reshape(2, 3, 1), ("z",), 10.0)).splitlines()
     assert [line.split() for line in lines] == [["3.0", "4.0", "5.0"], ["0.0", "1.0", "2.0"]]
-
-
-def test_arrows_point_along_the_shear():
     for (fx, fy), arrow in {(1, 0): "→", (0, 1): "↑", (-1, 0): "←", (0, -1): "↓", (1, 1): "↗", (-1, -1): "↙"}.items():
         assert arrow in drawn(force_table(np.array([[[fx, fy, 5.0]]]), ("x", "y", "z"), 10.0))
     assert not set("→↗↑↖←↙↓↘") & set(drawn(force_table(np.array([[[0.1, 0.0, 5.0]]]), ("x", "y", "z"), 10.0)))
-
-
-def test_a_model_of_shear_alone_shows_its_size():
     assert "3.0 ←" in drawn(force_table(np.array([[[-3.0]]]), ("x",), 10.0))
 
 

@@ -1,5 +1,6 @@
-"""Every command that writes, on a full disk and under a limit on the size of files: one line, exit code 2."""
+"""Every command that writes: its answer in JSON; on a full disk and under a limit on files one line, exit code 2."""
 
+import json
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import sensor
+from tests.fem.scenes import PILLAR
 from tests.house import SMALL, run_here
 from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.pipeline import run as pipeline
@@ -18,32 +20,13 @@ from tripillar.viewer import saving
 
 resource = pytest.importorskip("resource")
 
-SCENE = """
-[body]
-kind = "block"
-size_mm = [4.0, 4.0, 2.0]
-[material]
-young_mpa = 6.1
-poisson = 0.3
-[[load]]
-center_mm = [2.0, 2.0]
-size_mm = [2.0, 2.0]
-traction_mpa = [0.0, 0.0, -1.0]
-[[probe]]
-name = "a"
-kind = "mean"
-center_mm = [2.0, 2.0]
-size_mm = [2.0, 2.0]
-[solve]
-tolerance = 0.1
-"""
 DESIGN = ["--design", "small.toml"]
 PICTURE = ["view", "small.toml", "--save"]
 #: by the end of what is written, below `place`
 COMMANDS = {
     "sensor.toml": ["design", "--out"],
     "cad": ["cad", *DESIGN, "--out"],
-    "field.vtu": ["solve", "scene.toml", "--vtu"],
+    "field.vtu": ["solve", "scene.toml", "--tolerance", "0.2", "--vtu"],
     "response.nc": ["response", *DESIGN, "--method", "layer", "--out"],
     "data.nc": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "40", "--out"],
     "data.zarr": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "400", "--out"],
@@ -66,7 +49,7 @@ def inputs(tmp_path, shared_cache, monkeypatch):
     """A folder with something to work on, in which the command runs."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
-    (tmp_path / "scene.toml").write_text(SCENE)
+    (tmp_path / "scene.toml").write_text(PILLAR)
     a_dataset(tmp_path / "data.nc")
     a_model(tmp_path / "model")
     known = made_up_response(sensor(1, 2))  # what is solved is not on trial
@@ -90,15 +73,6 @@ def full(tmp_path):
         subprocess.run(["umount", str(folder)], check=True)
 
 
-def said_by(words):
-    """Run a command that must fail; its one line."""
-    said = StringIO()
-    assert run_here(words, Path(), {}, StringIO(), said) == 2, said.getvalue()
-    *others, last = said.getvalue().splitlines()
-    assert all(" left" in other and "%" in other for other in others), said.getvalue()  # bars of progress
-    return last
-
-
 @pytest.fixture(autouse=True)
 def quick_pictures(monkeypatch):
     """Of a coarse cell, and of films two frames."""
@@ -108,31 +82,40 @@ def quick_pictures(monkeypatch):
         monkeypatch.setattr(f"fem.array.meshed.{name}", value)
 
 
+def typed(*words):
+    """Run a command; its exit code, its answer, and the lines on stderr, those of bars apart."""
+    out, err = StringIO(), StringIO()
+    code = run_here(words, Path(), {}, out, err)
+    return code, out.getvalue(), [line for line in err.getvalue().splitlines() if not (" left" in line and "%" in line)]
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_full_disk_is_one_line(name, inputs, full):
-    last = said_by([*COMMANDS[name], f"full/{name}"])
-    assert f"full/{name}" in last
-    assert "disk is full" in last
+    code, _, (line,) = typed(*COMMANDS[name], f"full/{name}")
+    assert (code, f"full/{name}" in line, "disk is full" in line) == (2, True, True), line
     assert [path.name for path in full.iterdir()] == ["filler"]
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if not name.startswith("p.")])  # pictures take seconds
-def test_a_limit_on_the_size_of_files_is_one_line(name, inputs):
+def test_a_limit_on_the_size_of_files_is_one_line_and_without_it_the_answer_is_json(name, inputs):
     (inputs / "place").mkdir()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
     try:
-        last = said_by([*COMMANDS[name], f"place/{name}"])
+        code, _, (line,) = typed(*COMMANDS[name], f"place/{name}")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert f"place/{name}" in last
-    assert "disk is full" in last
+    assert (code, f"place/{name}" in line, "disk is full" in line) == (2, True, True), line
     assert list((inputs / "place").iterdir()) == []
+    if name == "out":
+        return  # whose answer is that of test_pipeline.py, in seconds
+    code, answer, said = typed(*COMMANDS[name], f"place/{name}", "--json", "-q")
+    assert (code, type(json.loads(answer))) == (0, dict)
+    assert said[-1].startswith(f"place/{name}")
 
 
 def test_a_mesh_that_cannot_be_kept_is_one_line(inputs, full, monkeypatch):
     monkeypatch.setenv("TRIPILLAR_CACHE", "full")
-    last = said_by(["cad", "--mesh", *DESIGN, "--out", "solids"])
-    assert last.startswith("tripillar: full/mesh-")
-    assert "disk is full" in last
+    code, _, (line,) = typed("cad", "--mesh", *DESIGN, "--out", "solids")
+    assert (code, line.startswith("tripillar: full/mesh-"), "disk is full" in line) == (2, True, True), line
     assert [path.name for path in full.iterdir()] == ["filler"]

@@ -28,7 +28,7 @@ from geometry.layout import electrode_squares
 from studies.pads import JOINT, error_rows, map_row, with_pad
 from studies.paper.spacing import design_at
 from tests.fem.test_unit_check import structured
-from tripillar.face.caller import Caller
+from tripillar.face.caller import Caller, called_by
 from tripillar.face.checks import mention_another_sensor
 from tripillar.pipeline.manufactured import as_made
 from tripillar.sweep.variables import Variable
@@ -140,9 +140,10 @@ def test_pairs_of_other_pads_are_asked_about(responses):
     for own, other in (PAD_KINDS, PAD_KINDS[::-1]):
         said: list[str] = []
         forward = SensorModel.of(responses[own], JOINT)
-        mention_another_sensor(simulate(responses[own], specimen), "samples", JOINT, forward, Caller(say=said.append))
-        assert not said
-        mention_another_sensor(simulate(responses[other], specimen), "samples", JOINT, forward, Caller(say=said.append))
+        with called_by(Caller(say=said.append)):
+            mention_another_sensor(simulate(responses[own], specimen), "samples", JOINT, forward)
+            assert not said
+            mention_another_sensor(simulate(responses[other], specimen), "samples", JOINT, forward)
         assert "are they of another?" in said[0]
 
 

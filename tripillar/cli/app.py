@@ -10,7 +10,7 @@ from importlib import import_module, metadata
 from cyclopts import App, Group
 
 from geometry.errors import DesignError
-from tripillar.cli.door import command_of
+from tripillar.cli.door import Job, command_of
 from tripillar.cli.help import Columns
 from tripillar.terminal.entry import run
 
@@ -64,14 +64,21 @@ def app_of(*names: str) -> App:
         exit_on_error=False,
         print_error=False,
     )
+    app.register_install_completion_command(help="Let the shell complete commands, options and choices.")
     for number, (heading, commands) in enumerate(COMMANDS.items()):
         group = Group(heading, sort_key=number)
         for place, name in enumerate(commands):
             if not names or name in names:
-                module, _, function = commands[name].partition(":")
-                job = getattr(import_module(f"tripillar.face.{module}"), function or name)
-                app.command(command_of(job), name=name, group=group, sort_key=place)
+                app.command(command_of(job_of(name)), name=name, group=group, sort_key=place)
     return app
+
+
+def job_of(name: str) -> Job:
+    """The job of a command."""
+    home = next(commands[name] for commands in COMMANDS.values() if name in commands)
+    module, _, function = home.partition(":")
+    job: Job = getattr(import_module(f"tripillar.face.{module}"), function or name)
+    return job
 
 
 def called() -> int:

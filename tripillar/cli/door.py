@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from types import UnionType
@@ -24,7 +24,7 @@ from docstring_parser import parse
 
 from geometry.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown, called_by
-from tripillar.face.inputs import require_above_0
+from tripillar.face.inputs import Options, require_above_0
 from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
 
@@ -56,9 +56,9 @@ class Typed(Caller):
 
     answers: list[tuple[Callable[[], dict[str, Any]], Shown, Sequence[Path], int]] = field(default_factory=list)
 
-    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path, code: int = 0) -> None:
+    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | None, code: int = 0) -> None:
         """Keep the answer for `show`."""
-        self.answers.append((result, text, files, code))
+        self.answers.append((result, text, [path for path in files if path is not None], code))
 
     def tell(self, *lines: str) -> None:
         """Print lines on how the job is done, where they are in nobody's way."""
@@ -84,13 +84,31 @@ class Typed(Caller):
         return max((code for *_, code in self.answers), default=0)
 
 
+def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
+    """Parameters of a job, those of its `Options` in place of what holds them."""
+    for given in inspect.signature(job).parameters.values():
+        if given.kind is not given.VAR_KEYWORD:
+            yield given
+        for options in options_of(given):
+            theirs = inspect.signature(options.source).parameters
+            for name in options.names:
+                hint = options.shown.get(name, theirs[name].annotation)
+                yield theirs[name].replace(kind=given.KEYWORD_ONLY, annotation=hint)
+
+
+def options_of(given: inspect.Parameter) -> list[Options]:
+    """The options of another function or dataclass that a parameter holds."""
+    said = get_args(given.annotation) if get_origin(given.annotation) is Annotated else ()
+    return [each for each in said if isinstance(each, Options)]
+
+
 def command_of(job: Job) -> Callable[..., int]:
     """The command of a job, whose signature and docstring the parser reads."""
     told, parameters, flags = meanings(job), [], {}
     absent: dict[str, Any] = {}  # of what Python must be given and a command need not
-    for given in inspect.signature(job).parameters.values():
+    for given in parameters_of(job):
         hint, marks = hoisted(given.annotation)
-        if given.kind is given.VAR_KEYWORD or any(mark.parse is False for mark in marks):
+        if any(mark.parse is False for mark in marks):
             continue
         is_argument = given.kind is given.POSITIONAL_ONLY
         default = given.default
@@ -164,6 +182,9 @@ def flag_of(name: str) -> str:
 def meanings(job: Job) -> dict[str, str]:
     """Help of each parameter by the docstring; "As of `train`", or `learning.train`, takes what is said there."""
     found: dict[str, str] = {}
+    for options in (each for given in inspect.signature(job).parameters.values() for each in options_of(given)):
+        theirs = options.meanings() if is_dataclass(options.source) else meanings(options.source)
+        found |= {name: theirs[name] for name in options.names}
     for each in parse(inspect.getdoc(job) or "").params:
         text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
         elsewhere = re.match(r"As of '(\w+\.)?(\w+)'", text)

@@ -182,7 +182,7 @@ def watch(
     with live(port, model, calibration, baud=baud, timeout=timeout) as sensor:
         if rate_hz is not None:
             sensor.scanner.set_rate(rate_hz)
-        with asked.opened(sensor.description, caller) as streams:
+        with asked.opened(sensor.description) as streams:
             if caller.as_json:
                 print_lines(sensor, seconds, streams, describe)
             else:
@@ -230,11 +230,10 @@ def record(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
+    >>> from geometry import Array
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> with tp.board(design, chip="python") as port:
     ...     scans = tp.record(port, Path(mkdtemp()) / "press.frames", 0.2)
     >>> scans > 0
@@ -324,11 +323,10 @@ def replay(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
+    >>> from geometry import Array
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
-    >>> design, file = tp.SensorDesign(), Path(mkdtemp()) / "press.frames"
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> design, file = tp.SensorDesign(array=Array(rows=1, cols=2)), Path(mkdtemp()) / "press.frames"
     >>> with tp.board(design, chip="python") as port:
     ...     scans = tp.record(port, file, 0.2)
     >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
@@ -341,6 +339,7 @@ def replay(
         raise DesignError("ros2=True says what is in an MCAP file: add out=FILE.mcap, or leave ros2=True out.")
     require_there(source, what="a recording")
     require_there(model, what=MODEL)
+    require_there(calibration, what="a calibration file")
     if speed is not None:
         if not speed >= 1e-3:
             raise DesignError(f"speed={speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
@@ -387,7 +386,7 @@ def replay(
         chi2 = None if found.chi2 is None else found.chi2.tolist()
         return result | {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist(), "chi2": chi2}
 
-    caller.answer(told, "\n".join(lines), *([] if file is None else [file]))
+    caller.answer(told, "\n".join(lines), file)
     return found
 
 

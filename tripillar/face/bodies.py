@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from geometry.design import Array, SensorDesign
 from geometry.design_file import design_to_toml, write_design
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, require_there, to_fill, to_write
 
 if TYPE_CHECKING:
@@ -38,8 +38,7 @@ def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array
     sensor = SensorDesign(array=Array(rows=rows, cols=cols))
     if path is not None:
         write_design(sensor, path)
-    files = [] if path is None else [path]
-    caller.answer(lambda: asdict(sensor), "" if files else design_to_toml(sensor).removesuffix("\n"), *files)
+    caller.answer(lambda: asdict(sensor), "" if path else design_to_toml(sensor).removesuffix("\n"), path)
     return sensor
 
 
@@ -129,7 +128,7 @@ def solve(
     -0.2
     """
     caller, path = current(), to_write("vtu", vtu, ".vtu", read=(scene,))
-    require_there(scene, what="a scene file; see docs/scenes.md")
+    require_there(scene, what="a scene file; see docs/physics.md")
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
     from fem.scene.scene_file import read_scene
@@ -151,9 +150,9 @@ def solve(
     caller.answer(
         lambda: solution_as_plain(solution, plan.lines),
         lambda: [solution_table(solution)],
-        *([] if path is None else [path]),
+        path,
     )
-    _warn_above(body.tolerance, solution.error_estimate, caller, "; explain=True says why")
+    _warn_above(body.tolerance, solution.error_estimate, "; explain=True says why")
     caller.say(f"warning: {far}" if far else "")
     return solution
 
@@ -189,9 +188,8 @@ def response(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> tp.response(design).influence_mm_per_n.shape
     (1, 2, 2, 3, 1, 2, 3)
     """
@@ -214,13 +212,13 @@ def response(
         "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
         "mesh_hash": solved.mesh_hash,
     }
-    caller.answer(lambda: result, stage.note, *([] if path is None else [path]))
+    caller.answer(lambda: result, stage.note, path)
     if tolerance is not None and result["error_estimate"] is not None:
-        _warn_above(tolerance, solved.error_estimate, caller)
+        _warn_above(tolerance, solved.error_estimate)
     return solved
 
 
-def _warn_above(tolerance: float, error: float, caller: Caller, more: str = "") -> None:
+def _warn_above(tolerance: float, error: float, more: str = "") -> None:
     """Say that an estimated error is above the tolerance, if it is."""
     if not error <= tolerance:
-        caller.say(f"warning: the estimated error {error:.1e} stays above the tolerance {tolerance:g}{more}")
+        current().say(f"warning: the estimated error {error:.1e} stays above the tolerance {tolerance:g}{more}")

@@ -8,7 +8,7 @@ from decoupler.evaluation.plausibility import disturbance, doubt, explained
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
-from tripillar.face.caller import Caller
+from tripillar.face.caller import current
 
 #: share of its pairs that a sensor's own response explains, gains and noise aside: of one that is off by manufacture
 #: 0.998 and more, with pads of the other kind 0.92 to 0.95
@@ -20,7 +20,7 @@ def joint_model(response: ArrayResponse | None) -> SensorModel | None:
     return None if response is None else SensorModel.of(response, COMPONENTS["all"])
 
 
-def heed(doubted: str | None, name: str, force: bool, caller: Caller) -> dict[str, str]:
+def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
     """Refuse samples that are doubted; with `force` warn, and return what the model is to remember of it.
 
     Raises
@@ -32,47 +32,43 @@ def heed(doubted: str | None, name: str, force: bool, caller: Caller) -> dict[st
         return {}
     if not force:
         raise SampleError(f"{name}: {doubted}. Nothing was done; force=True goes on all the same.")
-    caller.say(f"warning: {name}: {doubted}")
+    current().say(f"warning: {name}: {doubted}")
     return {"forced": doubted}
 
 
-def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, caller: Caller) -> None:
+def mention(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
     """Say which forces the component leaves out although they act, and how many samples are given twice."""
     left_out = disturbance(data, component, forward)
     if left_out is not None:
-        caller.say(f"{name}: {left_out}")
+        current().say(f"{name}: {left_out}")
     repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
-        caller.say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
+        current().say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
 
 
-def mention_another_sensor(
-    data: Samples, name: str, component: Component, forward: SensorModel | None, caller: Caller
-) -> None:
+def mention_another_sensor(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
     """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
     share = None if forward is None else explained(data, component, forward)
     if share is not None and share < OWN_EXPLAINED:
-        caller.say(
+        current().say(
             f"{name}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
             f"sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
         )
 
 
-def warn_of_test(
-    decoupler: Decoupler, model: str, data: AnySamples, name: str, response: ArrayResponse | None, caller: Caller
-) -> None:
+def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, response: ArrayResponse | None) -> None:
     """Say why errors on these samples may mislead: training samples, a forced model, doubtful data."""
     story, component = decoupler.made_from, decoupler.component
     identified_on = "identified_on" in story and Pairs.of(data[: story["pairs"]]).content_hash
     if data.content_hash == story.get("data_hash") or (identified_on and identified_on == story["identified_on"]):
         told = f"{model} was trained on these samples: its errors on others are larger"
-        caller.say(f"warning: {name}: {told}")
+        current().say(f"warning: {name}: {told}")
     if "forced" in story:
-        caller.say(f"warning: {model} was made by force of doubtful samples: {story['forced']}")
+        current().say(f"warning: {model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
     own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
     few = drawn(data)
     doubted = doubt(few, component, own)
     if doubted is not None:
-        caller.say(f"warning: {name}: {doubted}")
-    mention(few, name, component, judge, caller)
+        current().say(f"warning: {name}: {doubted}")
+    mention(few, name, component, judge)

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.errors import ArgumentError, DesignError
 from geometry.storage.files import write_bytes
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import File, ModelLike, pads_model_of, require_there, to_write
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ def export(
     if model is not None:
         if to is not None or licence is not None:
             raise DesignError("to= and licence= are for data sets: the ending of out= says the form of a model.")
-        return _model_written(model, out, precision, caller)
+        return _model_written(model, out, precision)
     assert data is not None
     if precision is not None:
         raise DesignError("precision= is for models: a table has the numbers of its data set.")
     source = Path(data)
     require_there(source, what="a data set or a recording")
     if _is_recording(source):
-        return _recording_written(source, to, out, caller)
+        return _recording_written(source, to, out)
     named = [form for form, ending in ENDINGS.items() if out is not None and Path(out).suffix == ending]
     form = to or "".join(named)
     if not form:
@@ -99,9 +99,7 @@ def export(
     return file
 
 
-def _model_written(
-    model: "ModelLike", out: "File | None", precision: Literal["float", "double"] | None, caller: Caller
-) -> Path:
+def _model_written(model: "ModelLike", out: "File | None", precision: Literal["float", "double"] | None) -> Path:
     file = to_write("out", out, ".onnx", ".h", read=(model,))
     if file is None:
         raise DesignError("a model needs out=FILE that ends in .onnx or .h.")
@@ -110,7 +108,7 @@ def _model_written(
     exported = export_model(pads_model_of(model, "export"), file, precision)
     checked = f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
     said = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
-    caller.answer(lambda: {"file": str(file), **asdict(exported)}, said, file)
+    current().answer(lambda: {"file": str(file), **asdict(exported)}, said, file)
     return file
 
 
@@ -129,7 +127,7 @@ def _is_recording(path: Path) -> bool:
         return False  # as a data set it is refused
 
 
-def _recording_written(path: Path, to: str | None, out: "File | None", caller: Caller) -> Path:
+def _recording_written(path: Path, to: str | None, out: "File | None") -> Path:
     if to is not None:
         raise DesignError("to= is for data sets: the ending of out= says the form of a recording.")
     file = to_write("out", out, *OF_RECORDINGS, read=(path,))
@@ -138,11 +136,11 @@ def _recording_written(path: Path, to: str | None, out: "File | None", caller: C
     from hardware import convert, read_recording
 
     recorded = read_recording(path)
-    caller.say(damage(path, recorded))
+    current().say(damage(path, recorded))
     convert(recorded, file)
     n, met = len(recorded.run), recorded.statistics
     result = {"file": str(file), "frames": n, "statistics": asdict(met)}
-    caller.answer(lambda: result, f"{n} frames, {met.lost} lost", file)
+    current().answer(lambda: result, f"{n} frames, {met.lost} lost", file)
     return file
 
 

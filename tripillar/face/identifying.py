@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
 from geometry.errors import DesignError, require_type
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -19,6 +19,7 @@ from tripillar.face.inputs import (
     Protocol,
     SamplesLike,
     design_of,
+    given,
     name_of,
     pads_model_of,
     require_above_0,
@@ -140,10 +141,10 @@ def identify(
 
     >>> import tripillar as tp
     >>> from dataclasses import replace
+    >>> from geometry import Array
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> soft = replace(tp.response(design), influence_mm_per_n=1.1 * tp.response(design).influence_mm_per_n)
     >>> own = tp.dataset(soft, samples=120, seed=2, noise=0.001, gain_spread=0.1)
     >>> twin = tp.identify(own[:20])
@@ -158,14 +159,14 @@ def identify(
     ['own.safetensors', 'own.toml']
     """
     caller = current()
-    given = (data, loads, design, finite, model)
-    _require_sense(data, port, loads, keep, out, twin, next_loads, caller)
+    read_too = (data, loads, design, finite, model)
+    _require_sense(data, port, loads, keep, out, twin, next_loads)
     if have is not None and not next_loads:
         raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
     require_above_0(seconds=seconds, timeout=timeout)
-    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=given)
-    twin = to_write("twin", twin, ".toml", read=(*given, out))
-    require_there(*given, loads, calibration, what="what is to be read")
+    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=read_too)
+    twin = to_write("twin", twin, ".toml", read=(*read_too, out))
+    require_there(*read_too, calibration, what="what is to be read")
     if finite is not None and model is not None:
         raise DesignError("give finite= or model=, not both: each holds the design at finite strain.")
     if pairs is not None and pairs < 1:
@@ -188,9 +189,9 @@ def identify(
         read = _pairs(data, sensor)
     if as_designed:
         assert read is not None
-        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force, caller)
+        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force)
     if read is None:
-        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances, caller)
+        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances)
         caller.answer(lambda: {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
         return first
     if pairs is not None:
@@ -200,7 +201,7 @@ def identify(
     at_finite = (
         pads_model_of(model, "identify") if model is not None else None if finite is None else samples_of(finite, False)
     )
-    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force, caller)
+    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force)
     result: dict[str, Any] = {
         "pairs": found.n_pairs,
         "parameters": {name: list(value) for name, value in found.parameters.items()},
@@ -220,13 +221,12 @@ def identify(
     if next_loads:
         result["next"] = [vars(one) for one in found.next_loads]
         lines += _proposed(found.next_loads)
-    caller.answer(lambda: result, "\n".join(lines), *([] if out is None else [out]))
+    caller.answer(lambda: result, "\n".join(lines), out)
     return found
 
 
 def _require_sense(
-    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int,
-    caller: Caller,
+    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int
 ) -> None:  # fmt: skip
     """Refuse options that do not go together."""
     if data is not None and port is not None:
@@ -235,7 +235,7 @@ def _require_sense(
         raise DesignError("loads= and keep= go with port= alone: pairs of data= have their loads.")
     if data is None and port is None and not next_loads:
         raise DesignError("give data= or port=; next_loads= alone says where to begin.")
-    if caller.is_typed and out is None and not next_loads:
+    if current().is_typed and out is None and not next_loads:
         raise DesignError("give out= for the model, or next_loads= for the loads to measure.")
     if out is not None and data is None and port is None:
         raise DesignError("out= needs pairs: give data= or port= too.")
@@ -292,8 +292,7 @@ def _electronics(calibration: "File | None", switch_ohm: float | None, line_ohm:
     from hardware.readout.calibration import Electronics, read_calibration
 
     known = Electronics() if calibration is None else read_calibration(Path(calibration)).electronics
-    given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
-    return replace(known, **{name: ohms for name, ohms in given.items() if ohms is not None})
+    return replace(known, **given(switch_ohm=switch_ohm, line_ohm=line_ohm))
 
 
 def _measured(
@@ -326,7 +325,6 @@ def _calibrated(
     noise: float | None,
     out: Path | None,
     force: bool,
-    caller: Caller,
 ) -> "SensorCalibration":
     """Gain and offset of every pillar, the design taken as exact."""
     from decoupler.data.pairs import Pairs
@@ -336,7 +334,7 @@ def _calibrated(
 
     if not isinstance(pairs, Pairs):
         raise DesignError("as_designed=True takes pairs of a board, a recording or a table: a data set has no circuit.")
-    found, residual = calibrated(pairs, respond(sensor, caller.bars)[1], electronics, serial, noise, force)
+    found, residual = calibrated(pairs, respond(sensor, current().bars)[1], electronics, serial, noise, force)
     if out is not None:
         write_calibration(found, out)
     gains, offsets_ohm = ([float(each.min()), float(each.max())] for each in (found.gain, found.offset_ohm))
@@ -346,5 +344,5 @@ def _calibrated(
         f"{len(pairs)} loads: gains {gains[0]:.3f} to {gains[1]:.3f}, offsets {offsets_ohm[0]:.0f} to "
         f"{offsets_ohm[1]:.0f} Ω; what is left: {100 * residual:.2f} %"
     )
-    caller.answer(lambda: result, text, *([] if out is None else [out]))
+    current().answer(lambda: result, text, out)
     return found

@@ -4,9 +4,12 @@ Mistakes of names are refused here, before a stage is loaded, which takes second
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import fields
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
@@ -37,6 +40,28 @@ Protocol = Literal[
 ]  # fmt: skip
 MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 MAX_S = 3600.0  #: of any time that must end
+
+
+class Options:
+    """Mark of a job's ``**options``: they are those of a dataclass or of another job, and flags of the command line.
+
+    `names` are those meant, all of a dataclass if there are none; `shown` has the types of those that are typed
+    otherwise than Python takes them.
+    """
+
+    def __init__(self, source: Callable[..., Any], *names: str, **shown: Any) -> None:
+        self.source, self.shown = source, shown
+        self.names = names or tuple(signature(source).parameters)
+
+    def meanings(self) -> dict[str, str]:
+        """Help of each field of the dataclass, where no docstring of a job says it."""
+        told = {each.name: each.metadata.get("meaning", "") for each in fields(self.source)}  # type: ignore[arg-type]
+        return {name: f"{text[:1].upper()}{text[1:]}." for name, text in told.items()}
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """Those that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def design_of(source: "DesignLike | None") -> SensorDesign:

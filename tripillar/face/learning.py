@@ -1,19 +1,21 @@
 """Train and test networks on samples that are checked first."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
     ModelLike,
+    Options,
     SamplesLike,
     design_of,
     model_of,
@@ -22,12 +24,12 @@ from tripillar.face.inputs import (
     samples_of,
     to_write,
 )
+from tripillar.face.touching import assessed_touch, touch_decoder
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.data.enough import AnySamples
     from decoupler.evaluation.assessment import Assessment
-    from decoupler.evaluation.crossval import Fold
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import NetworkConfig, TrainingConfig
     from decoupler.touch import TouchDecoder
@@ -43,7 +45,6 @@ Component = Literal["fz", "fx", "fy", "all"]
 Net = Literal["plain", "skip"]
 Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
-TOUCH_READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: readings of touch where data say nothing else
 GOAL = Parameter(name="--goal")
 ITERATIONS = Parameter(name="--iterations")
 DATA = "a data set of 'tripillar dataset', or measured samples"
@@ -121,9 +122,8 @@ def train(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> samples = tp.dataset(design, samples=200, noise=0.001)
     >>> model = tp.train(samples, hidden=4)
     >>> model.component.name, model.network.feature
@@ -137,21 +137,20 @@ def train(
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design_of(design), to_write("out", out, ".safetensors", read=(design,)), caller)
+        return touch_decoder(design_of(design), to_write("out", out, ".safetensors", read=(design,)))
     if data is None:
         raise DesignError("give data=, samples to train on; or touch=True.")
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     require_there(*sources, what=DATA)
     out = to_write("out", out, ".safetensors", read=(*sources, design))
-    stated = None if design is None else design_of(design)
-    from decoupler.model.settings import TrainingConfig
-
-    training = TrainingConfig(trainer=trainer, seed=seed, goal_mse=goal_mse, max_iterations=max_iterations, **settings)
+    asked = _asked(
+        component=component, net=net, hidden=hidden, trainer=trainer, feature=feature, goal_mse=goal_mse,
+        max_iterations=max_iterations, seed=seed, design=design, response=response, force=force, settings=settings,
+    )  # fmt: skip
+    training = asked.training
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = _enough(samples, seed, name, caller, "train the network")
-    parts, network, solved, forced = _checked(
-        few, name, component, NetworkSettings(net, hidden, feature), stated, response, force, caller
-    )
+    few = _enough(samples, seed, name, "train the network")
+    parts, network, solved, forced = _checked(few, name, asked)
     from decoupler import train  # loads torch: only once the samples are found right
     from decoupler.model.model_file import write_model
 
@@ -160,7 +159,7 @@ def train(
     model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
     if out is not None:
         write_model(model, out)
-    _mention_untrusted(model, caller)
+    _mention_untrusted(model)
 
     def result() -> dict[str, Any]:
         from decoupler.evaluation.metrics import evaluate as errors_on
@@ -173,27 +172,11 @@ def train(
 
     outcome = model.made_from["outcome"]
     text = f"{outcome['iterations']} iterations in {seconds:.1f} s to mse {outcome['mse']:.2e} ({outcome['reason']})"
-    caller.answer(result, text, *([] if out is None else [out]))
+    caller.answer(result, text, out)
     return model
 
 
-def _touch_decoder(design: SensorDesign, out: Path | None, caller: Caller) -> "TouchDecoder":
-    """A decoder of touches; its library comes from the cache or is made."""
-    from dataset.measurement import ReadingError
-    from decoupler.touch import TouchDecoder, touch_library, write_touch
-    from decoupler.touch.presses import PRESSES
-    from fem.contact.surface import require_bare
-
-    require_bare(design)
-    advance = caller.bars.begin("presses", total=PRESSES)
-    library, _, reused = touch_library(design, PRESSES, lambda done: advance(done, ""))
-    decoder = TouchDecoder(design=design, errors=ReadingError(**TOUCH_READ), library=library)
-    if out is not None:
-        write_touch(decoder, out)
-    result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
-    text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
-    caller.answer(lambda: result | {"seconds": caller.bars.seconds()}, text, *([] if out is None else [out]))
-    return decoder
+TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "goal_mse", "seed", "design", "force")
 
 
 def evaluate(
@@ -202,17 +185,8 @@ def evaluate(
     *,
     limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
     folds: int | None = None,
-    component: Component | None = None,
-    net: Net = "skip",
-    hidden: int = 17,
-    trainer: Trainer = "varpro",
-    feature: Feature = "auto",
-    goal_mse: Annotated[float | None, GOAL] = None,
-    seed: int = 0,
-    design: DesignLike | None = None,
     response: Response | None = None,
-    force: bool = False,
-    **settings: Any,
+    **training: Annotated[Any, TRAINING],
 ) -> "dict[str, Assessment]":
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
 
@@ -230,8 +204,10 @@ def evaluate(
         Compute the least error that the readings allow, too.
     folds : int, optional
         Number of parts to cross-validate, each tested once; the paper uses 10.
-    component, net, hidden, trainer, feature, goal_mse, seed, design, response, force, **settings
-        As of `train`, with folds.
+    response : ArrayResponse, optional
+        Response of the sensor; default: solved with the default tolerance if need be.
+    **training
+        With folds: component, net, hidden, trainer, feature, goal_mse, seed, design, force and more, as of `train`.
 
     Returns
     -------
@@ -249,9 +225,8 @@ def evaluate(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> model = tp.train(tp.dataset(design, samples=1000, seed=1, noise=0.001), hidden=4)
     >>> found = tp.evaluate(model, tp.dataset(design, samples=100, seed=2, noise=0.001))
     >>> list(found), found["fz"].ratio < 1.15
@@ -265,18 +240,14 @@ def evaluate(
     require_there(data, what=DATA)
     if (model is None) == (folds is None):
         raise DesignError("give model=, or folds= to cross-validate: one of them.")
-    stated = None if design is None else design_of(design)
     name = name_of(data, "samples")
     if folds is not None:
-        from decoupler.model.settings import TrainingConfig
-
-        training = TrainingConfig(trainer=trainer, goal_mse=goal_mse, seed=seed, **settings)
-        form = NetworkSettings(net, hidden, feature)
-        return _cross_validated(
-            samples_of(data), name, component, folds, training, form, stated, response, force, caller
-        )
-    if component is not None or design is not None:
-        raise DesignError("component= and design= are of folds=: a model has its own.")
+        asked = signature(train).bind(data, response=response, **training)
+        asked.apply_defaults()
+        return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments))
+    if training:
+        given = ", ".join(f"{name}=" for name in training)
+        raise DesignError(f"a model has its own: leave {given} out, or cross-validate with folds=.")
     assert model is not None
     from decoupler import assess, require_same_sensor
     from decoupler.evaluation.assessment import as_plain
@@ -288,51 +259,47 @@ def evaluate(
     decoupler, samples = model_of(model), samples_of(data)
     require_same_sensor(decoupler, samples, Path(named), Path(name))
     if isinstance(decoupler, TouchDecoder):
-        return _assessed_touch(decoupler, data, caller)
+        return assessed_touch(decoupler, data)
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
-    solved = _response(samples, name, samples.design or decoupler.design, response, caller) if limits else None
-    warn_of_test(decoupler, named, samples, name, solved, caller)
+    solved = _response(samples, name, samples.design or decoupler.design, response) if limits else None
+    warn_of_test(decoupler, named, samples, name, solved)
     assessed = assess(decoupler, samples, solved)
-    _mention_untrusted(decoupler, caller)
+    _mention_untrusted(decoupler)
     caller.answer(lambda: as_plain(assessed), lambda: [assessment_table(assessed)])
     return assessed
 
 
-def _assessed_touch(decoder: "TouchDecoder", data: SamplesLike, caller: Caller) -> "dict[str, Assessment]":
-    """Errors of a touch decoder: of units, of the net force and of its place."""
-    from dataset import in_memory
-    from decoupler.touch import assess_touch
-    from tripillar.face.tables import assessed_touch_tables
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A network as it was asked for, whose inputs may yet have to be chosen, and what its samples are checked by."""
 
-    samples = in_memory(samples_of(data, labels_only=False))
-    advance = caller.bars.begin("touches", total=len(samples))
-    found = assess_touch(decoder, samples, lambda done: advance(done, ""))
-    caller.answer(found.plain, lambda: assessed_touch_tables(found))
-    return found.by_force
-
-
-class NetworkSettings(NamedTuple):
-    """Form of a network as it was asked for; its inputs may yet have to be chosen."""
-
+    component: Component | None
     net: Net
     hidden: int
     feature: Feature
+    training: "TrainingConfig"
+    design: SensorDesign | None
+    response: "ArrayResponse | None"
+    force: bool
 
 
-def _cross_validated(
-    samples: "AnySamples",
-    name: str,
-    component: Component | None,
-    folds: int,
-    training: "TrainingConfig",
-    form: NetworkSettings,
-    design: SensorDesign | None,
-    response: "ArrayResponse | None",
-    force: bool,
-    caller: Caller,
-) -> "dict[str, Assessment]":
+def _asked(
+    *, component: Component | None, net: Net, hidden: int, feature: Feature, design: "DesignLike | None",
+    response: "ArrayResponse | None", force: bool, settings: dict[str, Any], data: object = None, out: object = None,
+    **training: Any,
+) -> Asked:  # fmt: skip
+    """What `train` is asked by its arguments."""
+    from decoupler.model.settings import TrainingConfig
+
+    return Asked(
+        component=component, net=net, hidden=hidden, feature=feature, training=TrainingConfig(**training, **settings),
+        design=None if design is None else design_of(design), response=response, force=force,
+    )  # fmt: skip
+
+
+def _cross_validated(samples: "AnySamples", name: str, folds: int, asked: Asked) -> "dict[str, Assessment]":
     """Errors of networks trained on all folds but the one that tests them."""
     import numpy as np
 
@@ -342,12 +309,12 @@ def _cross_validated(
     from decoupler.evaluation.crossval import over_folds, split_folds, summary
     from tripillar.face.tables import crossval_table
 
-    split_folds(min(len(samples), ENOUGH), folds, training.seed)  # refuses too many before anything takes time
-    few = _enough(samples, training.seed, name, caller, "are split")
-    parts, network, solved, _ = _checked(few, name, component, form, design, response, force, caller)
-    advance = caller.bars.begin(f"{folds} folds", total=folds)
-    tested: list[Fold] = cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
-    caller.answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
+    split_folds(min(len(samples), ENOUGH), folds, asked.training.seed)  # refuses too many before anything takes time
+    few = _enough(samples, asked.training.seed, name, "are split")
+    parts, network, solved, _ = _checked(few, name, asked)
+    advance = current().bars.begin(f"{folds} folds", total=folds)
+    tested = cross_validate(few, parts, network, asked.training, folds, solved, lambda _: advance(1, ""))
+    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
     return {force: Assessment(errors=errors, **nothing) for force, errors in over_folds(tested, np.mean).items()}
 
@@ -365,31 +332,24 @@ def _together(sources: "Sequence[SamplesLike]") -> "AnySamples":
     return several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
 
 
-def _mention_untrusted(model: "Decoupler", caller: Caller) -> None:
+def _mention_untrusted(model: "Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
-    for row, col, name in model.untrusted() if caller.is_typed and not caller.as_json else []:
-        caller.say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
+    for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
+        current().say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 
-def _enough(samples: "AnySamples", seed: int, name: str, caller: Caller, purpose: str) -> "Samples":
+def _enough(samples: "AnySamples", seed: int, name: str, purpose: str) -> "Samples":
     """The samples, or a draw of those that are too many; says so."""
     from decoupler.data.enough import drawn
 
     few = drawn(samples, seed)
     if len(few) < len(samples):
-        caller.say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
     return few
 
 
 def _checked(
-    samples: "Samples",
-    name: str,
-    component: Component | None,
-    form: NetworkSettings,
-    design: SensorDesign | None,
-    response: "ArrayResponse | None",
-    force: bool,
-    caller: Caller,
+    samples: "Samples", name: str, asked: Asked
 ) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     from decoupler import component_named
@@ -398,16 +358,16 @@ def _checked(
     from decoupler.training.suited import suited_component, suited_feature
     from tripillar.face.checks import heed, joint_model, mention
 
-    net, feature = form.net, form.feature
-    automatic, named = feature == "auto", component or suited_component(samples)
-    network, parts = NetworkConfig(hidden=form.hidden, net=net), component_named(named)
+    net, feature, design, response, force = asked.net, asked.feature, asked.design, asked.response, asked.force
+    automatic, named = feature == "auto", asked.component or suited_component(samples)
+    network, parts = NetworkConfig(hidden=asked.hidden, net=net), component_named(named)
     sensor = samples.design or design
     if sensor is None and response is None and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    forced = heed(nothing_to_learn(samples, parts), name, force, caller)
+    forced = heed(nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if net == "skip" if automatic else feature == "inverse":
-        solved = _response(samples, name, sensor, response, caller)
+        solved = _response(samples, name, sensor, response)
     chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
     if automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
@@ -416,13 +376,13 @@ def _checked(
         note = f"the data state no design, but the response of {which} explains them and is used"
     judging = solved
     if samples.design is not None or design is not None or response is not None:
-        judging = _response(samples, name, sensor, response, caller) if solved is None else solved
+        judging = _response(samples, name, sensor, response) if solved is None else solved
     elif chosen != "inverse":
         judging = None  # a guessed design that does not explain the samples cannot judge them
     judge = joint_model(judging)
-    forced |= heed(None if forced else doubt(samples, parts, judge), name, force, caller)
-    caller.say(note)
-    mention(samples, name, parts, judge, caller)
+    forced |= heed(None if forced else doubt(samples, parts, judge), name, force)
+    current().say(note)
+    mention(samples, name, parts, judge)
     return named, replace(network, feature=chosen), solved, forced
 
 
@@ -431,18 +391,14 @@ def _fits(design: SensorDesign, samples: "AnySamples") -> bool:
 
 
 def _response(
-    samples: "AnySamples",
-    name: str,
-    design: SensorDesign | None,
-    given: "ArrayResponse | None",
-    caller: Caller,
+    samples: "AnySamples", name: str, design: SensorDesign | None, given: "ArrayResponse | None"
 ) -> "ArrayResponse | None":
     """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
     from fem.array.response import ArrayResponse
     from tripillar.pipeline.run import respond
 
     if given is None:
-        return None if design is None or not _fits(design, samples) else respond(design, caller.bars)[1]
+        return None if design is None or not _fits(design, samples) else respond(design, current().bars)[1]
     require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
     if not _fits(given.design, samples) or (design is not None and given.design != design):
         raise DesignError(

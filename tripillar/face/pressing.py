@@ -79,9 +79,8 @@ def press(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> contact = press(design, shape="sphere", radius_mm=20.0, depth_mm=0.2)
     >>> contact.force_n.shape, bool(contact.net_force_n[2] > 0)
     ((1, 2, 3), True)
@@ -109,8 +108,7 @@ def press(
         from fem.pictures.contact import draw_contact
 
         draw_contact(contact, drawn)
-    files = [path for path in (file, drawn) if path is not None]
-    caller.answer(lambda: _as_plain(contact, strain), lambda: [contact_table(contact, strain)], *files)
+    caller.answer(lambda: _as_plain(contact, strain), lambda: [contact_table(contact, strain)], file, drawn)
     if contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "

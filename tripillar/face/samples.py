@@ -7,11 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from geometry.layout import PILLARS
-from tripillar.face.caller import Caller, current
-from tripillar.face.inputs import DesignLike, File, Protocol, design_of, require_counts, require_pool, to_write
+from tripillar.face.caller import current
+from tripillar.face.inputs import (
+    DesignLike,
+    File,
+    Options,
+    Protocol,
+    design_of,
+    given,
+    require_counts,
+    require_pool,
+    to_write,
+)
 
 if TYPE_CHECKING:
     from dataset import DatasetSettings, Readout, Samples
@@ -26,6 +37,14 @@ else:
 
 Kind = Literal[Protocol, "indent"]
 NEEDED = Parameter(required=True)  # on the command line, where a default would be written to a file unasked
+SPECIMEN = Options(
+    Imperfections,
+    offset_ohm=Annotated[float, Parameter(name="--offset")],
+    drift_offset_ohm=Annotated[float, Parameter(name="--drift-offset")],
+    dead_pillars=Annotated[Sequence[str], Parameter(name="--dead-pillar")],
+    dead_rows=Annotated[Sequence[int], Parameter(name="--dead-row")],
+    dead_cols=Annotated[Sequence[int], Parameter(name="--dead-col")],
+)
 WIRES = "sense_ohm=, switch_ohm=, line_ohm= and correct=False"
 
 
@@ -37,18 +56,6 @@ def dataset(
     out: Annotated[File | None, NEEDED] = None,
     seed: int = 0,
     cap: float = 0.3,
-    noise: float = 0.0,
-    bits: int | None = None,
-    drift: float = 0.0,
-    drift_tilt: float = 0.0,
-    drift_pillar: float = 0.0,
-    drift_offset_ohm: Annotated[float, Parameter(name="--drift-offset")] = 0.0,
-    gain_spread: float = 0.0,
-    offset_ohm: Annotated[float, Parameter(name="--offset")] = 0.0,
-    specimen: int = 0,
-    dead_pillars: Annotated[Sequence[str], Parameter(name="--dead-pillar")] = (),
-    dead_rows: Annotated[Sequence[int], Parameter(name="--dead-row")] = (),
-    dead_cols: Annotated[Sequence[int], Parameter(name="--dead-col")] = (),
     crossbar: Literal["zero-potential", "grounded", "divider"] | None = None,
     sense_ohm: float | None = None,
     switch_ohm: float | None = None,
@@ -59,6 +66,7 @@ def dataset(
     scheduler: str | None = None,
     only: str | None = None,
     dtype: Literal["float64", "float32"] = "float64",
+    **specimen: Annotated[Any, SPECIMEN],
 ) -> "Samples | StoredSamples":
     """Simulate labelled samples: forces on the pads, and the resistances they give.
 
@@ -78,30 +86,6 @@ def dataset(
         Seed of the random loads and noise.
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
-    noise : float
-        Standard deviation of a reading, relative to the resistance.
-    bits : int, optional
-        Bits of the converter; default: exact readings.
-    drift : float
-        Standard deviation of a sample's drift that all readings share, relative.
-    drift_tilt : float
-        Standard deviation of its drift linear over the array, at the rim, along each axis.
-    drift_pillar : float
-        Standard deviation of its drift of each pillar alone, relative.
-    drift_offset_ohm : float
-        Standard deviation of its drift that adds as much to all readings [Ω].
-    gain_spread : float
-        Spread of the pillars' gains: each is uniform in 1 ± this.
-    offset_ohm : float
-        Standard deviation of the pillars' offsets [Ω].
-    specimen : int
-        Seed of gains and offsets; each is another specimen.
-    dead_pillars : sequence of str
-        Broken pillar, such as 0,3,z; can be repeated.
-    dead_rows : sequence of int
-        Number of a broken row wire, from 0; can be repeated.
-    dead_cols : sequence of int
-        Number of a broken column wire, from 0; can be repeated.
     crossbar : str, optional
         Circuit to read the array through, as a board does; default: each pillar alone.
     sense_ohm : float, optional
@@ -122,6 +106,9 @@ def dataset(
         Variables to keep, such as resistance,force; default: all.
     dtype : str
         Type of the numbers; float32 in .zarr alone.
+    **specimen
+        Fields of `dataset.Imperfections`: noise, bits, drift, drift_tilt, drift_pillar, drift_offset_ohm of readings;
+        gain_spread, offset_ohm, specimen, dead_pillars, dead_rows, dead_cols of the sensor.
 
     Returns
     -------
@@ -132,9 +119,8 @@ def dataset(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> samples = tp.dataset(design, "contact", 50, noise=0.001, bits=12, gain_spread=0.1)
     >>> len(samples), samples.resistance_ohm.shape
     (50, (50, 1, 2, 3))
@@ -148,8 +134,11 @@ def dataset(
     else:
         out = to_write("out", out, ".nc", ".zarr", read=(design,))
     in_leaves = out is not None and is_zarr(out)
-    sensor, twin, given = _sensor(design)
-    places = tuple(map(_place, dead_pillars))
+    sensor, twin, solved = _sensor(design)
+    dead: dict[str, Any] = {
+        name: tuple(specimen[name]) for name in ("dead_pillars", "dead_rows", "dead_cols") if name in specimen
+    }
+    dead["dead_pillars"] = tuple(map(_place, dead.get("dead_pillars", ())))
     require_counts(workers=workers)
     require_pool(workers, scheduler)
     from dataset import DatasetSettings, in_memory, read_samples
@@ -163,15 +152,10 @@ def dataset(
     names = None if only is None else _variables(only)
     if out is not None:
         require_dtype(dtype, out)
-    settings = DatasetSettings(
-        protocol=protocol, samples=samples, seed=seed, cap=cap, noise=noise, bits=bits, drift=drift,
-        drift_tilt=drift_tilt, drift_pillar=drift_pillar, drift_offset_ohm=drift_offset_ohm, gain_spread=gain_spread,
-        offset_ohm=offset_ohm, specimen=specimen, dead_pillars=places, dead_rows=tuple(dead_rows),
-        dead_cols=tuple(dead_cols),
-    )  # fmt: skip
+    settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **specimen | dead)
     settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
-    wires = {"sense_ohm": sense_ohm, "switch_ohm": switch_ohm, "line_ohm": line_ohm}
-    readout = _readout(sensor, crossbar, bits, correct, {key: ohm for key, ohm in wires.items() if ohm is not None})
+    wires = given(sense_ohm=sense_ohm, switch_ohm=switch_ohm, line_ohm=line_ohm)
+    readout = _readout(sensor, crossbar, settings.bits, correct, wires)
     finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
     if not (finite or in_leaves):
         if workers is not None or scheduler is not None:
@@ -183,10 +167,10 @@ def dataset(
         require_bare(sensor)
     if finite and twin is not None:
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
-    solved = given or respond(with_model(sensor, "linear"), caller.bars)[1]
+    solved = solved or respond(with_model(sensor, "linear"), caller.bars)[1]
     made: Samples | StoredSamples
     if finite:
-        made = _finite_samples(replace(solved, design=sensor), settings, readout, workers, scheduler, caller)
+        made = _finite_samples(replace(solved, design=sensor), settings, readout, workers, scheduler)
         made = made if names is None else made.only(*names)
         story: dict[str, Any] = made.made_from | {"kept": 0}
         if out is not None:
@@ -215,7 +199,7 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
-    caller.answer(lambda: result, line, *([] if out is None else [out]))
+    caller.answer(lambda: result, line, out)
     return made
 
 
@@ -242,8 +226,6 @@ def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, TwinFile | None
 
 def _place(text: "str | Place") -> "Place":
     """A place of a pillar, as typed or as a tuple."""
-    from dataset.imperfections import place_of
-
     place = place_of(text) if isinstance(text, str) else text
     if place[2] not in PILLARS:
         typed = ",".join(map(str, place))
@@ -266,11 +248,11 @@ def _variables(only: str) -> tuple[str, ...]:
 
 
 def _readout(
-    sensor: SensorDesign, crossbar: str | None, bits: int | None, correct: bool, given: dict[str, float]
+    sensor: SensorDesign, crossbar: str | None, bits: int | None, correct: bool, wires: dict[str, float]
 ) -> "Readout | None":
     """The electronics that resistances pass through; None: each pillar is read alone."""
     if crossbar is None:
-        if given or not correct:
+        if wires or not correct:
             raise DesignError(f"{WIRES} belong to crossbar=: give it, too.")
         return None
     from hardware.readout.crossbar import Crossbar, scan_mode_named
@@ -282,7 +264,7 @@ def _readout(
         cols=sensor.array.cols,
         bits=bits,
         shunt_siemens=shunts_of(sensor),
-        **given,
+        **wires,
     )
     return CrossbarReadout(crossbar=wired, corrected=correct)
 
@@ -293,12 +275,11 @@ def _finite_samples(
     readout: "Readout | None",
     workers: int | None,
     scheduler: str | None,
-    caller: Caller,
 ) -> "Samples":
     """Samples at finite strain by workers, those of earlier runs taken up again."""
     from dataset.finite_strain import n_groups, require_finite
     from tripillar.sweep.finite_samples import simulate_finite
 
     require_finite(response.design)
-    advance = caller.bars.begin("dataset", total=n_groups(settings.samples))
+    advance = current().bars.begin("dataset", total=n_groups(settings.samples))
     return simulate_finite(response, settings, readout, workers, scheduler, advance)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller, current
-from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, to_write
+from tripillar.face.caller import current
+from tripillar.face.inputs import DesignLike, File, Options, SceneLike, design_of, given, to_write
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     SensorLike = DesignLike | ArrayResponse
 else:
     SensorLike = Path
+
+OFFSET = Annotated[float, Parameter(name="--offset")]
+SPECIMEN = Options(Imperfections, "gain_spread", "offset_ohm", "specimen", offset_ohm=OFFSET)
 
 
 @contextmanager
@@ -40,11 +44,9 @@ def board(
     line_ohm: float | None = None,
     noise: float = 0.0,
     bits: int = 10,
-    gain_spread: float = 0.0,
-    offset_ohm: Annotated[float, Parameter(name="--offset")] = 0.0,
-    specimen: int = 0,
     serial: int = 0,
     truth: File | None = None,
+    **specimen: Annotated[Any, SPECIMEN],
 ) -> Iterator[str]:
     """Simulate a board: a port that sends what a real one would.
 
@@ -77,12 +79,12 @@ def board(
         Standard deviation of a reading, as a fraction of full scale.
     bits : int
         Bits of the converter; chips have 10.
-    gain_spread, offset_ohm, specimen
-        As of `samples.dataset`.
     serial : int
         Serial number of the board.
     truth : path, optional
         NetCDF file to write: the true forces of one period.
+    **specimen
+        The fields gain_spread, offset_ohm and specimen of `dataset.Imperfections`.
 
     Yields
     ------
@@ -92,9 +94,8 @@ def board(
     Examples
     --------
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> model = tp.train(tp.dataset(design, samples=200, noise=0.001, bits=10), hidden=4)
     >>> with tp.board(design, chip="python") as port, tp.live(port, model) as scans:
     ...     scan = next(iter(scans))
@@ -117,27 +118,24 @@ def board(
     from hardware.link.serial_ports import claimed
 
     with claimed(kept):  # what follows takes seconds to load and to solve
-        from dataset.imperfections import Imperfections
         from hardware.boards.simulated import counts_over_time, run_board, suited_kind, write_truth
         from hardware.readout.calibration import Electronics
 
         told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
-        wires = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
-        electronics = Electronics(**{name: ohms for name, ohms in wires.items() if ohms is not None})
+        electronics = Electronics(**given(switch_ohm=switch_ohm, line_ohm=line_ohm))
         replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
-        specimen_of = Imperfections(gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=specimen)
-        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s, caller)
+        own = Imperfections(**specimen)
+        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s)
         rows, cols = motion.resistance_ohm.shape[1:3]
         told = replace(told, rows=rows, cols=cols)
         suited, why = suited_kind(told) if chip == "auto" else (chip, "")
         caller.say(why)
-        counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), specimen_of)
+        counts = counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), own)
         if written is not None:
             write_truth(motion, written)
         with run_board(suited, told, counts, kept) as running:
             port = str(link or running.port)
-            files = [] if written is None else [written]
-            caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", *files)
+            caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", written)
             yield port
 
 
@@ -151,9 +149,7 @@ def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: 
     return Info(scan_mode=scan_mode, sense_ohm=sense, **told)
 
 
-def _motion(
-    sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float, caller: Caller
-) -> "Motion":
+def _motion(sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float) -> "Motion":
     """One period of a scene, or of the press and slide."""
     from hardware.boards.simulated import PressAndSlide, press_and_slide, scene_motion
 
@@ -165,5 +161,5 @@ def _motion(
     from tripillar.pipeline.run import respond
 
     if sensor is None or isinstance(sensor, SensorDesign | Path | str):
-        return press_and_slide(respond(design_of(sensor), caller.bars)[1], script)
+        return press_and_slide(respond(design_of(sensor), current().bars)[1], script)
     return press_and_slide(sensor, script)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tripillar.face.caller import Caller
+from tripillar.face.caller import current
 from tripillar.face.inputs import to_write
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class AskedStreams:
                 host_and_port(address, port)
 
     @contextmanager
-    def opened(self, sensor: "SensorDescription", caller: Caller) -> Iterator[list["Stream"]]:
+    def opened(self, sensor: "SensorDescription") -> Iterator[list["Stream"]]:
         """The streams, as long as the with block lasts; the caller is told where they are."""
         from hardware.streams import foxglove_stream, rerun_stream
         from hardware.streams.addresses import LOOPBACK, host_and_port, reachable
@@ -52,11 +52,11 @@ class AskedStreams:
                 )
                 streams.append(stack.enter_context(served))
                 if self.foxglove:
-                    caller.say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
+                    current().say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
             if self.rerun is not None or self.rrd is not None:
                 host, port = host_and_port(self.rerun or LOOPBACK, rerun_stream.PORT)
                 shown = rerun_stream.RerunStream(sensor, host if self.rerun else None, port, self.rrd)
                 streams.append(stack.enter_context(shown))
                 if self.rerun:
-                    caller.say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
+                    current().say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
             yield streams

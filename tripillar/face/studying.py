@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
@@ -126,7 +126,7 @@ def sweep(
     asked = sweep_of(source, train)
     if optimize:
         asked = asked if trials is None else replace(asked, samples=trials)
-        return _optimized(asked, source, folder, workers, scheduler, caller)
+        return _optimized(asked, source, folder, workers, scheduler)
     require_packages("pyarrow", "matplotlib")
     from geometry.pool import open_pool
     from geometry.storage.journal import Journal
@@ -165,9 +165,7 @@ def sweep(
     return rows
 
 
-def _optimized(
-    asked: "Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None, caller: Caller
-) -> "list[Row]":
+def _optimized(asked: "Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None) -> "list[Row]":
     """The designs within bounds that a search tried, the best one first."""
     require_packages("optuna")
     from geometry.pool import open_pool
@@ -184,7 +182,7 @@ def _optimized(
     if left or len(rows) < len({sample.cache_key for sample in done}):
         log = folder / f"{source.stem}-workers.log"
         with history.alone(), stoppable(journal), open_pool(workers, scheduler, log) as pool:
-            rows = search(asked, pool, journal, history, shown(caller.bars, "trials", left))
+            rows = search(asked, pool, journal, history, shown(current().bars, "trials", left))
     best = ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
@@ -194,7 +192,7 @@ def _optimized(
     write_text(best[0].design or "", path)
     counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
     result = counts | {"best": best[0].flat(), "file": str(path)}
-    caller.answer(lambda: result, lambda: [best_table(rows, asked, 5)], path)
+    current().answer(lambda: result, lambda: [best_table(rows, asked, 5)], path)
     return best
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from geometry.errors import FileFormatError
 from tripillar.face.boards import BAUD, TIMEOUT_S
 from tripillar.face.caller import current
-from tripillar.face.inputs import File, require_above_0, to_write
+from tripillar.face.inputs import File, given, require_above_0, to_write
 
 if TYPE_CHECKING:
     from hardware.readout.calibration import SensorCalibration
@@ -66,8 +66,7 @@ def tare(
     from hardware.session import connect, counts_within
 
     with connect(port, calibration, baud=baud, timeout=timeout) as (scanner, known):
-        given = {"switch_ohm": switch_ohm, "line_ohm": line_ohm}
-        electronics = replace(known.electronics, **{name: ohm for name, ohm in given.items() if ohm is not None})
+        electronics = replace(known.electronics, **given(switch_ohm=switch_ohm, line_ohm=line_ohm))
         crossbar, counts = electronics.crossbar(scanner.info), counts_within(scanner, seconds)
         if not force:
             require_still(counts, crossbar, scanner.info.rate_hz, seconds)

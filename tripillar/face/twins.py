@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 
 if TYPE_CHECKING:
     from dataset.samples import Samples
@@ -35,7 +35,6 @@ def identified(
     next_loads: int,
     have: str | None,
     force: bool,
-    caller: Caller,
 ) -> "Twin":
     """The twin of checked pairs."""
     from decoupler.data.enough import drawn
@@ -44,7 +43,7 @@ def identified(
 
     few = pairs if isinstance(pairs, Pairs) else drawn(pairs)
     if len(few) < len(pairs):
-        caller.say(f"{name}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
+        current().say(f"{name}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
     rows, cols = few.force_n.shape[1:3]
     if sensor is not None and (sensor.array.rows, sensor.array.cols) != (rows, cols):
         raise DesignError(
@@ -57,24 +56,24 @@ def identified(
     usual = usual or ("contact" if isinstance(pairs, Pairs) and sensor is not None else None)
     if sensor is not None and next_loads:
         _possible(sensor, next_loads, have)  # a list that makes no sense is refused before anything takes time
-    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, caller, tolerances)
-    checked, forced = checked_pairs(few, name, response, force, caller)
+    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, tolerances)
+    checked, forced = checked_pairs(few, name, response, force)
     loads_n = None if usual is None or sensor is None else usual_loads(sensor, usual)
-    at_strain = None if finite is None or response is None else _at_strain(finite, response, caller)
-    advance = caller.bars.begin("identify", total=1)
+    at_strain = None if finite is None or response is None else _at_strain(finite, response)
+    advance = current().bars.begin("identify", total=1)
 
     def passed(share: float) -> None:
         advance(share, f"{len(checked)} pairs")
 
     twin = identify(checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain, progress=passed)
     if sensor is not None and next_loads:
-        proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, caller, checked, twin)
+        proposed = next_loads_of(sensor, next_loads, have, usual or "contact", tolerances, checked, twin)
         twin = replace(twin, next_loads=proposed)
     return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
 
 
 def checked_pairs(
-    pairs: "Samples | Pairs", name: str, response: "ArrayResponse | None", force: bool, caller: Caller
+    pairs: "Samples | Pairs", name: str, response: "ArrayResponse | None", force: bool
 ) -> "tuple[Pairs, dict[str, str]]":
     """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
     from decoupler.data.columns import Columns, component_named
@@ -92,9 +91,9 @@ def checked_pairs(
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
     component, judge = component_named(acting(Pairs.of(pairs))), joint_model(response)
-    forced = heed(_contacts(pairs) or doubt(pairs, component, judge), name, force, caller)
-    mention(pairs, name, component, judge, caller)
-    mention_another_sensor(pairs, name, component, judge, caller)
+    forced = heed(_contacts(pairs) or doubt(pairs, component, judge), name, force)
+    mention(pairs, name, component, judge)
+    mention_another_sensor(pairs, name, component, judge)
     own = None if response is None else SensorModel.of(response, component)
     columns = without_stuck(Columns.of(pairs, component), own)
     return Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced
@@ -110,20 +109,20 @@ def _contacts(pairs: "Samples") -> str | None:
 
 
 def with_derivatives(
-    design: SensorDesign, caller: Caller, tolerances: Mapping[str, float] | None = None
+    design: SensorDesign, tolerances: Mapping[str, float] | None = None
 ) -> "tuple[ArrayResponse, ResponseSensitivities]":
     """The response of a design and its derivatives, from the cache or solved."""
     from fem.array.sensitivities import response_sensitivities
     from tripillar.pipeline.run import respond
 
-    _, response = respond(design, caller.bars)
-    advance = caller.bars.begin("sensitivities", total=1)
+    _, response = respond(design, current().bars)
+    advance = current().bars.begin("sensitivities", total=1)
     sensitivities, _, reused = response_sensitivities(design, None, lambda step: advance(0, step))
     advance(1, "reused" if reused else "")
     return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
 
 
-def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", caller: Caller) -> "Posterior":
+def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse") -> "Posterior":
     """The posterior of a design at finite strain, of a model or learned from samples."""
     from dataset.stored import in_memory
     from decoupler.data.columns import component_named
@@ -148,7 +147,7 @@ def _at_strain(finite: "AnySamples | Decoupler", response: "ArrayResponse", call
     if of is not None and of != design:
         raise DesignError("finite strain is of another design than the pairs': give one of this design.")
     if found is None:
-        caller.say("learning finite strain from the samples")
+        current().say("learning finite strain from the samples")
         found = posterior_of(with_strain_maps(response, component_named("all"), samples), samples)
     return found
 
@@ -171,7 +170,6 @@ def next_loads_of(
     have: str | Path | None = None,
     usual: str = "contact",
     tolerances: Mapping[str, float] | None = None,
-    caller: Caller | None = None,
     measured: "Pairs | None" = None,
     twin: "Twin | None" = None,
 ) -> "tuple[NextLoad, ...]":
@@ -184,7 +182,7 @@ def next_loads_of(
     if twin is not None and twin.decoder.component.name == "all":
         expected, state = twin.posterior.expected, twin.posterior.state
     else:
-        response, sensitivities = with_derivatives(design, caller or current(), tolerances)
+        response, sensitivities = with_derivatives(design, tolerances)
         expected = Expectation.of(response, sensitivities, component_named("all"))
         state = expected.mean()
     return next_loads(expected, state, measured, possible, usual_n, count)

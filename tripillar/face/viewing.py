@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
-from tripillar.face.caller import Caller, current
+from tripillar.face.caller import current
 from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, to_write
 from tripillar.viewer.page.opening import HTTP_PORT, LOOPBACK, PageOptions
 from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, show_deformed
@@ -88,9 +88,8 @@ def view(
     >>> from pathlib import Path
     >>> from tempfile import mkdtemp
     >>> import tripillar as tp
-    >>> from dataclasses import replace
-    >>> design = tp.SensorDesign()
-    >>> design = replace(design, array=replace(design.array, rows=1, cols=2))
+    >>> from geometry import Array
+    >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> list(tp.view(design, save=Path(mkdtemp()) / "pressed.vtm", pressure_mpa=2.0))
     ["2 MPa at the indenter's middle"]
     """
@@ -115,7 +114,7 @@ def view(
             model=None if model is None else Path(model),
             calibration=None if calibration is None else Path(calibration),
         )
-        _serve(options, design if body is None else body, caller)
+        _serve(options, design if body is None else body)
         return {}
     pressures, factor, file = _pressures(pressure_mpa), _factor(scale), to_write("save", save)
     require_shown(file)
@@ -147,7 +146,7 @@ def view(
         "note": warning,
         "seconds": perf_counter() - start,
     }
-    caller.answer(lambda: result, "\n".join(lines), *([] if file is None else [file]))
+    caller.answer(lambda: result, "\n".join(lines), file)
     return largest
 
 
@@ -159,7 +158,7 @@ def _require_together(of_pictures: dict[str, bool], of_page: dict[str, bool], se
         raise DesignError(f"{why}{': leave' if serve else ', or leave'} {given} out.")
 
 
-def _serve(options: PageOptions, source: "BodyLike | None", caller: Caller) -> None:
+def _serve(options: PageOptions, source: "BodyLike | None") -> None:
     """Serve the page of a design until Ctrl-C."""
     from fem.scene.scene import Scene
     from tripillar.terminal.interrupts import leave_at_once
@@ -169,8 +168,8 @@ def _serve(options: PageOptions, source: "BodyLike | None", caller: Caller) -> N
     design = read_body(Path(source)) if isinstance(source, Path | str) else source
     if isinstance(design, Scene):
         raise DesignError(f"{source} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
-    open_page(options, design, caller.bars, caller.as_json)
-    if caller.is_typed:
+    open_page(options, design, current().bars, current().as_json)
+    if current().is_typed:
         leave_at_once()
 
 

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 import cyclopts
 
@@ -96,9 +96,9 @@ def _in_one_line(error: Any) -> str:
             else f"{typed} needs a value."
         )
     elif isinstance(error, cyclopts.CoercionError) and argument is not None and token is not None:
-        kind = error.target_type
+        kinds = {error.target_type, *get_args(error.target_type)}
         choices = argument.get_choices(force=True)
-        must = "a whole number" if kind is int else "a number" if kind is float else "of another kind"
+        must = "a whole number" if int in kinds else "a number" if float in kinds else "of another kind"
         must = f"one of {', '.join(choices)}" if choices else must
         message = f"{token.keyword or argument.name} {token.value} must be {must}."
     elif isinstance(error, cyclopts.UnusedCliTokensError):

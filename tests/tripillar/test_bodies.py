@@ -1,0 +1,79 @@
+"""`tripillar solve` and `press`: one JSON object, tables, fields and pictures; what leaves linear strain is said."""
+
+import json
+
+import numpy as np
+import pytest
+import pyvista as pv
+from PIL import Image
+
+from dataset import read_samples
+from tests.fem.scenes import PILLAR
+from tests.house import House
+
+KEYS = {"probes", "energy_mj", "residual", "dofs", "error_estimate", "seconds", "plan"}
+ROUGHLY = ("--tolerance", "0.1")
+
+
+@pytest.fixture
+def house(tmp_path):
+    house = House(tmp_path)
+    (tmp_path / "pillar.toml").write_text(PILLAR)
+    return house
+
+
+def test_people_get_a_table_the_plan_and_a_field_and_programs_one_json_object(house):
+    """The field in a folder that is made; with --json stdout holds nothing but the object."""
+    done = house.tripillar("solve", "pillar.toml", "--explain", *ROUGHLY, "--vtu", "new/p.vtu")
+    assert done.returncode == 0
+    assert "mesh: hexahedra, the body is one box" in done.stdout
+    assert "uz [mm]" in done.stdout
+    assert done.stderr.splitlines()[-1] == "new/p.vtu"
+    grid = pv.read(house.folder / "new/p.vtu")
+    assert np.isclose(grid.volume, 40.0, rtol=1e-6)
+    done = house.tripillar("solve", "pillar.toml", "--json", "--explain", *ROUGHLY)
+    found = json.loads(done.stdout)
+    assert set(found) == KEYS
+    assert "mesh: hexahedra" in done.stderr
+    ux, uy, uz = found["probes"]["top"]
+    assert ux > 1  # pressed down, a pillar that leans to +x gives way along +x
+    assert uz < -1
+    assert abs(uy) < 1e-3
+    assert np.isclose(found["energy_mj"], 0.5 * -0.04 * uz, rtol=1e-6)  # the load's work, ½ f·u
+
+
+def test_finite_strain_says_what_it_did_and_draws(house):
+    text = PILLAR.replace("poisson = 0.49", 'poisson = 0.49\nmodel = "neo-hookean"')
+    (house.folder / "finite.toml").write_text(text)
+    found = house.result("solve", "finite.toml", "--tolerance", "0.5", "--vtu", "finite.vtu")
+    assert set(found) == KEYS | {"work_mj", "energy_imbalance", "least_j", "iterations", "load_steps"}
+    assert abs(found["energy_imbalance"]) < 0.01
+    field = pv.read(house.folder / "finite.vtu")
+    top = field.points[:, 2] == field.points[:, 2].max()
+    assert field["displacement_mm"][top].mean(axis=0)[2] == pytest.approx(found["probes"]["top"][2], rel=0.05)
+
+
+def test_what_is_beyond_linear_strain_or_the_tolerance_is_a_warning(house, monkeypatch):
+    (house.folder / "far.toml").write_text(PILLAR.replace("-0.01]", "-1e6]"))
+    needle = ("press", "--shape", "sphere", "--radius", "0.01", "--depth", "0.5", "--design", "small.toml")
+    assert "linear strain ends near 0.5; press less deep" in house.tripillar(*needle).stderr
+    monkeypatch.setattr("fem.methods.box_refinement.MAX_BOXES", 10)
+    monkeypatch.setattr("fem.methods.box_refinement.SplitBoxes.error", lambda _: 0.3)
+    done = house.tripillar("solve", "far.toml", "--json")
+    assert json.loads(done.stdout)["error_estimate"] == 0.3
+    assert "linear elasticity holds for small strains only" in done.stderr
+    assert "warning: the estimated error 3.0e-01 stays above the tolerance 0.001" in done.stderr
+
+
+def test_a_shape_is_pressed_dragged_written_and_drawn(house):
+    found = house.result(
+        "press", "--shape", "flat", "--size", "6,4", "--turn", "20", "--depth", "0.3", "--at", "5,-1", "--slide",
+        "0.1,0", "--friction", "0.5", "--design", "small.toml", "--out", "contact.nc", "--picture", "contact.png",
+    )  # fmt: skip
+    assert np.sum(found["force_n"], axis=(0, 1)) == pytest.approx(found["net_force_n"], rel=1e-9)
+    assert found["net_force_n"][0] > 0
+    assert found["centre_mm"] == pytest.approx([5.0, -1.0], abs=0.5)
+    kept = read_samples(house.folder / "contact.nc")
+    assert kept.resistance_ohm[0] == pytest.approx(np.array(found["resistance_ohm"]), rel=1e-12)
+    with Image.open(house.folder / "contact.png") as picture:
+        assert picture.size[0] > 1000
