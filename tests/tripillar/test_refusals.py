@@ -23,6 +23,7 @@ FILES = {
     "key.toml": "[[vary]]\nkey = 'pitch'\n",
     "vary.toml": "[vary]\nkey = 'array.pitch_mm'\n",
     "small.toml": SMALL,
+    "stiff.toml": SMALL + "[pad]\nkind = 'stiff'\n",
     "square.toml": SMALL.replace("rows = 1", "rows = 3").replace("cols = 2", "cols = 3"),
     "semi.csv": "fz_n_0_0;r_0_0\n1,5;2\n",
     "empty": "",
@@ -79,6 +80,9 @@ dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0,6,z -> an array o
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 0,3,w -> --dead-pillar 0,3,w names no pillar
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
 dataset --protocol contact --samples 5 -o x.nc --switch-ohm 70 -> belong to --crossbar: give it, too
+train --touch --data data.nc -o m.safetensors -> --touch learns from presses of its own: leave --data,
+train --touch --design stiff.toml -o m.safetensors -> contact by shape presses on bare rubber, these pads are stiff
+train -o m.safetensors -> give --data, samples to train on; or --touch
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 train --data nan.nc --component fz -o m.safetensors -> resistance_ohm is nan at sample 7, row 0, col 1, pillar z

@@ -1,0 +1,65 @@
+"""Touch on the command line and live: `train --touch`, `evaluate`, `live` and `replay` with its file."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tripillar as tp
+from dataset import read_samples
+from hardware.link.frames import Info, ScanMode
+from tests.hardware.boards import recording_from_resistances
+from tests.house import House
+
+INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """Contacts with a small sensor, and a decoder that was made of few presses."""
+    house = House(tmp_path_factory.mktemp("touch"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("decoupler.touch.presses.PRESSES", 60)
+        made = house.result("train", "--touch", "--design", "small.toml", "-o", "touch.safetensors", "-q")
+        assert 30 < made["presses"] <= 60
+        assert made["rows"] > 3 * made["presses"]
+        assert house.result("train", "--touch", "--design", "small.toml", "-o", "t.safetensors", "-q")["reused"]
+    house.result(
+        "dataset", "--protocol", "indent", "--samples", "12", "--seed", "5", "--noise", "0.001", "--bits", "12",
+        "--design", "small.toml", "-o", "indent.nc", "-q",
+    )  # fmt: skip
+    return house
+
+
+def test_its_errors_are_those_of_units_of_the_net_force_and_of_the_place(house):
+    found = house.result("evaluate", "--model", "touch.safetensors", "--data", "indent.nc", "-q")
+    data = read_samples(house.folder / "indent.nc")
+    none = np.sqrt((data.force_n[..., 2] ** 2).mean())
+    assert found["fz"]["rmse_n"] < none
+    assert set(found["fz"]) >= {"rel_err", "rmse_n", "full_scale_pct", "coverage"}
+    assert 0 < found["net"]["fz_median_pct"] < 60
+    assert 0 < found["net"]["centre_mm"] < 6
+    assert found["loaded"]["fz_rmse_n"] < none * 2
+    assert len(found["loaded"]["coverage"]) == 2
+    shown = house.tripillar("evaluate", "--model", "touch.safetensors", "--data", "indent.nc", "-q")
+    assert "centre of pressure" in shown.stdout
+
+
+def test_a_recording_is_replayed_and_shown_with_it(house):
+    data = read_samples(house.folder / "indent.nc")
+    (house.folder / "press.frames").write_bytes(recording_from_resistances(data.resistance_ohm[:4], INFO))
+    replayed = house.result("replay", "press.frames", "--model", "touch.safetensors")
+    model = tp.read_model(house.folder / "touch.safetensors")
+    expected = model.forces(data.resistance_ohm[:4])[..., 2].sum(axis=(1, 2))
+    found = np.array(replayed["force_n"])[..., 2].sum(axis=(1, 2))
+    assert found == pytest.approx(expected, rel=0.3, abs=5.0)  # the crossbar's converter is another one
+    lines = house.tripillar("live", "press.frames", "--model", "touch.safetensors", "--json", "-q").stdout.splitlines()
+    shown = np.array([json.loads(line)["net_force_n"][2] for line in lines])
+    assert shown == pytest.approx(found, rel=0.05, abs=2.0)
+
+
+def test_what_a_decoder_of_touch_cannot_is_refused(house):
+    said = house.refusal("export", "--model", "touch.safetensors", "-o", "m.h")
+    assert "is a decoder of touch: export takes a model of loads on pads" in said
+    tp.write(tp.dataset(tp.SensorDesign(), samples=5), house.folder / "large.nc")
+    assert "rows: model 1, data 6" in house.refusal("evaluate", "--model", "touch.safetensors", "--data", "large.nc")
