@@ -29,7 +29,7 @@ FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 NEWEST = 512  #: scans whose answers are kept
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
-AT_REST = 1e-3  #: share of scans at rest that are taken for a touch
+AT_REST = 1e-4  #: share of scans at rest that are taken for a touch
 HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
 WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: these have wider tails than normal ones
 

@@ -1,0 +1,185 @@
+"""``python -m studies.touched --model touch.safetensors``: touch of shapes that no library has, at rest, and lightly.
+
+Cones, rings, roof edges and two balls on one tool, pressed and dragged as the protocol `indent` does its shapes.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
+from decoupler.touch import TouchDecoder, assess_touch, read_model
+from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
+from geometry.errors import DesignError
+from geometry.layout import FloatArray
+from tripillar.terminal.entry import run_alone
+from tripillar.terminal.progress import Bars
+
+MAX_STRAIN = 0.3
+CELLS = 48
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A tip that points down."""
+
+    slope: float
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        return np.asarray(self.slope * np.hypot(x_mm, y_mm))
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        return height_mm / self.slope, height_mm / self.slope
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A torus that lies on the rubber."""
+
+    radius_mm: float
+    tube_mm: float
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        off = np.hypot(x_mm, y_mm) - self.radius_mm
+        inside = np.minimum(np.abs(off), self.tube_mm)
+        return np.where(np.abs(off) < self.tube_mm, self.tube_mm - np.sqrt(self.tube_mm**2 - inside**2), np.inf)
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        return self.radius_mm + self.tube_mm, self.radius_mm + self.tube_mm
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A roof upside down: two planes that meet in an edge of some length."""
+
+    slope: float
+    length_mm: float
+    turn_rad: float
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        along, across = x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin
+        return np.where(np.abs(along) <= self.length_mm / 2, self.slope * np.abs(across), np.inf)
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        cos, sin = abs(np.cos(self.turn_rad)), abs(np.sin(self.turn_rad))
+        along, across = self.length_mm / 2, height_mm / self.slope
+        return along * cos + across * sin, along * sin + across * cos
+
+
+@dataclass(frozen=True)
+class TwoBalls:
+    """Two balls on one tool, one of them a little higher."""
+
+    radii_mm: tuple[float, float]
+    apart_mm: float
+    turn_rad: float
+    higher_mm: float
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        x, y = np.cos(self.turn_rad) * self.apart_mm / 2, np.sin(self.turn_rad) * self.apart_mm / 2
+        one, other = (Sphere(radius) for radius in self.radii_mm)
+        return np.minimum(one.heights_mm(x_mm - x, y_mm - y), other.heights_mm(x_mm + x, y_mm + y) + self.higher_mm)
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        half = max(self.radii_mm) + self.apart_mm / 2
+        return half, half
+
+
+def unknown_contacts(surface: SurfaceCompliance, count: int, seed: int) -> list[Contact]:
+    """Contacts of the four kinds in turn, each below a strain of 0.3."""
+    found: list[Contact] = []
+    attempt = 0
+    while len(found) < count:
+        generator = np.random.default_rng([seed, len(found), attempt])
+        attempt += 1
+        try:
+            contact = _drawn(generator, surface, len(found) % 4)
+        except ContactError:  # it misses the sensor
+            continue
+        if largest_strain(contact) <= MAX_STRAIN:
+            found.append(contact)
+            attempt = 0
+    return found
+
+
+def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int) -> Contact:
+    design = surface.design
+    h, slab, turn = design.unit.height_mm, np.array(design.slab_mm[:2]), generator.uniform(0, np.pi)
+    shape = (
+        lambda: Cone(generator.uniform(0.2, 0.8)),
+        lambda: Ring(h * generator.uniform(0.4, 1.0), h * generator.uniform(0.15, 0.5)),
+        lambda: Edge(generator.uniform(0.2, 0.8), h * generator.uniform(0.5, 3.0), turn),
+        lambda: TwoBalls(
+            (h * generator.uniform(0.3, 1.2), h * generator.uniform(0.3, 1.2)), h * generator.uniform(1.2, 4.5), turn,
+            h * generator.uniform(0, 0.03),
+        ),
+    )[kind]()  # fmt: skip
+    angle, slide = (
+        generator.uniform(0, 2 * np.pi),
+        h * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY),
+    )
+    x, y = (slab * generator.uniform(-0.5, 0.5, 2)).tolist()
+    depth = h * generator.uniform(0.03 if kind == 3 else DEPTH[0], DEPTH[1])
+    return press(
+        surface, shape, depth, at_mm=(x, y), slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),
+        friction=generator.uniform(*FRICTION), cells=CELLS,
+    )  # fmt: skip
+
+
+def at_rest_and_lightly(decoder: TouchDecoder, scans: int, seed: int) -> dict[str, float]:
+    """Errors with nothing on the sensor and under touches of 1 N, of the library's presses made as light as that."""
+    generator, library = np.random.default_rng(seed), decoder.library
+    rest = np.repeat(decoder.rest_resistances()[None], scans, axis=0)
+    inner = np.flatnonzero((library.how[:, 1:] != 0).any(axis=1))
+    rows = generator.choice(inner, scans, replace=False)
+    unit = library.unit[rows].astype(float)
+    light = 1.0 / unit[:, :, 2].sum(axis=1)
+    moved = library.moved_mm[rows].astype(float) * light[:, None]
+    ohms = ((decoder.sensing.reading(moved) + decoder.rest_mm2) / decoder.mm2_per_ohm).reshape(rest.shape)
+    found: dict[str, float] = {}
+    for name, exact, true_n in (("at rest", rest, 0 * unit), ("1 N", ohms, unit * light[:, None, None])):
+        touches = decoder.touches(decoder.errors.read(exact, generator))
+        force_n, deviation_n = (
+            np.stack([getattr(each, part) for each in touches]) for part in ("force_n", "deviation_n")
+        )
+        missed = np.abs(force_n - true_n[..., :3])
+        net = missed_net = np.abs((force_n - true_n[..., :3])[..., 2].sum(axis=1))
+        net_sd = np.array([np.sqrt((each.factors_n[2::3].sum(axis=0) ** 2).sum()) for each in touches])
+        found |= {
+            f"{name}: largest error of a unit [N]": float(missed[..., 2].max()),
+            f"{name}: its 99 % [N]": float(np.quantile(missed[..., 2], 0.99)),
+            f"{name}: net within 0.5 N or two deviations": float((missed_net <= np.maximum(0.5, 2 * net_sd)).mean()),
+            f"{name}: largest net error [N]": float(net.max()),
+            f"{name}: errors within the 95 % deviation": float((missed <= 2 * deviation_n).mean()),
+        }
+    return found
+
+
+def assess_unknown(
+    model: Annotated[Path, Parameter(help="File of `tripillar train --touch`.")],
+    contacts: Annotated[int, Parameter(help="Contacts of unknown shapes.")] = 120,
+    seed: Annotated[int, Parameter(help="Seed of the contacts and of the noise.")] = 77,
+) -> None:
+    """Print the errors of touch on shapes that its library has not, at rest and under touches of 1 N."""
+    decoder = read_model(model)
+    if not isinstance(decoder, TouchDecoder):
+        raise DesignError(f"{model} is no decoder of touch: make one by 'tripillar train --touch'.")
+    data = samples_of(unknown_contacts(surface_compliance(decoder.design)[0], contacts, seed))
+    read = decoder.errors.read(data.resistance_ohm, np.random.default_rng(seed))
+    with Bars() as bars:
+        advance = bars.begin("touches", total=contacts)
+        found = assess_touch(
+            decoder, replace(data, resistance_ohm=read, noise=decoder.errors.noise, bits=decoder.errors.bits),
+            lambda done: advance(done, ""),
+        )  # fmt: skip
+    none = float(np.sqrt((data.force_n[..., 2] ** 2).mean()))
+    print(json.dumps({"0 N misses fz by": none} | found.plain() | at_rest_and_lightly(decoder, 200, seed), indent=2))
+
+
+if __name__ == "__main__":
+    run_alone(assess_unknown)
