@@ -12,7 +12,9 @@ import numpy as np
 from cyclopts import Parameter
 
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
-from decoupler.touch import TouchDecoder, assess_touch, read_model
+from decoupler.touch.assessment import assess_touch
+from decoupler.touch.decoder import TouchDecoder
+from decoupler.touch.touch_file import read_model
 from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
 from geometry.errors import DesignError
 from geometry.layout import FloatArray

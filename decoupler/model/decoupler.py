@@ -305,6 +305,10 @@ class Decoupler:
         )
         return bool(np.abs(forward.at_rest_ohm() / designed.at_rest_ohm() - 1.0).max() > ALIKE)
 
+    def follower(self) -> Self:
+        """The same decoder for scans that come one after another: each is decoded for itself."""
+        return self
+
     @property
     def knows_uncertainty(self) -> bool:
         """`half_widths` can be asked for."""

@@ -20,6 +20,7 @@ from geometry.layout import FloatArray, pillar_volumes
 
 STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
 STEPS = 4
+FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 CONSIDERED = 400  #: nearest rows among which starts are sought
 SHARE = 0.8  #: of the fitted presses in the answer, beside the nearest ones' forces
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
@@ -46,8 +47,35 @@ class Touched:
     fits: tuple[Fit, ...] = ()  #: none at rest
 
 
+class _Answers:
+    """Forces and deviations of scans by their touches."""
+
+    design: SensorDesign
+
+    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
+        raise NotImplementedError
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
+        return self._shaped([each.force_n for each in self.touches(resistance_ohm)])
+
+    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
+        deviation = self._shaped([each.deviation_n for each in self.touches(resistance_ohm)])
+        return WIDTHS[0] * deviation, WIDTHS[1] * deviation
+
+    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths of `forces` and the covariance (n, m, m) of sums of them, weights (rows·cols·3, m)."""
+        found = self.touches(resistance_ohm)
+        sums = [weights.T @ each.factors_n for each in found]
+        return WIDTHS[0] * self._shaped([each.deviation_n for each in found]), np.stack([s @ s.T for s in sums])
+
+    def _shaped(self, values: list[FloatArray]) -> FloatArray:
+        return np.array(values).reshape(len(values), self.design.array.rows, self.design.array.cols, 3)
+
+
 @dataclass(frozen=True, kw_only=True)
-class TouchDecoder:
+class TouchDecoder(_Answers):
     """A decoder of touches on bare rubber; never changed, only used."""
 
     design: SensorDesign
@@ -115,6 +143,10 @@ class TouchDecoder:
         """Resistances (rows, cols, 3) [Ω] as designed, with nothing on the sensor."""
         return np.broadcast_to(rest_resistances(self.design), (self.rows, self.cols, 3))
 
+    def follower(self) -> Any:
+        """The same decoder for scans that come one after another."""
+        return Follower(self)
+
     def read_by(self, noise: float) -> "TouchDecoder":
         """The same decoder for readings that err by so much."""
         return replace(self, errors=replace(self.errors, noise=noise))
@@ -150,29 +182,49 @@ class TouchDecoder:
             return self._resting(at_rest / len(reading))
         regression = self.regression
         rows = regression.nearest(reading, CONSIDERED)
-        near, near_deviation = regression.answer(reading, rows[:NEAREST])
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
-        fits = self._fits(reading, deviation, rows)
+        return self._weighed(at_rest, self._fits(reading, deviation, rows), *regression.answer(reading, rows[:NEAREST]))
+
+    def followed(self, reading: FloatArray, last: Touched) -> Touched:
+        """Touch of the scan after another: the fits go on, or are sought anew if they do not hold."""
+        own = self._deviation(reading)
+        at_rest = float((reading / own) @ (reading / own))
+        if not last.fits or at_rest < chdtri(len(reading), AT_REST):
+            return self.touched(reading)
+        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
+        best = sorted(last.fits, key=lambda fit: fit.cost)[:FOLLOWED]
+        fits = [fitted(reading, deviation, fit.parts, fit.q, FOLLOWED_STEPS) for fit in best]
+        if min(fit.chi2 for fit in fits) > SECOND * len(reading):
+            return self.touched(reading)
+        return self._weighed(at_rest, fits)
+
+    def _weighed(
+        self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0
+    ) -> Touched:
+        """Fits by their costs, beside rest of that χ², and the nearest presses' forces where they are known."""
         costs = np.array([fit.cost for fit in fits])
         weights = np.exp((costs.min() - costs) / TEMPER)
         weights /= weights.sum()
         answers = [fit.forces() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
+        share = 1.0 if near is None else SHARE
+        near = morphed if near is None else near
         touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
-        blend = SHARE * morphed + (1.0 - SHARE) * near
+        blend = share * morphed + (1.0 - share) * near
         force = touching * blend[:, :3]
-        by_fits = [np.sqrt(SHARE * w) * root for w, (_, root) in zip(weights, answers, strict=True)]
-        apart = [np.sqrt(SHARE * w) * (each - morphed)[:, :3] for w, (each, _) in zip(weights, answers, strict=True)]
-        apart += [np.sqrt(SHARE * (1.0 - SHARE)) * (morphed - near)[:, :3], np.sqrt(1.0 - touching) * blend[:, :3]]
+        by_fits = [np.sqrt(share * w) * root for w, (_, root) in zip(weights, answers, strict=True)]
+        apart = [np.sqrt(share * w) * (each - morphed)[:, :3] for w, (each, _) in zip(weights, answers, strict=True)]
+        apart += [np.sqrt(share * (1.0 - share)) * (morphed - near)[:, :3], np.sqrt(1.0 - touching) * blend[:, :3]]
         factors = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
         floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + MIN_DEVIATION_N**2)
-        alone = np.sqrt(floor**2 + (1.0 - SHARE) * near_deviation[:, :3] ** 2 + (1.0 - touching) * self.hidden_n**2)
+        of_near = np.broadcast_to(near_deviation, blend.shape)[:, :3]
+        alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + (1.0 - touching) * self.hidden_n**2)
         return Touched(
             force_n=force,
             deviation_n=np.sqrt((factors**2).sum(axis=1).reshape(-1, 3) + alone**2),
             factors_n=np.column_stack([factors, np.diag(alone.ravel())]),
             moment_nmm=touching * blend[:, 3:],
-            chi2=min(fit.chi2 for fit in fits) / len(reading),
+            chi2=min(fit.chi2 for fit in fits) / len(self.rest_mm2),
             fits=tuple(fits),
         )
 
@@ -238,20 +290,33 @@ class TouchDecoder:
         """What acts, by a reading's bytes; the newest scans are kept, since deviations are asked for after forces."""
         return lru_cache(NEWEST)(lambda reading: self.touched(np.frombuffer(reading)))
 
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
-        return self._shaped([each.force_n for each in self.touches(resistance_ohm)])
 
-    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
-        deviation = self._shaped([each.deviation_n for each in self.touches(resistance_ohm)])
-        return WIDTHS[0] * deviation, WIDTHS[1] * deviation
+class Follower(_Answers):
+    """A decoder of touches for scans that come one after another: each goes on from the one before.
 
-    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths of `forces` and the covariance (n, m, m) of sums of them, weights (rows·cols·3, m)."""
-        found = self.touches(resistance_ohm)
-        sums = [weights.T @ each.factors_n for each in found]
-        return WIDTHS[0] * self._shaped([each.deviation_n for each in found]), np.stack([s @ s.T for s in sums])
+    It answers as its decoder does, but for scans that it has seen in another order.
+    """
 
-    def _shaped(self, values: list[FloatArray]) -> FloatArray:
-        return np.array(values).reshape(len(values), self.rows, self.cols, 3)
+    def __init__(self, decoder: TouchDecoder) -> None:
+        self.decoder = decoder
+        self._last: Touched | None = None
+        self._known = dict[bytes, Touched]()  # of the newest scan, whose deviations are asked for after its forces
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.decoder, name)
+
+    def read_by(self, noise: float) -> "Follower":
+        """The same for readings that err by so much."""
+        return Follower(self.decoder.read_by(noise))
+
+    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
+        """Touches of scans (n, rows, cols, 3) [Ω] in their order; errors as of `TouchDecoder.reading`."""
+        found = []
+        for reading in self.decoder.reading(resistance_ohm):
+            key = reading.tobytes()
+            if key not in self._known:
+                last = self._last
+                self._last = self.decoder.touched(reading) if last is None else self.decoder.followed(reading, last)
+                self._known = {key: self._last}
+            found.append(self._known[key])
+        return found

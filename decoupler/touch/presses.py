@@ -1,38 +1,13 @@
-"""A library of presses on bare rubber: contacts kept as fields of traction, and what each does to the sensor.
+"""Presses on bare rubber as fields of traction, and what each does to the sensor in many places."""
 
-A press is solved once and stands for many: its field turned into every symmetry of the slab, and moved where it has
-room. The fields are turned, never the readings: the electrodes of a unit have no such symmetry.
-"""
-
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.indentation import drawn_press
-from dataset.resistance import largest_strains
-from fem.contact import Contact, ContactError, surface_compliance
-from fem.contact.surface import Patch, SurfaceCompliance, shares
-from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 
-VERSION = 2  #: raise when the same design gives another library
-PRESSES = 5000  #: that are solved
-CELLS = 18  #: of a press's grid along its longer side
-SEED = 6
-SHIFTS = 8  #: places more of a press that has room on the slab
-RIM = 0.8  #: heights from the slab's side within which a press stays where it was solved
-CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
-MAX_STRAIN = 0.3
-THREADS = 2
 UPWARDS = np.array([1.0, 1.0, -1.0])
 
 
@@ -43,18 +18,6 @@ class Presses:
     box_mm: FloatArray  #: (p, 4): x and y of the lowest corner, then of the highest
     size: NDArray[np.int64]  #: (p, 2): cells along x and y
     cell_force_n: NDArray[np.float32]  #: (p, 3, k, k) float32, z positive in compression; cells beyond the size are 0
-
-    @classmethod
-    def of(cls, contacts: list[Contact]) -> "Presses":
-        sizes = np.array([[one.patch.nx, one.patch.ny] for one in contacts])
-        cells = np.zeros((len(contacts), 3, sizes.max(), sizes.max()), np.float32)
-        for place, (one, (nx, ny)) in enumerate(zip(contacts, sizes.tolist(), strict=True)):
-            cells[place, :, :ny, :nx] = one.cell_force_n
-        return cls(
-            box_mm=np.array([[*one.patch.low_mm, *one.patch.high_mm] for one in contacts]),
-            size=sizes,
-            cell_force_n=cells,
-        )
 
     def turned(self, press: int, symmetry: int, moved_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Box (4,) [mm] and forces (3, ny, nx) of a press in a symmetry of the slab, moved.
@@ -90,18 +53,6 @@ class Grid:
         """Sides of a cell, (2,)."""
         return self.slab_mm / np.array(self.by_cell.shape[1::-1])
 
-    def moved(self, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
-        """Displacement (e,) [mm] of the electrodes by forces (3, ny, nx) [N], z positive in compression."""
-        spread, places = [], []
-        for axis, n in enumerate(cells.shape[:0:-1]):
-            side = (box_mm[axis + 2] - box_mm[axis]) / n
-            middles = box_mm[axis] + (np.arange(n) + 0.5) * side
-            own, at = shares(middles, self.by_cell.shape[1 - axis], float(self.cell_mm[axis]), 2)
-            spread.append(own)
-            places.append(at)
-        force = (spread[1].T @ cells @ spread[0]).transpose(1, 2, 0) * UPWARDS
-        return force.astype(np.float32).ravel() @ self.by_cell[places[1], places[0]].reshape(force.size, -1)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TouchLibrary:
@@ -114,100 +65,3 @@ class TouchLibrary:
     source: NDArray[np.int64]  #: (r,): which press
     how: FloatArray  #: (r, 3): its symmetry, and how far it was moved along x and y [mm]
     cache_key: str = ""
-
-
-def touch_library(
-    design: SensorDesign, presses: int = PRESSES, progress: Callable[[int], None] = lambda done: None
-) -> tuple[TouchLibrary, Path, bool]:
-    """Library of a sensor with bare rubber, its file, and whether it was there already.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        Of linear rubber, soft pads and eq. 1.
-    presses : int
-        Number of contacts to solve.
-    progress : function
-        Called with the number of presses that were solved since.
-
-    Raises
-    ------
-    DesignError, SolverError
-        As `surface_compliance` does.
-    """
-    surface = surface_compliance(design)[0]
-    cache_key = digest("touch library", VERSION, presses, CELLS, SEED, SHIFTS, surface.cache_key)
-
-    def make() -> TouchLibrary:
-        solved = Presses.of(list(_solved(surface, presses, progress)))
-        return _spread_out(solved, surface, cache_key)
-
-    return kept("touch.npz", cache_key, make, _read, _write)
-
-
-def _solved(surface: SurfaceCompliance, presses: int, progress: Callable[[int], None]) -> Iterator[Contact]:
-    def solve(number: int) -> Contact | None:
-        try:
-            return drawn_press(np.random.default_rng([SEED, 0, number]), surface, CELLS)
-        except ContactError:  # it misses the sensor
-            return None
-
-    with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-        for contact in pool.map(solve, range(presses)):
-            progress(1)
-            if contact is not None:
-                yield contact
-
-
-def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) -> TouchLibrary:
-    """Every press in every symmetry of the slab, and in other places if it has room."""
-    design, generator = surface.design, np.random.default_rng(SEED)
-    slab = np.array(design.slab_mm[:2])
-    nx, ny = np.rint(slab * CELLS_PER_HEIGHT / design.unit.height_mm).astype(int).tolist()
-    grid = Grid(slab_mm=slab, half=surface.on_grid(nx, ny).astype(np.float16))
-    symmetries = range(8 if design.array.rows == design.array.cols else 4)
-    rim = slab / 2 - RIM * design.unit.height_mm
-    rows: list[tuple[int, int, FloatArray]] = []
-    for press, box in enumerate(presses.box_mm):
-        rows += [(press, symmetry, np.zeros(2)) for symmetry in symmetries]
-        if (box[:2] >= -rim).all() and (box[2:] <= rim).all():
-            for _ in range(SHIFTS):
-                symmetry = int(generator.integers(len(symmetries)))
-                own, _ = presses.turned(press, symmetry, np.zeros(2))
-                rows.append((press, symmetry, generator.uniform(-rim - own[:2], rim - own[2:])))
-    placed = [presses.turned(*row) for row in rows]
-    moved = np.stack([grid.moved(*each) for each in placed])
-    holds = largest_strains(moved.reshape(len(moved), -1, 2, 3), design.unit) <= MAX_STRAIN
-    return TouchLibrary(
-        presses=presses,
-        grid=grid,
-        moved_mm=moved[holds].astype(np.float16),
-        unit=np.stack([_loads(*each, design.array) for each in placed]).astype(np.float16)[holds],
-        source=np.array([press for press, _, _ in rows])[holds],
-        how=np.array([[symmetry, *shift] for _, symmetry, shift in rows])[holds],
-        cache_key=cache_key,
-    )
-
-
-def _loads(box_mm: FloatArray, cells: FloatArray, array: Array) -> FloatArray:
-    x0, y0, x1, y1 = box_mm.tolist()
-    return Patch((x0, y0), (x1, y1), cells.shape[2], cells.shape[1]).unit_loads(cells, array).reshape(-1, 5)
-
-
-PARTS = {"presses": Presses, "grid": Grid}
-
-
-def _write(library: TouchLibrary, path: Path) -> None:
-    arrays = {each.name: getattr(library, each.name) for each in fields(library) if each.name not in PARTS}
-    for part in PARTS:
-        arrays |= {f"{part}.{each.name}": getattr(getattr(library, part), each.name) for each in fields(PARTS[part])}
-    write_arrays(arrays, path)
-
-
-def _read(path: Path) -> TouchLibrary:
-    arrays: dict[str, Any] = read_arrays(path)
-    parts: dict[str, Any] = {
-        part: kind(**{name.partition(".")[2]: arrays.pop(name) for name in list(arrays) if name.startswith(f"{part}.")})
-        for part, kind in PARTS.items()
-    }
-    return TouchLibrary(**parts, **arrays | {"cache_key": str(arrays["cache_key"])})

@@ -246,7 +246,7 @@ class LiveSensor:
 
     def __init__(self, scanner: Scanner, model: "AnyDecoder", calibration: SensorCalibration) -> None:
         self.scanner, self.model = scanner, model
-        self._reader = ForceReader(scanner.info, model, calibration)
+        self._reader = ForceReader(scanner.info, model.follower(), calibration)  # scans come one after another
         self._window: list[FloatArray] = []
         self._faults: dict[str, int] = {}
         self._look_s = -math.inf  # when the next window begins

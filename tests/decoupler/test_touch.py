@@ -7,10 +7,11 @@ import pytest
 
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
-from decoupler.touch import TouchDecoder, assess_touch, read_model, touch_library, write_touch
-from decoupler.touch.decoder import WIDTHS, Touched
+from decoupler.touch.assessment import assess_touch
+from decoupler.touch.decoder import WIDTHS, TouchDecoder, Touched
+from decoupler.touch.library import moved_by, presses_of, touch_library
 from decoupler.touch.morph import PRIOR, Part, fitted
-from decoupler.touch.presses import Presses
+from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, press, surface_compliance
 from geometry.design import Array, SensorDesign
@@ -58,8 +59,8 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
                 turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
         return press(surface, Cylinder(6.0, 9.0, turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5)
 
-    solved, turned = contact(symmetry), Presses.of([contact(0)]).turned(0, symmetry, np.zeros(2))
-    moved = decoder.library.grid.moved(*turned)
+    solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
+    moved = moved_by(decoder.library.grid, *turned)
     assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
     part = Part.of(decoder.sensing, *turned)
     force_n = part.units(np.zeros((1, 9)))[0, :, :3]

@@ -18,7 +18,7 @@ TYPED = indented_commands(README, "tripillar", "make", "kill")
 
 #: commands that are too long for a test as they stand, or need a board or what they would set up: where each is tested
 ELSEWHERE = {
-    "make train": "tests/tripillar/test_tripillar.py::test_the_pipeline_beats_the_paper_and_the_marks",
+    "make train": "tests/tripillar/test_pipeline.py::test_the_pipeline_beats_the_paper_and_the_marks",
     "make test": "",  # runs this
     "make test-long": "",  # runs the tests that are marked so
     "make setup": "",  # what all tests need

@@ -19,7 +19,7 @@ def house(tmp_path_factory):
     """Contacts with a small sensor, and a decoder that was made of few presses."""
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("decoupler.touch.presses.PRESSES", 60)
+        patch.setattr("decoupler.touch.library.PRESSES", 60)
         made = house.result("train", "--touch", "--design", "small.toml", "-o", "touch.safetensors", "-q")
         assert 30 < made["presses"] <= 60
         assert made["rows"] > 3 * made["presses"]

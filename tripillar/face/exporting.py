@@ -15,7 +15,7 @@ from tripillar.face.inputs import File, ModelLike, pads_model_of, require_there,
 if TYPE_CHECKING:
     from dataset.samples import Samples
     from decoupler.model.decoupler import Decoupler
-    from decoupler.touch import TouchDecoder
+    from decoupler.touch.decoder import TouchDecoder
     from decoupler.twin.identification import Twin
     from fem.array.response import ArrayResponse
     from hardware.recording import Recording
@@ -188,7 +188,8 @@ def write(thing: "SensorDesign | ArrayResponse | Samples | Decoupler | TouchDeco
     from decoupler.export import export_model
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import write_model
-    from decoupler.touch import TouchDecoder, write_touch
+    from decoupler.touch.decoder import TouchDecoder
+    from decoupler.touch.touch_file import write_touch
     from decoupler.twin.identification import Twin
     from decoupler.twin.twin_file import most_probable, write_twin
     from fem.array.response import ArrayResponse, write_response

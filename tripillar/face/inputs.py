@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from decoupler.data.enough import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.model.decoupler import Decoupler
-    from decoupler.touch import AnyDecoder
+    from decoupler.touch.touch_file import AnyDecoder
     from fem.array.response import ArrayResponse
     from fem.scene.scene import Scene
 

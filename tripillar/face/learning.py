@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.assessment import Assessment
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.touch import TouchDecoder
+    from decoupler.touch.decoder import TouchDecoder
     from fem.array.response import ArrayResponse
 
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -251,7 +251,7 @@ def evaluate(
     assert model is not None
     from decoupler import assess, require_same_sensor
     from decoupler.evaluation.assessment import as_plain
-    from decoupler.touch import TouchDecoder
+    from decoupler.touch.decoder import TouchDecoder
     from tripillar.face.checks import warn_of_test
     from tripillar.face.tables import assessment_table
 

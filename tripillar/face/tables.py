@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.assessment import Assessment
     from decoupler.evaluation.crossval import Fold
     from decoupler.evaluation.metrics import ForceErrors
-    from decoupler.touch import TouchAssessment
+    from decoupler.touch.assessment import TouchAssessment
     from fem.contact import Contact
     from fem.scene.solution import Solution
     from tripillar.pipeline.comparison import Comparison

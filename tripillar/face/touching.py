@@ -9,7 +9,7 @@ from tripillar.face.inputs import SamplesLike, samples_of
 
 if TYPE_CHECKING:
     from decoupler.evaluation.assessment import Assessment
-    from decoupler.touch import TouchDecoder
+    from decoupler.touch.decoder import TouchDecoder
 
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is read where data say nothing else
 
@@ -18,8 +18,9 @@ def touch_decoder(design: SensorDesign, out: Path | None) -> "TouchDecoder":
     """A decoder of touches; its library comes from the cache or is made."""
     caller = current()
     from dataset.measurement import ReadingError
-    from decoupler.touch import TouchDecoder, touch_library, write_touch
-    from decoupler.touch.presses import PRESSES
+    from decoupler.touch.decoder import TouchDecoder
+    from decoupler.touch.library import PRESSES, touch_library
+    from decoupler.touch.touch_file import write_touch
     from fem.contact.surface import require_bare
 
     require_bare(design)
@@ -38,7 +39,7 @@ def assessed_touch(decoder: "TouchDecoder", data: "SamplesLike") -> "dict[str, A
     """Errors of a touch decoder: of units, of the net force and of its place."""
     caller = current()
     from dataset import in_memory
-    from decoupler.touch import assess_touch
+    from decoupler.touch.assessment import assess_touch
     from tripillar.face.tables import assessed_touch_tables
 
     samples = in_memory(samples_of(data, labels_only=False))
