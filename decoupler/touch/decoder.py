@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.special import chdtri
 
 from dataset.measurement import ReadingError
@@ -26,6 +27,8 @@ SHARE = 0.8  #: of the fitted presses in the answer, beside the nearest ones' fo
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS = 4
+RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
+JUMP = 1.0  #: of the reading from scan to scan, as a share of its size, likewise
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 NEWEST = 512  #: scans whose answers are kept
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
@@ -194,7 +197,7 @@ class TouchDecoder(_Answers):
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
         best = sorted(last.fits, key=lambda fit: fit.cost)[:FOLLOWED]
         fits = [fitted(reading, deviation, fit.parts, fit.q, FOLLOWED_STEPS) for fit in best]
-        if min(fit.chi2 for fit in fits) > SECOND * len(reading):
+        if min(fit.cost for fit in fits) > best[0].cost + RISE:
             return self.touched(reading)
         return self._weighed(at_rest, fits)
 
@@ -299,7 +302,7 @@ class Follower(_Answers):
 
     def __init__(self, decoder: TouchDecoder) -> None:
         self.decoder = decoder
-        self._last: Touched | None = None
+        self._last: tuple[FloatArray, Touched] | None = None
         self._known = dict[bytes, Touched]()  # of the newest scan, whose deviations are asked for after its forces
 
     def __getattr__(self, name: str) -> Any:
@@ -315,8 +318,15 @@ class Follower(_Answers):
         for reading in self.decoder.reading(resistance_ohm):
             key = reading.tobytes()
             if key not in self._known:
-                last = self._last
-                self._last = self.decoder.touched(reading) if last is None else self.decoder.followed(reading, last)
-                self._known = {key: self._last}
+                self._known = {key: self._next(reading)}
             found.append(self._known[key])
+        return found
+
+    def _next(self, reading: FloatArray) -> Touched:
+        last = self._last
+        if last is not None and norm(reading - last[0]) < JUMP * norm(reading):
+            found = self.decoder.followed(reading, last[1])
+        else:
+            found = self.decoder.touched(reading)
+        self._last = reading, found
         return found
