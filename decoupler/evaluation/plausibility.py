@@ -36,6 +36,9 @@ MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mis
 CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
 UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board
 KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sensor has so few ohms
+#: smallest share of the readings' motion that the forces explain once a mistake is taken back: of contacts on bare
+#: rubber, which no pad load explains, 0.3 to 0.6 with and without one
+MIN_EXPLAINED = 0.7
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
 Turn = Callable[[FloatArray], FloatArray]
@@ -178,8 +181,11 @@ def explained(data: Samples, component: Component, forward: SensorModel) -> floa
     Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
     """
     data = _some(data, component)
+    return _explained(data, component, forward, _left(data, component, forward))
+
+
+def _explained(data: Samples, component: Component, forward: SensorModel, left: FloatArray) -> float | None:
     moved, _ = _motions(data, component, forward, NONE)
-    left = _left(data, component, forward)
     columns = pillar_columns(data.resistance_ohm, component, data.dead)
     readable = readable_columns(component, data.dead, columns.shape[1])
     noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
@@ -200,7 +206,7 @@ def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str 
     unlinked = _left(data, component, forward, UNLINKED)
     order = _best_order(data, component, forward)
     possible = [mistake for mistake in MISTAKES if _is_possible(mistake, data, forward)]
-    named = [
+    named = [  # what is said, of how many, what is left
         (ORDER, math.lgamma(n + 1), _left(replace(data, force_n=data.force_n[order]), component, forward)),
         *((one.said, math.log(len(MISTAKES)), _left(data, component, forward, one)) for one in possible),
     ]
@@ -209,6 +215,7 @@ def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str 
         said: _energy(left)
         for said, log_many, left in named
         if min(_log_likelier(other, left, data) for other in (as_given, unlinked)) > log_many + enough
+        and (_explained(data, component, forward, left) or 1.0) > MIN_EXPLAINED
     }
     said = min(found, key=found.__getitem__, default=None)
     if said is None:

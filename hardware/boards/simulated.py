@@ -201,13 +201,18 @@ def firmware_built(info: Info) -> Path:
     folder = cache / f"firmware-{digest(str(FIRMWARE), settings)}"
     require_own(folder, cache)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}"]
-    done = subprocess.run(
-        [*command, *(f"{name}={value}" for name, value in settings.items())],
-        capture_output=True,
-        encoding="utf-8",
-        errors="replace",
-        umask=0o077,
-    )
+    import fcntl  # not on Windows, where tools are missing
+
+    cache.mkdir(parents=True, exist_ok=True)
+    with open(f"{folder}.lock", "w", encoding="utf-8") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # boards that are started together build it once
+        done = subprocess.run(
+            [*command, *(f"{name}={value}" for name, value in settings.items())],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            umask=0o077,
+        )
     if done.returncode:
         said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
         causes = [line.split("error:", 1)[1].strip() for line in said if "error:" in line]

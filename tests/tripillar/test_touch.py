@@ -68,3 +68,31 @@ def test_what_a_decoder_of_touch_cannot_is_refused(house):
     assert "is a decoder of touch: export takes a model of loads on pads" in said
     tp.write(tp.dataset(tp.SensorDesign(), samples=5), house.folder / "large.nc")
     assert "rows: model 1, data 6" in house.refusal("evaluate", "--model", "touch.safetensors", "--data", "large.nc")
+
+
+def test_a_decoder_of_pads_says_that_contacts_are_none_of_its_loads(house):
+    made = (
+        "dataset",
+        "--protocol",
+        "three-axis",
+        "--samples",
+        "60",
+        "--noise",
+        "0.001",
+        "--bits",
+        "12",
+        "--design",
+        "small.toml",
+        "-q",
+        "-o",
+    )
+    for seed in ("1", "2"):
+        house.result(*made, f"pads{seed}.nc", "--seed", seed)
+    house.result("train", "--data", "pads1.nc", "-o", "pads.safetensors", "-q")
+    tested = {
+        name: house.tripillar("evaluate", "--model", "pads.safetensors", "--data", name, "-q").stderr
+        for name in ("pads2.nc", "indent.nc")
+    }
+    assert "warning" not in tested["pads2.nc"]
+    assert "of these readings, so errors of pads.safetensors are large" in tested["indent.nc"]
+    assert "seem" not in tested["indent.nc"]  # no mistake is named that explains nothing

@@ -4,7 +4,7 @@ from dataset import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import AnySamples, drawn
 from decoupler.data.pairs import Pairs
-from decoupler.evaluation.plausibility import disturbance, doubt, explained
+from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
@@ -72,3 +72,9 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     if doubted is not None:
         current().say(f"warning: {name}: {doubted}")
     mention(few, name, component, judge)
+    share = None if own is None or doubted is not None else explained(few, component, own)
+    if share is not None and share < MIN_EXPLAINED:
+        current().say(
+            f"warning: {name}: loads on pads explain {max(share, 0.0):.0%} of these readings, so errors of {model} are "
+            "large; contacts on bare rubber want a decoder of 'tripillar train --touch'"
+        )
