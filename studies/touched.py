@@ -151,7 +151,7 @@ def at_rest_and_lightly(decoder: TouchDecoder, scans: int, seed: int) -> dict[st
         )
         missed = np.abs(force_n - true_n[..., :3])
         net = missed_net = np.abs((force_n - true_n[..., :3])[..., 2].sum(axis=1))
-        net_sd = np.array([np.sqrt((each.factors_n[2::3].sum(axis=0) ** 2).sum()) for each in touches])
+        net_sd = np.array([np.sqrt((each.factors[2::5].sum(axis=0) ** 2).sum()) for each in touches])
         found |= {
             f"{name}: largest error of a unit [N]": float(missed[..., 2].max()),
             f"{name}: its 99 % [N]": float(np.quantile(missed[..., 2], 0.99)),

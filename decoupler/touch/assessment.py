@@ -9,7 +9,7 @@ import numpy as np
 from dataset.samples import Samples
 from decoupler.evaluation.assessment import Assessment
 from decoupler.evaluation.metrics import component_errors
-from decoupler.touch.decoder import WIDTHS, TouchDecoder
+from decoupler.touch.decoder import TouchDecoder
 from geometry.layout import FloatArray, unit_centres
 from geometry.threads import one_blas_thread
 
@@ -54,10 +54,9 @@ def assess_touch(
     units = decoder.rows * decoder.cols
     true_n = data.force_n.reshape(len(data), units, 3)
     found_n = np.stack([each.force_n for each in touches])
-    deviation_n = np.stack([each.deviation_n for each in touches])
     moments = np.stack([each.moment_nmm for each in touches])
     missed = np.abs(found_n - true_n)
-    within = [missed <= width * deviation_n for width in WIDTHS]
+    within = [missed <= np.stack(half) for half in zip(*(each.half_widths_n for each in touches), strict=True)]
     errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "light": None}
     by_force = {

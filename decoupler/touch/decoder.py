@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.linalg import norm
@@ -13,6 +13,7 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
+from decoupler.touch.contacts import TouchContact, contacts_of
 from decoupler.touch.morph import PRIOR, Fit, Part, Sensing, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
@@ -40,45 +41,40 @@ WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: th
 
 @dataclass(frozen=True, kw_only=True)
 class Touched:
-    """Forces and moments on a sensor, from one scan."""
+    """Loads on a sensor, from one scan: of each unit the force (Fz positive in compression) and the pressure's moment.
 
-    force_n: FloatArray  #: (units, 3)
-    deviation_n: FloatArray  #: (units, 3)
-    factors_n: FloatArray  #: (units·3, m): independent errors of the forces; their squares add up
-    moment_nmm: FloatArray  #: (units, 2): of the pressure about each unit's middle
+    The moment (m_x, m_y) of the pressure p about the unit's middle is (∫ x p, ∫ y p).
+    """
+
+    load: FloatArray  #: (units, 5) [N, N mm]
+    factors: FloatArray  #: (units·5, m): independent errors of the loads; their squares add up
     chi2: float  #: of the best fit over the number of readings; of rest, at rest
-    fits: tuple[Fit, ...] = ()  #: none at rest
+    contacts: tuple[TouchContact, ...] = ()  #: none at rest
+    fits: tuple[Fit, ...] = ()
 
+    @property
+    def force_n(self) -> FloatArray:
+        """Forces, (units, 3)."""
+        return self.load[:, :3]
 
-class _Answers:
-    """Forces and deviations of scans by their touches."""
+    @property
+    def moment_nmm(self) -> FloatArray:
+        """Moments of the pressure about each unit's middle, (units, 2)."""
+        return self.load[:, 3:]
 
-    design: SensorDesign
+    @cached_property
+    def deviation_n(self) -> FloatArray:
+        """Standard deviations of the forces, (units, 3)."""
+        return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)[:, :3]
 
-    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        raise NotImplementedError
-
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
-        return self._shaped([each.force_n for each in self.touches(resistance_ohm)])
-
-    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
-        deviation = self._shaped([each.deviation_n for each in self.touches(resistance_ohm)])
-        return WIDTHS[0] * deviation, WIDTHS[1] * deviation
-
-    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths of `forces` and the covariance (n, m, m) of sums of them, weights (rows·cols·3, m)."""
-        found = self.touches(resistance_ohm)
-        sums = [weights.T @ each.factors_n for each in found]
-        return WIDTHS[0] * self._shaped([each.deviation_n for each in found]), np.stack([s @ s.T for s in sums])
-
-    def _shaped(self, values: list[FloatArray]) -> FloatArray:
-        return np.array(values).reshape(len(values), self.design.array.rows, self.design.array.cols, 3)
+    @property
+    def half_widths_n(self) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the forces' errors, each (units, 3)."""
+        return WIDTHS[0] * self.deviation_n, WIDTHS[1] * self.deviation_n
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchDecoder(_Answers):
+class TouchDecoder:
     """A decoder of touches on bare rubber; never changed, only used."""
 
     design: SensorDesign
@@ -88,6 +84,7 @@ class TouchDecoder(_Answers):
 
     dead = ensemble = usual = inverse = load_test = least_squares = uncertainty = posterior = None
     is_identified, knows_uncertainty = False, True
+    knows_touch: ClassVar[Literal[True]] = True
 
     @property
     def rows(self) -> int:
@@ -204,32 +201,37 @@ class TouchDecoder(_Answers):
     def _weighed(
         self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0
     ) -> Touched:
-        """Fits by their costs, beside rest of that χ², and the nearest presses' forces where they are known."""
+        """Fits by their costs, beside rest of that χ², and the nearest presses' loads where they are known."""
         costs = np.array([fit.cost for fit in fits])
         weights = np.exp((costs.min() - costs) / TEMPER)
         weights /= weights.sum()
-        answers = [fit.forces() for fit in fits]
+        answers = [fit.loads() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
         share = 1.0 if near is None else SHARE
         near = morphed if near is None else near
         touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
         blend = share * morphed + (1.0 - share) * near
-        force = touching * blend[:, :3]
+        load = touching * blend
         by_fits = [np.sqrt(share * w) * root for w, (_, root) in zip(weights, answers, strict=True)]
-        apart = [np.sqrt(share * w) * (each - morphed)[:, :3] for w, (each, _) in zip(weights, answers, strict=True)]
-        apart += [np.sqrt(share * (1.0 - share)) * (morphed - near)[:, :3], np.sqrt(1.0 - touching) * blend[:, :3]]
-        factors = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
+        apart = [np.sqrt(share * w) * (each - morphed) for w, (each, _) in zip(weights, answers, strict=True)]
+        apart += [np.sqrt(share * (1.0 - share)) * (morphed - near), np.sqrt(1.0 - touching) * blend]
+        shared = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
+        force = load[:, :3]
         floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + MIN_DEVIATION_N**2)
         of_near = np.broadcast_to(near_deviation, blend.shape)[:, :3]
         alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + (1.0 - touching) * self.hidden_n**2)
         return Touched(
-            force_n=force,
-            deviation_n=np.sqrt((factors**2).sum(axis=1).reshape(-1, 3) + alone**2),
-            factors_n=np.column_stack([factors, np.diag(alone.ravel())]),
-            moment_nmm=touching * blend[:, 3:],
+            load=load,
+            factors=np.column_stack([shared, self._alone(alone)]),
             chi2=min(fit.chi2 for fit in fits) / len(self.rest_mm2),
+            contacts=contacts_of(fits, weights),
             fits=tuple(fits),
         )
+
+    def _alone(self, deviation_n: FloatArray) -> FloatArray:
+        """Factors of errors (units, 3) of each unit's forces alone, pressing anywhere on it."""
+        spread_mm = self.design.array.pitch_mm / np.sqrt(12.0)
+        return np.diag(np.column_stack([deviation_n, spread_mm * deviation_n[:, [2, 2]]]).ravel())
 
     def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
@@ -275,14 +277,17 @@ class TouchDecoder(_Answers):
         return found
 
     def _resting(self, chi2: float) -> Touched:
-        n = len(self.rest_mm2) // 3
-        return Touched(
-            force_n=np.zeros((n, 3)),
-            deviation_n=self.hidden_n,
-            factors_n=np.diag(self.hidden_n.ravel()),
-            moment_nmm=np.zeros((n, 2)),
-            chi2=chi2,
-        )
+        return Touched(load=np.zeros((self.rows * self.cols, 5)), factors=self._alone(self.hidden_n), chi2=chi2)
+
+    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
+        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(resistance_ohm.shape)
+
+    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
+        found = [each.half_widths_n for each in self.touches(resistance_ohm)]
+        one, two = (np.stack(each).reshape(resistance_ohm.shape) for each in zip(*found, strict=True))
+        return one, two
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
         """Touches of scans (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
@@ -290,43 +295,33 @@ class TouchDecoder(_Answers):
 
     @cached_property
     def _newest(self) -> Callable[[bytes], Touched]:
-        """What acts, by a reading's bytes; the newest scans are kept, since deviations are asked for after forces."""
+        """Touches by their reading's bytes; the newest are kept, since deviations are asked for after forces."""
         return lru_cache(NEWEST)(lambda reading: self.touched(np.frombuffer(reading)))
 
 
-class Follower(_Answers):
-    """A decoder of touches for scans that come one after another: each goes on from the one before.
-
-    It answers as its decoder does, but for scans that it has seen in another order.
-    """
+class Follower:
+    """A decoder of touches for scans that come one after another: each goes on from the one before."""
 
     def __init__(self, decoder: TouchDecoder) -> None:
-        self.decoder = decoder
+        self._decoder = decoder
         self._last: tuple[FloatArray, Touched] | None = None
-        self._known = dict[bytes, Touched]()  # of the newest scan, whose deviations are asked for after its forces
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self.decoder, name)
+        return getattr(self._decoder, name)
 
     def read_by(self, noise: float) -> "Follower":
         """The same for readings that err by so much."""
-        return Follower(self.decoder.read_by(noise))
+        return Follower(self._decoder.read_by(noise))
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
         """Touches of scans (n, rows, cols, 3) [Ω] in their order; errors as of `TouchDecoder.reading`."""
-        found = []
-        for reading in self.decoder.reading(resistance_ohm):
-            key = reading.tobytes()
-            if key not in self._known:
-                self._known = {key: self._next(reading)}
-            found.append(self._known[key])
-        return found
+        return [self._next(reading) for reading in self._decoder.reading(resistance_ohm)]
 
     def _next(self, reading: FloatArray) -> Touched:
         last = self._last
         if last is not None and norm(reading - last[0]) < JUMP * norm(reading):
-            found = self.decoder.followed(reading, last[1])
+            found = self._decoder.followed(reading, last[1])
         else:
-            found = self.decoder.touched(reading)
+            found = self._decoder.touched(reading)
         self._last = reading, found
         return found

@@ -114,6 +114,14 @@ class Part:
         part = grid.by_cell[row + low[1], column + low[0]]
         return (on_cells.reshape(b, -1) @ part.reshape(-1, part.shape[-1])).astype(float)
 
+    def contact(self, q: FloatArray) -> FloatArray:
+        """Force [N], centre of pressure [mm] and half axes along x and y of the pressed ellipse [mm], (b, 7)."""
+        place, force = self.changed(q)
+        total = np.maximum(force[:, 2].sum(axis=-1), 1e-9)[:, None]
+        centre = (place * force[:, 2:]).sum(axis=-1) / total
+        spread = ((place - centre[..., None]) ** 2 * force[:, 2:]).sum(axis=-1) / total
+        return np.concatenate([force.sum(axis=-1), centre, 2 * np.sqrt(spread)], axis=1)
+
     def units(self, q: FloatArray) -> FloatArray:
         """Loads of units, (b, units, 5), as `Patch.unit_loads`."""
         place, force = self.changed(q)
@@ -139,12 +147,23 @@ class Fit:
     curvature: FloatArray  #: (9 parts, 9 parts): of half the cost
     moved_mm: FloatArray  #: (e,): of all parts together
 
-    def forces(self) -> tuple[FloatArray, FloatArray]:
-        """Forces of units (units, 5), and their changes (units·3, 9 parts) by q times the root of its covariance."""
+    @cached_property
+    def root(self) -> FloatArray:
+        """Root of the covariance of q, (9 parts, 9 parts)."""
+        return np.linalg.cholesky(np.linalg.inv(self.curvature))
+
+    def loads(self) -> tuple[FloatArray, FloatArray]:
+        """Loads of units (units, 5), and their changes (units·5, 9 parts) by `root`."""
         found = [part.units(_and_steps(q)) for part, q in zip(self.parts, self.q, strict=True)]
-        slopes = np.concatenate([(each[1:] - each[0]) / STEP[:, None, None] for each in found])[:, :, :3]
-        root = np.linalg.cholesky(np.linalg.inv(self.curvature))
-        return np.sum([each[0] for each in found], axis=0), slopes.reshape(len(slopes), -1).T @ root
+        slopes = np.concatenate([(each[1:] - each[0]) / STEP[:, None, None] for each in found])
+        return np.sum([each[0] for each in found], axis=0), slopes.reshape(len(slopes), -1).T @ self.root
+
+    def contacts(self) -> tuple[FloatArray, FloatArray]:
+        """`Part.contact` of each part (parts, 7), and their changes (parts, 7, 9 parts) by `root`."""
+        found = np.stack([part.contact(_and_steps(q)) for part, q in zip(self.parts, self.q, strict=True)])
+        slopes = (found[:, 1:] - found[:, :1]) / STEP[:, None]
+        by_part = self.root.reshape(len(found), len(STEP), -1)
+        return found[:, 0], np.einsum("pqa,pqr->par", slopes, by_part)
 
 
 def _and_steps(q: FloatArray) -> FloatArray:

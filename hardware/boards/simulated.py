@@ -5,6 +5,7 @@ runs the board: the firmware on a simulated chip, or its frames from Python, on 
 """
 
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -201,11 +202,12 @@ def firmware_built(info: Info) -> Path:
     folder = cache / f"firmware-{digest(str(FIRMWARE), settings)}"
     require_own(folder, cache)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}"]
-    import fcntl  # not on Windows, where tools are missing
-
     cache.mkdir(parents=True, exist_ok=True)
     with open(f"{folder}.lock", "w", encoding="utf-8") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # boards that are started together build it once
+        if sys.platform != "win32":
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)  # boards that are started together build it once
         done = subprocess.run(
             [*command, *(f"{name}={value}" for name, value in settings.items())],
             capture_output=True,

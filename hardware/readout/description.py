@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, PILLARS, FloatArray, unit_centres
 from hardware.link.frames import Info
 from hardware.readout.wrench import SIGNS, pad_positions
 from hardware.recording.topics import plain_numbers
@@ -30,7 +31,7 @@ class SensorDescription:
     cols: int  #: units along x
     axes: tuple[str, ...]  #: the k components of each force
     signs: tuple[float, ...]  #: (k,): times a force, the component of the vector on the sensor
-    position_mm: FloatArray  #: (rows, cols, 3): centres of the pads; NaN if the model states no design
+    position_mm: FloatArray  #: (rows, cols, 3): centres of pads, of units under touch; NaN if no design is known
     normal: FloatArray  #: (rows, cols, 3): unit vectors out of the sensor
     pad_mm: float  #: side of a pad; NaN if unknown
     range_n: FloatArray  #: (rows, cols, k, 2): least and largest force in the model's training
@@ -105,7 +106,7 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
         cols=cols,
         axes=axes,
         signs=tuple(SIGNS[AXES.index(axis)] for axis in axes),
-        position_mm=unknown if model.design is None else pad_positions(model.design),
+        position_mm=unknown if model.design is None else _places(model.design, model.knows_touch),
         normal=np.broadcast_to([0.0, 0.0, 1.0], shape),
         pad_mm=np.nan if model.design is None else model.design.pad.size_mm,
         range_n=limits.reshape(rows, cols, len(axes), 2),
@@ -122,3 +123,10 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
             "scan_mode": info.scan_mode.name,
         },
     )
+
+
+def _places(design: SensorDesign, of_units: bool) -> FloatArray:
+    if not of_units:
+        return pad_positions(design)
+    x, y = unit_centres(design).T
+    return np.stack([x, y, 0.0 * x], axis=1).reshape(design.array.rows, design.array.cols, 3)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,11 @@ if TYPE_CHECKING:
 
 CHUNK = 2048  #: frames worked on together
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
-BY_SCAN = ("force_n", "resistance_ohm", "saturated", "time_s", "stamp_ns", "device_us", "sequence")
+#: values of `Forces` by scans
+BY_SCAN = (
+    *("force_n", "moment_nmm", "contacts", "resistance_ohm", "saturated"),
+    *("time_s", "stamp_ns", "device_us", "sequence"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,16 +53,37 @@ class Forces:
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
     model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
+    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): of touch, `Touched.moment_nmm`
+    contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
+    stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     def __getitem__(self, which: int | slice) -> "Forces":
         """Forces of some scans; what is known of deviations goes along."""
-        given = {name: values for name in BY_SCAN if (values := getattr(self, name)) is not None}
-        part = replace(self, **{name: values[which] for name, values in given.items()})
-        if "deviations" in vars(self):
-            vars(part)["deviations"] = tuple(None if each is None else each[which] for each in self.deviations)
-        return part
+        given: dict[str, Any] = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
+        known = vars(self).get("deviations", self.stated)
+        if known is not None:
+            half_n, covariance = (None if each is None else each[which] for each in known)
+            given["stated"] = half_n, covariance
+        return replace(self, **given)
+
+    def followed_by(self, others: "Sequence[Forces]") -> "Forces":
+        """These forces, and those of the scans that follow."""
+        parts = (self, *others)
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in BY_SCAN
+            if isinstance(getattr(self, name), np.ndarray)
+        }
+        if self.contacts is not None:
+            joined["contacts"] = [each for part in parts for each in part.contacts]
+        if self.stated is not None:
+            half_n, covariance = (
+                np.concatenate(each) for each in zip(*(part.deviations for part in parts), strict=True)
+            )
+            joined["stated"] = half_n, covariance
+        return replace(self, **joined)
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:
@@ -67,7 +92,9 @@ class Forces:
         The latter is (n, 6, 6), as `net_wrench` takes it; both are None if the model knows none. Computed when first
         asked for, which takes twenty times as long as the forces.
         """
-        if self.model is None:
+        if self.stated is not None:
+            return self.stated
+        if self.model is None or self.model.knows_touch:
             return None, None
         ohms = self.resistance_ohm.reshape(-1, *self.resistance_ohm.shape[-3:])
         parts = [self.model.deviations(ohms[k : k + CHUNK], self.weights) for k in range(0, len(ohms), CHUNK)]
@@ -82,7 +109,8 @@ class Forces:
     @cached_property
     def wrench(self) -> Wrench:
         """Net force, net moment and centre of pressure, with deviations if the model knows them."""
-        return net_wrench(self.force_n, self.weights, self.deviations[1])
+        load = self.force_n if self.moment_nmm is None else np.concatenate([self.force_n, self.moment_nmm], axis=-1)
+        return net_wrench(load, self.weights, self.deviations[1])
 
     @cached_property
     def chi2(self) -> FloatArray | None:
@@ -115,6 +143,9 @@ class Forces:
         if self.deviation_n is not None:
             meaning = "half-width that holds 68 % of errors"
             variables["deviation_n"] = (over_units, self.deviation_n, {"units": "N", "meaning": meaning})
+        if self.moment_nmm is not None:
+            attributes = {"units": "N mm", "meaning": "moments of the pressure about the unit's middle, of x p and y p"}
+            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm, attributes)
         if self.chi2 is not None:
             meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
             variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
@@ -175,7 +206,7 @@ class ForceReader:
             )
         self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
         self.description = describe(model, info)
-        self._weights = wrench_weights(self.description.position_mm, model.component.axes)
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.knows_touch)
         self._uncertain = model if model.knows_uncertainty else None
         if rest_ohm is not None and self._uncertain:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
@@ -215,14 +246,32 @@ class ForceReader:
         """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
         measured_ohm, saturated = self.measured(counts)
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
-        force_n = self.model.forces(resistance_ohm)
+        known: dict[str, Any] = {
+            "resistance_ohm": resistance_ohm,
+            "saturated": saturated,
+            "model": self._uncertain,
+            "weights": self._weights,
+            "description": self.description,
+        }
+        if self.model.knows_touch:
+            return self._touched(resistance_ohm, known)
+        return Forces(force_n=self.model.forces(resistance_ohm), **known)
+
+    def _touched(self, resistance_ohm: FloatArray, known: dict[str, Any]) -> Forces:
+        """Forces by touches, which know their deviations."""
+        assert self._uncertain is not None
+        assert self._uncertain.knows_touch
+        touches = self._uncertain.touches(resistance_ohm)
+        shape = resistance_ohm.shape[:-1]
+        load = np.stack([each.load for each in touches]).reshape(*shape, -1)
+        sums = [self._weights.T @ each.factors for each in touches]
+        half_n = np.stack([each.half_widths_n[0] for each in touches]).reshape(*shape, 3)
         return Forces(
-            force_n=force_n,
-            resistance_ohm=resistance_ohm,
-            saturated=saturated,
-            model=self._uncertain,
-            weights=self._weights,
-            description=self.description,
+            force_n=load[..., :3],
+            moment_nmm=load[..., 3:],
+            contacts=[each.contacts for each in touches],
+            stated=(half_n, np.stack([each @ each.T for each in sums])),
+            **known,
         )
 
 
@@ -281,11 +330,12 @@ class LiveSensor:
             sequence=np.uint16(scan.frame.sequence),
             faults=self._faults,
         )
+        if forces.stated is not None:
+            return forces
         if self._known is None or scan.received_s >= self._known[0] + renewed_s:
             self._known = scan.received_s, forces
-        else:
-            vars(forces)["deviations"] = self._known[1].deviations
-        return forces
+            return forces
+        return replace(forces, stated=self._known[1].deviations)
 
 
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
@@ -314,14 +364,13 @@ def replay(
     """
     if calibration is None and recording.calibration:
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
-    reader = ForceReader(recording.info, model, calibration, crosstalk)
+    reader = ForceReader(recording.info, model.follower(), calibration, crosstalk)
     parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in BY_SCAN[:3]}
+    found = parts[0].followed_by(parts[1:])
     return replace(
-        parts[0],
-        **joined,
+        found,
         time_s=recording.time_s,
         device_us=recording.device_us,
         sequence=recording.sequence,
-        faults={} if reader.fault_test is None else reader.fault_test.named_in(joined["resistance_ohm"]),
+        faults={} if reader.fault_test is None else reader.fault_test.named_in(found.resistance_ohm),
     )

@@ -28,8 +28,12 @@ def pad_positions(design: SensorDesign) -> FloatArray:
     return pads.reshape(design.array.rows, design.array.cols, 3)
 
 
-def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...]) -> FloatArray:
-    """Weights of the forces in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
+#: of moments (∫ x p, ∫ y p) of a unit's pressure p about its place, in Fx, Fy, Fz, Mx, My, Mz
+OF_MOMENTS = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
+
+
+def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool = False) -> FloatArray:
+    """Weights of the loads in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
 
     Parameters
     ----------
@@ -37,6 +41,8 @@ def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...]) -> FloatArray
         Of the pads; NaN leaves the moment unknown.
     axes : k names
         Components of each force, as a model gives them.
+    moments : bool
+        Whether each force is followed by the moments of its pressure; k counts these two, too.
 
     Notes
     -----
@@ -50,6 +56,8 @@ def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...]) -> FloatArray
     force = np.broadcast_to(np.eye(3), (len(points), 3, 3))  # (unit, component, sum)
     weights = np.concatenate([force, np.cross(points, np.diag(SIGNS))], axis=2)[:, [AXES.index(axis) for axis in axes]]
     weights[..., [not needed <= set(axes) for needed in NEEDED]] = np.nan
+    if moments:
+        weights = np.concatenate([weights, np.broadcast_to(OF_MOMENTS, (len(points), 2, 6))], axis=1)
     return weights.reshape(-1, 6) + 0.0  # no -0
 
 
@@ -77,8 +85,8 @@ class Wrench:
         return self.force_n * SIGNS
 
 
-def net_wrench(force_n: FloatArray, weights: FloatArray, covariance: FloatArray | None = None) -> Wrench:
-    """Net load of forces (n, rows, cols, k) [N], or of one scan's, by `wrench_weights` (rows·cols·k, 6).
+def net_wrench(load: FloatArray, weights: FloatArray, covariance: FloatArray | None = None) -> Wrench:
+    """Net load of loads (n, rows, cols, k) [N, N mm], or of one scan's, by `wrench_weights` (rows·cols·k, 6).
 
     Parameters
     ----------
@@ -93,7 +101,7 @@ def net_wrench(force_n: FloatArray, weights: FloatArray, covariance: FloatArray 
     >>> found.force_n[0].tolist(), found.moment_nmm[0].tolist(), found.centre_mm[0].tolist()
     ([0.0, 0.0, 4.0], [20.0, -20.0, 0.0], [-5.0, -5.0])
     """
-    sums = force_n.reshape(*force_n.shape[:-3], -1) @ weights
+    sums = load.reshape(*load.shape[:-3], -1) @ weights
     variance = None if covariance is None else np.diagonal(covariance, axis1=-2, axis2=-1) + 0.0 * sums
     normal = sums[..., 2]
     known = normal >= MIN_NORMAL_N

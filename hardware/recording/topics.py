@@ -23,7 +23,7 @@ COLUMNS = {  # of NetCDF and MCAP, on the dimension frame: type and meaning
 
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics of MCAP
 SENSOR, WRENCH = "/tripillar/sensor", "/tripillar/wrench"  #: with the forces
-RESISTANCES = "/tripillar/resistances"  #: of live streams
+RESISTANCES, CONTACTS = "/tripillar/resistances", "/tripillar/contacts"  #: of live streams
 _TYPES: dict[str, dict[str, Any]] = {
     "text": {"type": "string"},
     "number": {"type": "number"},
@@ -92,6 +92,21 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         net_moment_deviation_nmm="[number] one standard deviation, empty if unknown",
         centre_of_pressure_mm="[number] x and y [mm]; empty where hardly anything presses",
         centre_of_pressure_deviation_mm="[number] one standard deviation, empty if unknown",
+    ),
+    CONTACTS: _schema(
+        "tripillar.Contacts",
+        contacts={
+            "type": "array",
+            "description": "found by a decoder of touch; deviations are standard deviations",
+            "items": _schema(
+                force_n="[number] along x, y, z [N], z positive in compression",
+                force_deviation_n="[number] of it",
+                centre_mm="[number] centre of pressure, x and y [mm]",
+                centre_deviation_mm="[number] of it",
+                half_mm="[number] half axes along x and y of the pressed ellipse [mm]",
+                half_deviation_mm="[number] of them",
+            ),
+        },
     ),
     RESISTANCES: _schema(
         "tripillar.Resistances",

@@ -14,6 +14,7 @@ from hardware.readout.description import FRAME, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.recording.mcap_file import Channel, McapWriter, json_bytes
 from hardware.recording.topics import (
+    CONTACTS,
     FORCES,
     RESISTANCES,
     SENSOR,
@@ -24,7 +25,16 @@ from hardware.recording.topics import (
 )
 from hardware.streams.addresses import LOOPBACK, make_file, require_room
 from hardware.streams.foxglove_server import FoxgloveServer
-from hardware.streams.scene import ARROW_COLOUR, LONGEST, MIN_ARROW, NET_COLOUR, PAD_HEIGHT, THICK, Painter
+from hardware.streams.scene import (
+    ARROW_COLOUR,
+    CONTACT_COLOUR,
+    LONGEST,
+    MIN_ARROW,
+    NET_COLOUR,
+    PAD_HEIGHT,
+    THICK,
+    Painter,
+)
 
 if TYPE_CHECKING:
     from foxglove.messages import SceneUpdate
@@ -83,7 +93,7 @@ class FoxgloveStream:
     def __enter__(self) -> Self:
         from foxglove.messages import SceneUpdate
 
-        channels = {topic: Channel.of_json(topic) for topic in (SENSOR, FORCES, WRENCH, RESISTANCES)}
+        channels = {topic: Channel.of_json(topic) for topic in (SENSOR, FORCES, WRENCH, CONTACTS, RESISTANCES)}
         schema = SceneUpdate.get_schema()
         channels[SCENE] = Channel(
             schema=schema.name, text=schema.data, encode=bytes, encodings=("protobuf", "protobuf")
@@ -119,6 +129,8 @@ class FoxgloveStream:
             RESISTANCES: lambda: json_bytes(resistances_content(scan.resistance_ohm, scan.saturated)),
             SCENE: lambda: self._update(scan).encode(),
         }
+        if scan.contacts is not None:
+            contents[CONTACTS] = lambda: json_bytes({"contacts": [each.plain() for each in scan.contacts]})
         for topic, content in contents.items():
             if self._file is not None or (self._server is not None and self._server.has_listeners(topic)):
                 self._send(topic, stamp_ns, content())
@@ -139,6 +151,7 @@ class FoxgloveStream:
             Quaternion,
             SceneEntity,
             SceneUpdate,
+            SpherePrimitive,
             Timestamp,
             Vector3,
         )
@@ -159,9 +172,17 @@ class FoxgloveStream:
         arrows = _arrows(painter.places_m[drawn], scene.arrows_m[drawn], THICK * side, ARROW_COLOUR)
         if scene.net_tip_m is not None and scene.net_arrow_m is not None:
             arrows += _arrows(scene.net_tip_m[None], scene.net_arrow_m[None], 2.0 * THICK * side, NET_COLOUR)
-        return SceneUpdate(
-            entities=[SceneEntity(timestamp=stamp, frame_id=FRAME, id="array", cubes=cubes, arrows=arrows)]
-        )
+        red, green, blue = (each / 255 for each in CONTACT_COLOUR)
+        spheres = [
+            SpherePrimitive(
+                pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=upright),
+                size=Vector3(x=2 * half[0], y=2 * half[1], z=2 * half[2]),
+                color=Color(r=red, g=green, b=blue, a=1.0),
+            )
+            for (x, y, z), half in zip(scene.contact_centres_m.tolist(), scene.contact_halves_m.tolist(), strict=True)
+        ]
+        array = SceneEntity(timestamp=stamp, frame_id=FRAME, id="array", cubes=cubes, arrows=arrows, spheres=spheres)
+        return SceneUpdate(entities=[array])
 
 
 def _arrows(tips_m: FloatArray, arrows_m: FloatArray, thick_m: float, colour: tuple[int, int, int]) -> list[Any]:

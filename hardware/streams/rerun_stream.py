@@ -14,7 +14,7 @@ from geometry.layout import AXES, PILLARS, FloatArray
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
 from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
-from hardware.streams.scene import ARROW_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
+from hardware.streams.scene import ARROW_COLOUR, CONTACT_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -90,6 +90,8 @@ class RerunStream:
             log("sensor/net", rr.Clear(recursive=False))
         else:
             log("sensor/net", rr.Arrows3D(vectors=[scene.net_arrow_m], origins=[scene.net_tip_m - scene.net_arrow_m]))
+        if scan.contacts is not None:
+            log("sensor/contacts", rr.Ellipsoids3D(centers=scene.contact_centres_m, half_sizes=scene.contact_halves_m))
         wrench = scan.wrench
         for name, values in self._plots(scan.force_n, scan.resistance_ohm):
             log(name, rr.Scalars(values))
@@ -126,6 +128,7 @@ class RerunStream:
                 fill_mode="solid",
             ),
             "sensor/forces": rr.Arrows3D.from_fields(colors=ARROW_COLOUR, radii=THICK * side / 2),
+            "sensor/contacts": rr.Ellipsoids3D.from_fields(colors=CONTACT_COLOUR),
             "sensor/net": rr.Arrows3D.from_fields(colors=NET_COLOUR, radii=THICK * side),
             **{name: rr.SeriesLines(names=lines) for name, lines in named.items()},
         }

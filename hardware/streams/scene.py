@@ -16,7 +16,7 @@ PAD_HEIGHT = 0.1  #: of a drawn pad, over its side
 LONGEST = 3.0  #: arrow of the largest force in the model's training, over a pad's side
 MIN_ARROW = 0.02  #: of the longest: shorter ones are not drawn
 THICK = 0.08  #: diameter of an arrow's shaft, over a pad's side; that of the net force is twice as thick
-ARROW_COLOUR, NET_COLOUR = (26, 204, 77), (255, 255, 255)
+ARROW_COLOUR, NET_COLOUR, CONTACT_COLOUR = (26, 204, 77), (255, 255, 255), (255, 140, 0)
 
 
 def colours(shares: FloatArray) -> NDArray[np.uint8]:
@@ -38,6 +38,8 @@ class Scene:
     arrows_m: FloatArray  #: (n, 3): forces on the sensor; their tips are at the pads' centres
     net_arrow_m: FloatArray | None  #: (3,): net force; a newton is 1/√n of one on a pad
     net_tip_m: FloatArray | None  #: (3,): centre of pressure; None, as the arrow, where there is none
+    contact_centres_m: FloatArray  #: (c, 3): of flat ellipsoids where a decoder of touch finds contacts
+    contact_halves_m: FloatArray  #: (c, 3): their half axes
 
 
 class Painter:
@@ -68,9 +70,16 @@ class Painter:
         if not np.isnan(scan.wrench.centre_mm).any():
             net_arrow_m = np.nan_to_num(scan.wrench.vector_n) * per_newton_m / math.sqrt(len(vectors))
             net_tip_m = np.append(1e-3 * scan.wrench.centre_mm, 0.0)
+        found = scan.contacts or ()
+        centres_m = np.zeros((len(found), 3))
+        halves_m = np.full((len(found), 3), PAD_HEIGHT * self.pad_m)
+        for place, contact in enumerate(found):
+            centres_m[place, :2], halves_m[place, :2] = 1e-3 * contact.centre_mm, 1e-3 * contact.half_mm
         return Scene(
             pad_colours=colours(np.abs(shown) / self.full_scale_n),
             arrows_m=vectors * per_newton_m,
             net_arrow_m=net_arrow_m,
             net_tip_m=net_tip_m,
+            contact_centres_m=centres_m,
+            contact_halves_m=halves_m,
         )

@@ -31,10 +31,7 @@ def draw(out: Path) -> None:
     k = round(SHARE * len(counts))
     found = ForceReader(info, model).forces(counts[k : k + 1])[0]
     assert found.deviation_n is not None, "the joint net knows its uncertainty"
-    view = live_view(
-        found.force_n, found.deviation_n, found.wrench, model.component.axes, float(found.force_n.max()),
-        info.rate_hz, LinkStatistics(ok=k), [],
-    )  # fmt: skip
+    view = live_view(found, model.component.axes, float(found.force_n.max()), info.rate_hz, LinkStatistics(ok=k), [])
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
     console.print(view)
     write_text(console.export_svg(title="tripillar live"), out)

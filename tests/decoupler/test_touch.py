@@ -8,7 +8,7 @@ import pytest
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
-from decoupler.touch.decoder import WIDTHS, TouchDecoder, Touched
+from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.library import moved_by, presses_of, touch_library
 from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.touch_file import read_model, write_touch
@@ -76,10 +76,10 @@ def test_a_changed_press_is_found_again(decoder):
     reading = decoder.sensing.reading(part.moved(true))[0]
     fit = fitted(reading, np.full(len(reading), 1e-3), [part], np.zeros((1, 9)), 20)
     assert fit.chi2 < 0.2 * len(reading)  # of deviations of a micrometre times a millimetre
-    found, root = fit.forces()
+    found, root = fit.loads()
     expected = part.units(true)[0]
     assert found[:, :3] == pytest.approx(expected[:, :3], abs=0.05 * expected[:, 2].max())  # the prior pulls
-    assert np.sqrt((root**2).sum(axis=1)).max() < 0.05 * expected[:, 2].max()
+    assert np.sqrt((root.reshape(-1, 5, 9)[:, :3] ** 2).sum(axis=-1)).max() < 0.05 * expected[:, 2].max()
 
 
 def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
@@ -127,6 +127,13 @@ def test_two_contacts_are_told_apart(decoder):
     assert any(len(fit.parts) == 2 for fit in found.fits)
     assert (np.abs(found.force_n - expected) < 3 * found.deviation_n).all()
     assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 10}
+    first, second = sorted(found.contacts, key=lambda one: one.centre_mm[0])
+    for one, solved in zip((first, second), both, strict=True):
+        place = solved.centre_mm
+        assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)
+        assert one.centre_mm == pytest.approx(place, abs=1.0)
+        pressed = Part.of(decoder.sensing, *presses_of([solved]).turned(0, 0, np.zeros(2))).contact(np.zeros((1, 9)))
+        assert (np.abs(one.half_mm - pressed[0, 5:]) < 3 * one.half_deviation_mm).all()
 
 
 def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):
@@ -134,11 +141,7 @@ def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp
     again = read_model(tmp_path / "touch.safetensors")
     some = contacts.resistance_ohm[:3]
     assert np.array_equal(again.forces(some), np.concatenate([decoder.forces(one[None]) for one in some]))
-    sums = np.eye(48)[:, :2]
-    deviation_n, covariance = again.deviations(some, sums)
-    assert deviation_n == pytest.approx(decoder.half_widths(some)[0])
-    own = np.sqrt(covariance[:, [0, 1], [0, 1]])
-    assert WIDTHS[0] * own == pytest.approx(deviation_n.reshape(3, -1)[:, :2])
+    assert np.array_equal(again.half_widths(some)[0], decoder.half_widths(some)[0])
     whole = bytearray((tmp_path / "touch.safetensors").read_bytes())
     whole[len(whole) // 2] ^= 1
     (tmp_path / "touch.safetensors").write_bytes(whole)

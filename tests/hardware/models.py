@@ -12,7 +12,7 @@ class Unknown:
 
     component = COMPONENTS["all"]
     design = design_hash = dead = ensemble = load_test = usual = None
-    is_identified = knows_uncertainty = False
+    is_identified = knows_uncertainty = knows_touch = False
     reading_noise = 0.0
     made_from: ClassVar = {}
 

@@ -40,8 +40,9 @@ def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear():
 def test_the_view_says_what_is_wrong():
     force_n = np.ones((1, 2, 3))
     wrench = net_wrench(force_n, wrench_weights(PLACES, ("x", "y", "z")))
+    scan = SimpleNamespace(force_n=force_n, deviation_n=force_n, wrench=wrench, contacts=None)
     stats = LinkStatistics(ok=7, lost=2)
-    text = drawn(live_view(force_n, force_n, wrench, ("x", "y", "z"), 10.0, 150.0, stats, ["no frames for 2 s"]))
+    text = drawn(live_view(scan, ("x", "y", "z"), 10.0, 150.0, stats, ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"
     for said in ("150.0 frames/s", "7 ok", "2 lost", "no frames for 2 s", "ΣFz      2.0 N", "± 1.0 N", pressed):
         assert said in text

@@ -49,9 +49,7 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
 
 
 def live_view(
-    force_n: FloatArray,
-    deviation_n: FloatArray | None,
-    wrench: Wrench,
+    scan: Forces,
     axes: tuple[str, ...],
     full_scale_n: float,
     rate_hz: float,
@@ -59,6 +57,7 @@ def live_view(
     notes: list[str],
 ) -> RenderableType:
     """The terminal's picture: the table, net load, the link's counts, and what is wrong, if anything."""
+    wrench, deviation_n = scan.wrench, scan.deviation_n
     net, net_deviation = wrench.force_n, wrench.force_deviation_n
     sums = "   ".join(
         f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[k]:.1f}'} N"
@@ -73,8 +72,8 @@ def live_view(
     number = "Fz" if "z" in axes else "shear"
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
     pressed = Text(f"centre of pressure {_centre(wrench)}")
-    lines: list[RenderableType] = [head, force_table(force_n, axes, full_scale_n), Text(sums + unsure)]
-    lines += [pressed, Text(link)]
+    lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums + unsure)]
+    lines += [pressed, *map(Text, contact_lines(scan)), Text(link)]
     return Group(*lines, *(Text(note, style="bold red") for note in notes))
 
 
@@ -85,6 +84,18 @@ def _centre(wrench: Wrench) -> str:
     if deviation is None:
         return f"x {x:.1f}, y {y:.1f} mm"
     return f"x {x:.1f} ± {deviation[0]:.1f}, y {y:.1f} ± {deviation[1]:.1f} mm"
+
+
+def contact_lines(scan: Forces) -> list[str]:
+    """A line for each contact that a decoder of touch finds: force, place and size."""
+    lines = []
+    for number, each in enumerate(scan.contacts or (), 1):
+        (x, y), (dx, dy), (a, b) = each.centre_mm, each.centre_deviation_mm, 2 * each.half_mm
+        force = f"Fz {each.force_n[2]:.1f} ± {each.force_deviation_n[2]:.1f} N"
+        lines.append(
+            f"contact {number}: {force} at x {x:.1f} ± {dx:.1f}, y {y:.1f} ± {dy:.1f} mm, {a:.0f} × {b:.0f} mm"
+        )
+    return lines
 
 
 def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = ()) -> None:
@@ -110,9 +121,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 continue
             notes += notes_on(frame)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
-            view = live_view(
-                frame.force_n, frame.deviation_n, frame.wrench, axes, full_scale, pace(newest), scanner.stats, notes
-            )
+            view = live_view(frame, axes, full_scale, pace(newest), scanner.stats, notes)
             screen.update(view, refresh=True)
 
 
@@ -173,6 +182,8 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 "dropped": sensor.scanner.dropped,
                 **wrench_content(frame.net()),
             }
+            if frame.contacts is not None:
+                line["contacts"] = [each.plain() for each in frame.contacts]
             # put in as text, which is as long again as all the rest
             print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)
     except BrokenPipeError:

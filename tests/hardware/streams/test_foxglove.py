@@ -88,7 +88,7 @@ def received(board):
     """30 frames of a simulated board, and the client that received them."""
     with FoxgloveStream(board.description, port=0) as stream, Client(stream.port) as client:
         sent = []
-        client.wait_for(lambda: len(client.channels) == 5)
+        client.wait_for(lambda: len(client.channels) == 6)
         client.wait_for(lambda: [stream.add(frame) for frame in board.take(1)] and SENSOR in client.messages)
         client.wait_for(lambda: SCENE in client.messages)
         for frame in board.take(30):

@@ -354,6 +354,8 @@ FAULTS = [
     "χ² 12.3: no load that the model knows explains this reading; dead wire? other sensor?",
 ]
 
+CONTACT = "contact 1: Fz 210.4 ± 8.1 N at x -12.3 ± 0.4, y 4.0 ± 0.5 mm, 8 × 12 mm"
+
 
 @pytest.mark.parametrize("size", [(390, 844), (1280, 800)], ids=str)
 def test_faults_are_in_sight_and_end_where_the_pads_load_the_array(subject, browser, size):
@@ -361,7 +363,7 @@ def test_faults_are_in_sight_and_end_where_the_pads_load_the_array(subject, brow
     calls = []
     feed = SimpleNamespace(
         port="/dev/ttyACM0", scan=None, trouble="", link="149 scans/s, 0 lost", ended=True, faults=FAULTS,
-        listeners=set(), play_again=lambda: calls.append("again"),
+        contacts=[CONTACT], listeners=set(), play_again=lambda: calls.append("again"),
     )  # fmt: skip
     options = {"viewport": {"width": size[0], "height": size[1]}, "color_scheme": "dark"}
     with serving(replace(subject, feed=feed)) as url, looking_at(browser, url, **options) as page:
@@ -371,13 +373,15 @@ def test_faults_are_in_sight_and_end_where_the_pads_load_the_array(subject, brow
         api.expect(page.locator("#faults")).to_be_in_viewport(ratio=1.0, timeout=PATIENT_MS)
         assert faults["x"] + faults["width"] <= home["x"]
         assert faults["height"] < page.locator("#picture").bounding_box()["height"] / 2
+        api.expect(page.locator("#contacts li")).to_have_text([CONTACT])
+        api.expect(page.locator("#contacts")).to_be_in_viewport(ratio=1.0)
         before = page.locator("#picture").bounding_box()
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         shows(page, "#link", feed.link)
         page.click("#play-again")
         waited_for(page, lambda: calls == ["again"])
         page.click("#by-pads")
-        api.expect(page.locator("#faults")).to_be_hidden(timeout=PATIENT_MS)
+        api.expect(page.locator("#faults, #contacts").filter(visible=True)).to_have_count(0, timeout=PATIENT_MS)
         assert page.locator("#picture").bounding_box() == before  # nothing jumps
 
 

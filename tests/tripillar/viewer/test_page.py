@@ -88,7 +88,9 @@ def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n
     """As a broken wire makes the model find them."""
     scan = SimpleNamespace(force_n=np.full((1, 2, 3), force_n), resistance_ohm=np.full((1, 2, 3), 1e4))
     fault = "pillar z of row 0, col 1 open"
-    feed = SimpleNamespace(port="", scan=scan, trouble="", link="", ended=False, faults=[fault], listeners=set())
+    feed = SimpleNamespace(
+        port="", scan=scan, trouble="", link="", ended=False, faults=[fault], contacts=[], listeners=set()
+    )
     feed.play_again = None
     page = Page(replace(subject, feed=feed))
     shown = page.update()

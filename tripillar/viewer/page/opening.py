@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from geometry.errors import DesignError, FileFormatError
 
 if TYPE_CHECKING:
-    from decoupler.model.decoupler import Decoupler
+    from decoupler.touch.touch_file import AnyDecoder
     from geometry.design import SensorDesign
     from tripillar.terminal.progress import Bars
 
@@ -53,7 +53,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
     if find_spec("aiohttp") is None:
         raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
     from dataset.finite_strain import require_finite
-    from decoupler.model.model_file import read_model
+    from decoupler.touch.touch_file import read_model
     from fem.pictures.arrays import solve_array_field
     from geometry.design import SensorDesign, with_model
     from tripillar.pipeline.run import respond
@@ -99,7 +99,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
         asyncio.run(serve(subject, options.host, listening, tell))
 
 
-def _design_for(model: "Decoupler", name: str, given: "SensorDesign | None") -> "SensorDesign":
+def _design_for(model: "AnyDecoder", name: str, given: "SensorDesign | None") -> "SensorDesign":
     """The given design, else the model's, else the paper's; of as many units as the model's.
 
     Raises

@@ -131,6 +131,7 @@ const showers = {
   rows: rows => showRows(byId("whole-table"), rows),
   rms: rms => text(byId("rms"), rms && `all forces missed by ${rms} N (rms)`),
   trouble: trouble => text(byId("trouble"), trouble),
+  contacts: contacts => fill(byId("contacts"), contacts, "li", text),
   faults: faults => fill(byId("faults"), faults, "li", text),
   ended: ended => (byId("play-again").hidden = !ended),
   strain_share: share => (document.querySelector(".gauge div").style.width = `${share}%`),

@@ -200,8 +200,8 @@ class Page:
             "traction_mpa": self._traction.ravel().round(4).tolist(),
         }
         if feed is not None:
-            faults = feed.faults if controls["source"] == "sensor" else []
-            shown |= {"link": feed.link, "ended": feed.ended, "faults": faults}
+            of_scan = {"faults": feed.faults, "contacts": feed.contacts} if controls["source"] == "sensor" else {}
+            shown |= {"link": feed.link, "ended": feed.ended, "faults": [], "contacts": []} | of_scan
             shown["trouble"] = feed.trouble or shown["trouble"]
         return shown
 

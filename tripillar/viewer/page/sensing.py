@@ -22,7 +22,7 @@ from dataset.resistance import (
 from dataset.simulation import displacements, forces
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
-from decoupler.model.decoupler import Decoupler
+from decoupler.touch.touch_file import AnyDecoder
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
@@ -30,7 +30,7 @@ from geometry.layout import AXES, FloatArray, pillar_volumes
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.session import live
-from tripillar.terminal.force_view import RATE_OVER, notes_on, pace
+from tripillar.terminal.force_view import RATE_OVER, contact_lines, notes_on, pace
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
@@ -97,7 +97,7 @@ class PressedSensor:
         return by_unit(lengths_mm, design), by_unit(strains, design)
 
 
-def net_forces(model: Decoupler) -> Decouple:
+def net_forces(model: AnyDecoder) -> Decouple:
     """The forces of a trained model."""
     return lambda resistance_ohm: with_all_axes(model.forces(resistance_ohm[None])[0], model.component.axes)
 
@@ -140,11 +140,12 @@ class SensorFeed:
     Parameters and errors are those of `hardware.session.live`.
     """
 
-    def __init__(self, port: str, model: Decoupler, calibration: Path | None = None, **settings: Any) -> None:
+    def __init__(self, port: str, model: AnyDecoder, calibration: Path | None = None, **settings: Any) -> None:
         self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
         self.faults: list[str] = []  #: what is wrong with the newest scan, in words
+        self.contacts: list[str] = []  #: what a decoder of touch finds in it, in words
         self.ended = False  #: a recording has been played to its end
         self.listeners: set[Callable[[], None]] = set()
         self._given, self._settings = (port, model, calibration), settings
@@ -167,7 +168,7 @@ class SensorFeed:
         try:
             if last is not None:
                 found = self._sensor.forces(last)
-                self.faults, self.trouble = notes_on(found), ""
+                self.faults, self.contacts, self.trouble = notes_on(found), contact_lines(found), ""
                 axes = self._sensor.model.component.axes
                 self.scan = replace(found, force_n=with_all_axes(found.force_n, axes))
         except TriPillarError as error:  # of one scan; the next may be sound
