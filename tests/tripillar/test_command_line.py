@@ -15,24 +15,18 @@ from tests.house import House
 from tripillar.terminal.progress import Bars
 
 
-def test_version(tmp_path):
-    assert House(tmp_path).process("--version").stdout.startswith("tripillar 0.")
-
-
-def test_the_shell_completes(tmp_path, monkeypatch):
+def test_the_program_alone_says_what_it_is_and_the_shell_completes(tmp_path, monkeypatch):
     """--install-completion installs a script that knows commands, options and choices."""
+    house = House(tmp_path)
+    assert house.process("--version").stdout.startswith("tripillar 0.")
+    bare = house.tripillar()
+    assert (bare.returncode, bare.stderr, "Usage" in bare.stdout) == (0, "", True)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("SHELL", "/bin/bash")
-    done = House(tmp_path).tripillar("--install-completion", "--shell", "bash")
+    done = house.tripillar("--install-completion", "--shell", "bash")
     assert done.returncode == 0, done.stderr
     script = "".join(path.read_text() for path in tmp_path.rglob("*") if path.is_file())
     assert all(word in script for word in ("doctor", "--explain", "varpro"))
-
-
-def test_a_bare_command_prints_its_help(tmp_path):
-    done = House(tmp_path).tripillar()
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Usage" in done.stdout
 
 
 def test_talk_and_silence(tmp_path):
