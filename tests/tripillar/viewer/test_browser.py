@@ -274,14 +274,15 @@ def test_the_page_suits_its_screen_and_shows_faults_until_pads_load_the_array(tr
 
         page.emulate_media(color_scheme="light")
         page.reload()
-        page.click("#by-indenter")
-        api.expect(page.locator("#peak")).to_be_visible(timeout=PATIENT_MS)
+        api.expect(page.locator("#faults li")).to_have_text(FAULTS, timeout=PATIENT_MS)
+        page.click("#by-pads")
+        api.expect(page.locator("#pressure")).to_be_visible(timeout=PATIENT_MS)
         suits("light")
-        for selector in ("#pads", "#peak", "#picture", "#legend", "#resistance-maps", "#unit-forces"):
+        for selector in ("#pads", "#pressure", "#picture", "#legend", "#resistance-maps", "#unit-forces"):
             if selector == "#resistance-maps" and page.locator(".sides").is_visible():  # on a phone
                 page.click(".sides label:last-child")
                 api.expect(page.locator("#strain")).to_be_in_viewport(ratio=1.0, timeout=PATIENT_MS)
-            box = page.query_selector(selector).bounding_box()
+            box = page.wait_for_selector(selector).bounding_box()
             assert box["x"] >= 0, selector
             assert box["x"] + box["width"] <= size[0], selector
             assert box["width"] > 150, selector
