@@ -10,7 +10,7 @@ from geometry import FileFormatError
 from geometry.storage.seal import MARK
 from tests.tripillar.made_files import KINDS
 
-FLIPS = 400
+FLIPS = 150
 
 
 def flat(found):
@@ -24,7 +24,7 @@ def flat(found):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_flipped_bits_are_refused_or_change_nothing(name, tmp_path):
-    """400 bits at random with a seed, and all of the mark that says where the hash is."""
+    """Bits at random with a seed, and all of the mark that says where the hash is."""
     path = tmp_path / name
     read = KINDS[name](path)
     whole, good = path.read_bytes(), flat(read(path))

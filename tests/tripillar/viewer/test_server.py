@@ -71,34 +71,29 @@ async def test_the_token_is_asked_for_and_kept_in_a_strict_cookie(visitor):
 
 
 def test_each_server_has_a_long_token_of_its_own(subject):
-    tokens = {Server(subject, "127.0.0.1")._guard.token for _ in range(2)}
-    assert len(tokens) == 2
-    assert min(map(len, tokens)) >= 43  # 256 bits
+    one, other = (Server(subject, "127.0.0.1")._guard.token for _ in range(2))
+    assert one != other
+    assert len(one) >= 43  # 256 bits
 
 
 @on_page()
-async def test_another_origin_is_refused_with_the_token_too(visitor):
-    assert await visitor.asked_for_socket() == 101
-    port = visitor.port
-    for origin in (
-        "http://evil.test", "null", "", f"http://evil.test:{port}", f"http://127.0.0.1:{port + 1}", "http://127.0.0.1",
-        f"http://localhost:{port}", f"http://127.0.0.1:{port}.evil.test", f"http://127.0.0.1:{port}/", None,
+async def test_another_origin_or_host_is_refused_with_the_token_too(visitor):
+    """A host is a name that its owner lets point here, so that the browser takes both for one site."""
+    port, page = visitor.port, f"?token={visitor.token}"
+    for origin, status in (
+        (f"http://{visitor.netloc}", 101), ("http://evil.test", 403), ("null", 403), (None, 403),
+        (f"http://evil.test:{port}", 403), (f"http://127.0.0.1:{port + 1}", 403), (f"http://localhost:{port}", 403),
+        (f"http://127.0.0.1:{port}.evil.test", 403), (f"http://127.0.0.1:{port}/", 403),
     ):  # fmt: skip
-        assert await visitor.asked_for_socket(Origin=origin) == 403, origin
-    assert (await visitor.get(f"?token={visitor.token}", Origin="http://evil.test"))[0] == 403
-
-
-@on_page()
-async def test_another_host_is_refused_with_the_token_too(visitor):
-    """A name that its owner lets point here, so that the browser takes both for one site."""
+        assert await visitor.asked_for_socket(Origin=origin) == status, origin
+    assert (await visitor.get(page, Origin="http://evil.test"))[0] == 403
     for host in (
-        "evil.test", f"evil.test:{visitor.port}", "127.0.0.1.evil.test", "127.0.0.2", "[::1]", "0.0.0.0",
-        "2130706433", "localhost.evil.test", "", "127.0.0.1:evil", "127.0.0.1@evil.test", "[127.0.0.1",
-        "127.0.0.1:80:80",
+        "evil.test", f"evil.test:{port}", "127.0.0.1.evil.test", "127.0.0.2", "[::1]", "0.0.0.0", "2130706433", "",
+        "127.0.0.1:evil", "127.0.0.1@evil.test", "[127.0.0.1", "127.0.0.1:80:80",
     ):  # fmt: skip
         assert await visitor.asked_for_socket(Host=host, Origin=f"http://{host}") == 403, host
-        assert (await visitor.get(f"?token={visitor.token}", Host=host))[0] in (400, 403), host
-    for host in (f"localhost:{visitor.port}", f"LOCALHOST:{visitor.port}", "localhost:9000", "127.0.0.1"):  # ssh -L
+        assert (await visitor.get(page, Host=host))[0] in (400, 403), host
+    for host in (f"localhost:{port}", f"LOCALHOST:{port}", "localhost:9000", "127.0.0.1"):  # ssh -L
         assert await visitor.asked_for_socket(Host=host, Origin=f"http://{host}") == 101, host
 
 
@@ -124,7 +119,7 @@ def test_a_name_that_the_user_gave_is_one_of_the_servers():
 
 
 @on_page()
-async def test_only_the_pages_files_are_served(visitor):
+async def test_only_the_pages_files_are_served_and_what_is_no_http_is_refused(visitor):
     async def status(request: str) -> int:
         reader, writer = await visitor.raw(f"{request} HTTP/1.1\r\nConnection: close\r\n\r\n")
         said = await rest(reader)
@@ -133,23 +128,17 @@ async def test_only_the_pages_files_are_served(visitor):
 
     assert await status("GET /page.js") == 200
     for path in (
-        "/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/server.py",
-        "/page.js/../server.py", "/page.js%00", "/page.html", "/.", "/static/page.js", "/socket/", "/ws",
-        "/paraview", "http://evil.test/page.py",
+        "/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/server.py", "/page.js%00",
+        "/page.js/../server.py", "/page.html", "/.", "/static/page.js", "http://evil.test/page.py",
     ):  # fmt: skip
         assert await status(f"GET {path}") in (400, 403, 404), path
-    for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT"):
+    for method in ("POST", "DELETE", "TRACE", "CONNECT"):
         assert await status(f"{method} /page.js") in (400, 403, 404, 405), method
     assert await status("GET /socket") in (400, 403)  # no upgrade
     assert await status("GET /" + 100_000 * "a") in (400, 414)
-
-
-@on_page()
-async def test_what_is_no_http_is_refused_without_a_traceback(visitor):
     for words in (
         b"GET / HTTP/9.9", b"GET / HTTP/1.1\r\nHost: a\r\nHost: b", b"GET http://[ HTTP/1.1",
-        b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\nContent-Length: 5", b"GET / HTTP/1.1\r\nBad Header",
-        b"GET / HTTP/1.1\r\nCookie: \xff=\x00", b"CONNECT :99999 HTTP/1.1", b"\x16\x03\x01\x02\x00\x01",
+        b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\nContent-Length: 5", b"\x16\x03\x01\x02\x00\x01",
     ):  # fmt: skip
         reader, writer = await asyncio.open_connection("127.0.0.1", visitor.port)
         writer.write(words + b"\r\n\r\n")
@@ -157,35 +146,23 @@ async def test_what_is_no_http_is_refused_without_a_traceback(visitor):
         writer.close()
 
 
+#: a value of each control that is out of bounds, of each kind that is not its own, and names that are no control
 WRONG_VALUES = {
     "pad": [9999, -1, 0.5, "0", None, True, [0], {}, 10**400, float("nan")],
-    "pressure": [-0.01, 5.01, 1e308, float("nan"), float("inf"), "1", None, False, [1.0], 10**4000],
-    "shear": [-0.01, 1.01, float("nan")],
-    "angle": [361, -1, float("-inf")],
-    "width": [0, -5, 1e9],
+    "pressure": [-0.01, 5.01, float("nan"), float("inf"), "1", None, False, [1.0], 10**4000],
+    "shear": [1.01], "angle": [361], "width": [0], "noise": [1.0], "rows": [[]], "__dict__": [1],
     "colour": ["unknown", "", None, 0, ["displacement"], "__class__"],
-    "scale": [0, 3, -1, 1e9, "1", None, True],
-    "noise": [1.0, -0.001, "0"],
-    "dark": [1, 0, "true", None],
-    "cone": [2, "no"],
-    "tab": ["other", 1],
-    "source": ["sensor", "", None, 1],  # there is no sensor
-    "trame__template_main": ["<script>"],
-    "rows": [[]],
-    "__dict__": [1],
-}
+    "scale": [3, "1"], "dark": [1, "true", None], "cone": [2], "tab": ["other", 1],
+    "source": ["sensor", None],  # there is no sensor
+}  # fmt: skip
 WRONG_MESSAGES = [
-    "", "no JSON", "[]", "1", "null", '"set"', "{", '{"set": ' + "[" * 30_000, '{"set": ' + 900 * "[" + 900 * "]" + "}",
-    '{"file": ' + 900 * "[" + 900 * "]" + "}",
+    "", "no JSON", "[]", '"set"', "{", '{"set": ' + "[" * 30_000, '{"set": ' + 900 * "[" + 900 * "]" + "}",
     *(json.dumps(message) for message in (
-        {"file": "/etc/passwd"}, {"file": ["csv"]},
-        {"application.exit": []}, {"wslink": "1.0", "id": "x", "method": "application.exit"}, {"set": None},
-        {"set": []}, {"set": [["pad", 1]]}, {"do": "exit"}, {"do": ["reset"]}, {"do": None}, {"do": {}}, {"turn": 1},
-        {"turn": [1]}, {"turn": [1, "2"]}, {"turn": [1e9, 0]}, {"nearer": 0}, {"nearer": float("nan")}, {"nearer": [2]},
-        {"move": [0, 6]}, {"size": [0, 100]}, {"size": [5000, 100]}, {"size": ["800", 600]},
-        {"size": [float("inf"), 600]}, {"restore": {}}, {"restore": {"controls": {"pad": 9999}}},
+        {"file": "/etc/passwd"}, {"file": ["csv"]}, {"application.exit": []}, {"set": None}, {"set": [["pad", 1]]},
+        {"do": "exit"}, {"do": ["reset"]}, {"turn": 1}, {"turn": [1, "2"]}, {"turn": [1e9, 0]}, {"nearer": 0},
+        {"nearer": float("nan")}, {"move": [0, 6]}, {"size": [0, 100]}, {"size": [5000, 100]}, {"size": ["800", 600]},
+        {"restore": {}}, {"restore": {"controls": {"pad": 9999}}},
         {"restore": {"controls": {}, "traction_mpa": [0.0] * 5}},
-        {"restore": {"controls": {}, "traction_mpa": [None] * 6}},
         {"restore": {"controls": {"pad": 2}, "traction_mpa": [0.0] * 6}},
     )),
 ]  # fmt: skip
@@ -196,7 +173,6 @@ async def test_what_no_control_can_say_is_refused_and_the_page_stays(visitor):
     values = [{"set": {name: value}} for name, wrong in WRONG_VALUES.items() for value in wrong]
     values.append({"set": {"pressure": 2.0, "pad": 9999}})  # one wrong: none is taken
     messages = [*map(json.dumps, values), *WRONG_MESSAGES]
-    assert len(messages) > 80
     async with visitor.browser() as browser:
         before = dict(browser.controls)
         for message in messages:
@@ -210,30 +186,24 @@ async def test_what_no_control_can_say_is_refused_and_the_page_stays(visitor):
 
 
 @on_page()
-async def test_each_browser_has_a_state_of_its_own(visitor):
+async def test_each_browser_has_a_state_of_its_own_and_each_pad_its_load(visitor):
     async with visitor.browser() as one, visitor.browser() as other:
         await one.change(set={"source": "indenter", "colour": "vertical", "dark": True, "peak": 5.0})
-        await other.change(set={"pad": 0, "pressure": 2.0})
-        assert other.shown["traction_mpa"] == [0, 0, -2.0, 0, 0, 0]
+        for said, told in (
+            ({"pad": 0}, {}), ({"pressure": 2.0}, {}), ({"pad": 1}, {"pressure": 0.0}), ({"pressure": 3.0}, {}),
+            ({"pad": 0}, {"pressure": 2.0}),
+        ):  # fmt: skip
+            assert (await other.change(set=said))["controls"] == told
+        assert other.shown["traction_mpa"] == [0, 0, -2.0, 0, 0, -3.0]
         assert other.controls["colour"] == "displacement"
+        assert (await other.change(do="reset"))["controls"]["pressure"] == 0.0
+        assert not any(other.shown["traction_mpa"])
         await one.change(set={"at_x": 1.0})
         said = {"source": "indenter", "colour": "vertical", "dark": True, "peak": 5.0, "at_x": 1.0}
         kept = {"controls": one.controls | said, "traction_mpa": one.shown["traction_mpa"]}
     async with visitor.browser() as again:  # a browser that lost its connection goes on where it was
         await again.change(restore=kept)
         assert {"controls": again.controls, "traction_mpa": again.shown["traction_mpa"]} == kept
-
-
-@on_page()
-async def test_choosing_a_pad_shows_its_load_and_keeps_that_of_others(visitor):
-    async with visitor.browser() as browser:
-        for said, told in (
-            ({"pad": 0}, {}), ({"pressure": 2.0}, {}), ({"pad": 1}, {"pressure": 0.0}), ({"pressure": 3.0}, {}),
-            ({"pad": 0}, {"pressure": 2.0}),
-        ):  # fmt: skip
-            assert (await browser.change(set=said))["controls"] == told
-        assert (await browser.change(do="reset"))["controls"]["pressure"] == 0.0
-        assert not any(browser.shown["traction_mpa"])
 
 
 @on_page(MAX_BROWSERS=1)
@@ -299,7 +269,7 @@ async def test_who_reads_nothing_keeps_nobody_waiting(visitor):
     _, writer = await visitor.raw_socket()
     writer.transport.pause_reading()
     async with visitor.bystander():
-        for number in range(100):
+        for number in range(50):
             said = json.dumps({"set": {"pressure": 0.05 * number}, "turn": [5, 0], "size": [1000, 1000]}).encode()
             writer.write(frame(1, len(said), said))
             await asyncio.sleep(0.02)
@@ -339,8 +309,8 @@ async def test_connections_that_ask_nothing_end_and_hold_no_place(visitor):
 
 @on_page()
 async def test_browsers_that_leave_give_everything_back(visitor):
-    for number in range(15):
-        if number == 5:
+    for number in range(8):
+        if number == 3:
             before = memory_mb(), psutil.Process().num_fds()
         async with visitor.browser() as browser:
             await browser.say(size=[800, 600], turn=[1, 0])
@@ -348,4 +318,4 @@ async def test_browsers_that_leave_give_everything_back(visitor):
     async with asyncio.timeout(PATIENT_S):
         while psutil.Process().num_fds() > before[1] + 3:
             await asyncio.sleep(0.1)
-    assert memory_mb() - before[0] < 100  # 10 scenes that stayed took 200
+    assert memory_mb() - before[0] < 50  # 5 scenes that stayed took 100
