@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.contact.balance import State
 from fem.contact.shapes import Shape
 from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
-from fem.factor import SolverError
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError, require_type
@@ -26,7 +26,6 @@ PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
 MIN_MM = 1e-6  #: of a side of a patch
-MAX_STEPS = 2000  #: of projected gradients in one increment
 STICK_LIMIT = 1 - 1e-3  #: of the largest friction: below, a cell sticks
 OPEN, SLIP, STICK = range(3)
 
@@ -83,36 +82,27 @@ class Indentation:
             steps = np.arange(1, increments + 1) / increments
             stages = [(self.depth_mm * step, 0 * slide) for step in steps]
             stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
-        force = moved = np.zeros((3 if self.friction else 1, patch.ny, patch.nx))  # the last component into the body
+        state = State.at_rest(patch, self.friction)
         slid = past = np.zeros(2)  # of the shape; of the shape over the rubber
         touched = np.zeros((patch.ny, patch.nx), dtype=bool)
         for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
             step, tolerance = slide_mm - slid, TOLERANCE if number == len(stages) else ON_THE_WAY
-            slip = -moved[:-1] - step[: len(moved) - 1, None, None]
-            slid, ahead = slide_mm, past if self.friction else slide_mm
+            before, slid, ahead = state, slide_mm, past if self.friction else slide_mm
             for _ in range(PASSES if step.any() else 1):  # again if it slipped past the rubber farther than assumed
                 past = ahead
-                apart = np.stack([*slip, self.heights_mm(patch, past) + self.depth_mm - depth_mm])
-                force, moved = balanced(compliance.pressed_mm, apart, self.friction, force, tolerance)
+                above = self.heights_mm(patch, past) + self.depth_mm - depth_mm
+                state = before.carried(step).balanced(compliance.pressed_mm, above, self.friction, tolerance, state)
                 if self.friction and step.any():
-                    dragged = (moved[:2] * force[2]).sum(axis=(1, 2)) / max(force[2].sum(), np.finfo(float).tiny)
-                    ahead = slide_mm - dragged
+                    ahead = slide_mm - state.drag_mm
                 if np.abs(ahead - past).max() < SMALL_STEP * min(patch.cell_mm):
                     break
-            touched |= (depth_mm == self.depth_mm) & (force[-1] > 0)
-        whole = np.zeros((3, patch.ny, patch.nx))
-        whole[-len(force) :] = force
-        moved = compliance.moved_mm(whole * UP)
-        loads = patch.unit_loads(whole, self.design.array)
+            touched |= (depth_mm == self.depth_mm) & state.touches
         contact = Contact(
             **{one.name: getattr(self, one.name) for one in fields(Indentation)},
+            surface=compliance.surface,
             patch=patch,
-            cell_force_n=whole,
-            displacement_mm=moved,
-            gap_mm=self.heights_mm(patch, past) - moved[2],
-            force_n=loads[..., :3],
-            unit_moment_nmm=loads[..., 3:],
-            electrode_mm=compliance.electrodes_mm(whole * UP),
+            cell_force_n=state.whole_n,
+            above_mm=self.heights_mm(patch, past),
         )
         return contact, touched
 
@@ -124,15 +114,72 @@ class Contact(Indentation):
     Forces act on the sensor, along x and y of the array; along z they are positive in compression.
     """
 
+    surface: SurfaceCompliance = field(repr=False)
     patch: Patch = field(repr=False)
     cell_force_n: FloatArray = field(repr=False)  #: (3, ny, nx) on the patch's cells, z positive in compression
-    displacement_mm: FloatArray = field(repr=False)  #: (3, ny, nx), z up
-    gap_mm: FloatArray = field(repr=False)  #: (ny, nx) between shape and rubber, infinite beside the shape
-    force_n: FloatArray  #: (rows, cols, 3): the traction's integral over each unit's share of the top, pitch × pitch
-    unit_moment_nmm: FloatArray  #: (rows, cols, 2): of the pressure on it about its middle, as of `Patch.unit_loads`
-    electrode_mm: FloatArray  #: (rows, cols, n_upper, 3): mean displacement of the upper electrodes along x, y, z
-    error_estimate: float = np.inf  #: relative error of the units' forces, as a norm over all of them
-    electrode_error_estimate: float = np.inf  #: the same of the electrodes' displacements
+    above_mm: FloatArray = field(repr=False)  #: (ny, nx): the shape's underside above the undeformed top
+    coarse: "Contact | None" = field(default=None, repr=False)  #: the same on a coarser grid
+
+    @cached_property
+    def displacement_mm(self) -> FloatArray:
+        """Displacement of the cells along x, y, z up, (3, ny, nx)."""
+        return PatchCompliance(self.surface, self.patch).moved_mm(self.cell_force_n * UP)
+
+    @property
+    def gap_mm(self) -> FloatArray:
+        """Gap between shape and rubber, (ny, nx), infinite beside the shape."""
+        return self.above_mm - self.displacement_mm[2]
+
+    @cached_property
+    def _loads(self) -> FloatArray:
+        return self.patch.unit_loads(self.cell_force_n, self.design.array)
+
+    @property
+    def force_n(self) -> FloatArray:
+        """The traction's integral over each unit's share of the top, pitch × pitch, (rows, cols, 3)."""
+        return self._loads[..., :3]
+
+    @property
+    def unit_moment_nmm(self) -> FloatArray:
+        """Moment of the pressure on each unit about its middle, (rows, cols, 2), as of `Patch.unit_loads`."""
+        return self._loads[..., 3:]
+
+    @cached_property
+    def electrode_mm(self) -> FloatArray:
+        """Mean displacement of the upper electrodes along x, y, z, (rows, cols, n_upper, 3)."""
+        return PatchCompliance(self.surface, self.patch).electrodes_mm(self.cell_force_n * UP)
+
+    @cached_property
+    def _judged(self) -> tuple[float, float]:
+        """Relative errors of the units' forces and of the electrodes' displacements, infinite without `coarse`."""
+        if self.coarse is None:
+            return np.inf, np.inf
+        patch, surface, force_n = self.patch, self.surface, self.cell_force_n * UP
+        finer = min(INCREMENTS, max(self.coarse.patch.cell_mm) / max(patch.cell_mm))
+        left = SAFETY * richardson_factor(1.0, finer, RATE)
+        between = PatchCompliance(surface, patch, FINER_DEGREE)
+        pressing = self.cell_force_n[2] / self.cell_force_n[2].sum()
+        off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
+        half = np.array(self.design.slab_mm[:2]) / 2
+        to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
+        beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
+        of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / self.depth_mm + SIDE_ERROR * beside**2
+        missed = _difference(between.electrodes_mm(force_n), self.electrode_mm)
+        forces, electrodes = (
+            float(left * _difference(getattr(self.coarse, name), getattr(self, name)) + of_tiles)
+            for name in ("force_n", "electrode_mm")
+        )
+        return forces, electrodes + TABLE_ERROR + ELECTRODE_ERROR * missed
+
+    @property
+    def error_estimate(self) -> float:
+        """Relative error of the units' forces, as a norm over all of them."""
+        return self._judged[0]
+
+    @property
+    def electrode_error_estimate(self) -> float:
+        """The same of the electrodes' displacements."""
+        return self._judged[1]
 
     @cached_property
     def pressure_mpa(self) -> FloatArray:
@@ -261,27 +308,7 @@ def press(
         )
     fine = _patch(design, *_around(wide, touched), cells)
     assert fine is not None  # it is part of the wide one
-    return _judged(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse, surface)
-
-
-def _judged(found: Contact, coarse: Contact, surface: SurfaceCompliance) -> Contact:
-    """A contact with estimates of its errors, by one on a coarser grid."""
-    patch, force_n = found.patch, found.cell_force_n * UP
-    finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
-    left = SAFETY * richardson_factor(1.0, finer, RATE)
-    between = PatchCompliance(surface, patch, FINER_DEGREE)
-    pressing = found.cell_force_n[2] / found.cell_force_n[2].sum()
-    off = ((between.moved_mm(force_n) - found.displacement_mm) ** 2).sum(axis=0)
-    half = np.array(found.design.slab_mm[:2]) / 2
-    to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
-    beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
-    of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / found.depth_mm + SIDE_ERROR * beside**2
-    at_electrodes = TABLE_ERROR + ELECTRODE_ERROR * _difference(between.electrodes_mm(force_n), found.electrode_mm)
-    forces, electrodes = (
-        float(left * _difference(getattr(coarse, name), getattr(found, name)) + of_tiles)
-        for name in ("force_n", "electrode_mm")
-    )
-    return replace(found, error_estimate=forces, electrode_error_estimate=electrodes + at_electrodes)
+    return replace(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse=coarse)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:
@@ -306,59 +333,3 @@ def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, Floa
     last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
     low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
     return low + first * cell, low + last * cell
-
-
-def balanced(
-    give: Callable[[FloatArray], FloatArray],
-    apart_mm: FloatArray,
-    friction: float,
-    first: FloatArray,
-    tolerance: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Forces on the body [N] and its displacement by them [mm] after one increment of contact, each (k, ny, nx).
-
-    Parameters
-    ----------
-    give : function
-        Displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both into the body.
-    apart_mm : array, shape (k, ny, nx)
-        Slip past the indenter along x and y, and gap, as they would be without forces; negative gaps overlap. Without
-        friction k may be 1, the gap alone.
-    friction, first, tolerance
-        Coefficient μ, forces to begin with, last change of any force relative to the largest pressing one. A
-        `SolverError` says that `MAX_STEPS` steps do not balance it.
-
-    Notes
-    -----
-    Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
-    where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The steps
-    α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and tangential
-    forces couple in `give` and are solved together.
-    """
-    force = _projected(first, friction)
-    moved = give(force)
-    overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
-    probe = overlap if overlap.any() else force
-    if not probe.any():
-        return force, moved
-    alpha = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
-    for step in range(MAX_STEPS):
-        change = _projected(force - alpha * (apart_mm + moved), friction) - force
-        gave = give(change)
-        force, moved = force + change, moved + gave
-        if np.abs(change).max() <= tolerance * force[-1].max(initial=0.0):
-            return force, moved
-        curvature = float(np.vdot(change, gave))
-        if curvature > 0:
-            square = float(np.vdot(change, change))
-            alpha = curvature / float(np.vdot(gave, gave)) if step % 2 else square / curvature
-    raise SolverError(f"the contact with friction={friction:g} found no balance in {MAX_STEPS} steps: lower friction.")
-
-
-def _projected(force: FloatArray, friction: float) -> FloatArray:
-    projected = np.zeros_like(force)
-    projected[-1] = np.maximum(force[-1], 0.0)
-    if friction:
-        size, limit = np.hypot(*force[:-1]), friction * projected[-1]
-        projected[:-1] = force[:-1] * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
-    return projected

@@ -286,7 +286,7 @@ class PatchCompliance:
         spectrum, size = _layer_spectrum(
             patch.nx, patch.ny, *patch.cell_mm, design.unit.height_mm, design.matrix_material
         )
-        moved = np.einsum("abyx,byx->ayx", spectrum[-k:, -k:], fft.rfft2(force_n, size))
+        moved = (spectrum[-k:, -k:] * fft.rfft2(force_n, size)).sum(axis=1)  # faster than einsum
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)

@@ -1,0 +1,125 @@
+"""Balance of a shape with an elastic top: unilateral contact with Coulomb's friction, one increment at a time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem.contact.surface import Patch
+from fem.factor import SolverError
+from geometry.layout import FloatArray
+
+MAX_STEPS = 2000  #: of projected gradients in one increment
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Forces between a shape and the cells of a patch, and how the rubber is displaced: what friction remembers.
+
+    Both have shape (3, ny, nx), along x, y and into the body, or (1, ny, nx) without friction.
+    """
+
+    force_n: FloatArray
+    moved_mm: FloatArray
+    slip_mm: FloatArray  #: (2 or 0, ny, nx): past the shape since the last balance, if the rubber stayed where it is
+
+    @classmethod
+    def at_rest(cls, patch: Patch, friction: float) -> "State":
+        """Before anything touches."""
+        zero = np.zeros((3 if friction else 1, patch.ny, patch.nx))
+        return cls(zero, zero, zero[:-1])
+
+    @property
+    def touches(self) -> NDArray[np.bool_]:
+        """Cells that carry a force, (ny, nx)."""
+        return self.force_n[-1] > 0
+
+    @property
+    def whole_n(self) -> FloatArray:
+        """Forces along x, y and into the body, (3, ny, nx)."""
+        whole = np.zeros((3, *self.force_n.shape[1:]))
+        whole[-len(self.force_n) :] = self.force_n
+        return whole
+
+    @property
+    def drag_mm(self) -> FloatArray:
+        """Mean displacement of the rubber under the shape along x and y, (2,), weighted by pressure."""
+        pressing = self.force_n[-1]
+        if len(self.force_n) == 1:
+            return np.zeros(2)
+        return np.asarray((self.moved_mm[:2] * pressing).sum(axis=(1, 2)) / max(pressing.sum(), np.finfo(float).tiny))
+
+    def carried(self, step_mm: FloatArray) -> "State":
+        """The shape's surface moves by (2,) or (2, ny, nx) along the top, and the rubber does not yet follow."""
+        step = step_mm.reshape(2, *(step_mm.shape[1:] or (1, 1)))
+        return replace(self, slip_mm=-self.moved_mm[:-1] - step[: len(self.force_n) - 1])
+
+    def balanced(
+        self,
+        give: Callable[[FloatArray], FloatArray],
+        above_mm: FloatArray,
+        friction: float,
+        tolerance: float,
+        first: "State | None" = None,
+    ) -> "State":
+        """The shape's underside now stands (ny, nx) above the undeformed top [mm]; `first` is a guess of the forces."""
+        apart, guess = np.stack([*self.slip_mm, above_mm]), self if first is None else first
+        force, moved = balanced(give, apart, friction, guess.force_n, tolerance)
+        return replace(self, force_n=force, moved_mm=moved)
+
+
+def balanced(
+    give: Callable[[FloatArray], FloatArray],
+    apart_mm: FloatArray,
+    friction: float,
+    first: FloatArray,
+    tolerance: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Forces on the body [N] and its displacement by them [mm] after one increment of contact, each (k, ny, nx).
+
+    Parameters
+    ----------
+    give : function
+        Displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both into the body.
+    apart_mm : array, shape (k, ny, nx)
+        Slip past the indenter along x and y, and gap, as they would be without forces; negative gaps overlap. Without
+        friction k may be 1, the gap alone.
+    friction, first, tolerance
+        Coefficient μ, forces to begin with, last change of any force relative to the largest pressing one. A
+        `SolverError` says that `MAX_STEPS` steps do not balance it.
+
+    Notes
+    -----
+    Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
+    where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The steps
+    α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and tangential
+    forces couple in `give` and are solved together.
+    """
+    force = _projected(first, friction)
+    moved = give(force)
+    overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
+    probe = overlap if overlap.any() else force
+    if not probe.any():
+        return force, moved
+    alpha = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
+    for step in range(MAX_STEPS):
+        change = _projected(force - alpha * (apart_mm + moved), friction) - force
+        gave = give(change)
+        force, moved = force + change, moved + gave
+        if np.abs(change).max() <= tolerance * force[-1].max(initial=0.0):
+            return force, moved
+        curvature = float(np.vdot(change, gave))
+        if curvature > 0:
+            square = float(np.vdot(change, change))
+            alpha = curvature / float(np.vdot(gave, gave)) if step % 2 else square / curvature
+    raise SolverError(f"the contact with friction={friction:g} found no balance in {MAX_STEPS} steps: lower friction.")
+
+
+def _projected(force: FloatArray, friction: float) -> FloatArray:
+    projected = np.zeros_like(force)
+    projected[-1] = np.maximum(force[-1], 0.0)
+    if friction:
+        size, limit = np.hypot(*force[:-1]), friction * projected[-1]
+        projected[:-1] = force[:-1] * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+    return projected
