@@ -16,6 +16,7 @@ from decoupler.touch.assessment import assess_touch
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.touch_file import read_model
 from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
+from fem.contact.shapes import Upright
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from tripillar.terminal.entry import run_alone
@@ -26,7 +27,7 @@ CELLS = 48
 
 
 @dataclass(frozen=True)
-class Cone:
+class Cone(Upright):
     """A tip that points down."""
 
     slope: float
@@ -39,7 +40,7 @@ class Cone:
 
 
 @dataclass(frozen=True)
-class Ring:
+class Ring(Upright):
     """A torus that lies on the rubber."""
 
     radius_mm: float
@@ -55,7 +56,7 @@ class Ring:
 
 
 @dataclass(frozen=True)
-class Edge:
+class Edge(Upright):
     """A roof upside down: two planes that meet in an edge of some length."""
 
     slope: float
@@ -74,7 +75,7 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class TwoBalls:
+class TwoBalls(Upright):
     """Two balls on one tool, one of them a little higher."""
 
     radii_mm: tuple[float, float]

@@ -14,9 +14,9 @@ import numpy as np
 
 from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
-from decoupler.touch.presses import UPWARDS, Grid, Presses, TouchLibrary
+from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, surface_compliance
-from fem.contact.surface import Patch, SurfaceCompliance, shares
+from fem.contact.surface import Patch, SurfaceCompliance
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -29,7 +29,6 @@ CELLS = 18  #: of a press's grid along its longer side
 SEED = 6
 SHIFTS = 8  #: places more of a press that has room on the slab
 RIM = 0.8  #: heights from the slab's side within which a press stays where it was solved
-CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
 MAX_STRAIN = 0.3
 THREADS = 2
 
@@ -45,19 +44,6 @@ def presses_of(contacts: Sequence[Contact]) -> Presses:
         size=sizes,
         cell_force_n=cells,
     )
-
-
-def moved_by(grid: Grid, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
-    """Displacement (e,) [mm] of the electrodes by forces (3, ny, nx) [N], z positive in compression."""
-    spread, places = [], []
-    for axis, n in enumerate(cells.shape[:0:-1]):
-        side = (box_mm[axis + 2] - box_mm[axis]) / n
-        middles = box_mm[axis] + (np.arange(n) + 0.5) * side
-        own, at = shares(middles, grid.by_cell.shape[1 - axis], float(grid.cell_mm[axis]), 2)
-        spread.append(own)
-        places.append(at)
-    force = (spread[1].T @ cells @ spread[0]).transpose(1, 2, 0) * UPWARDS
-    return force.astype(np.float32).ravel() @ grid.by_cell[places[1], places[0]].reshape(force.size, -1)
 
 
 def touch_library(
@@ -107,8 +93,7 @@ def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) ->
     """Every press in every symmetry of the slab, and in other places if it has room."""
     design, generator = surface.design, np.random.default_rng(SEED)
     slab = np.array(design.slab_mm[:2])
-    nx, ny = np.rint(slab * CELLS_PER_HEIGHT / design.unit.height_mm).astype(int).tolist()
-    grid = Grid(slab_mm=slab, half=surface.on_grid(nx, ny).astype(np.float16))
+    grid = Grid.of(surface)
     symmetries = range(8 if design.array.rows == design.array.cols else 4)
     rim = slab / 2 - RIM * design.unit.height_mm
     rows: list[tuple[int, int, FloatArray]] = []
@@ -120,7 +105,7 @@ def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) ->
                 own, _ = presses.turned(press, symmetry, np.zeros(2))
                 rows.append((press, symmetry, generator.uniform(-rim - own[:2], rim - own[2:])))
     placed = [presses.turned(*row) for row in rows]
-    moved = np.stack([moved_by(grid, *each) for each in placed])
+    moved = np.stack([grid.moved_mm(*each) for each in placed])
     holds = largest_strains(moved.reshape(len(moved), -1, 2, 3), design.unit) <= MAX_STRAIN
     return TouchLibrary(
         presses=presses,

@@ -23,6 +23,7 @@ class State:
     force_n: FloatArray
     moved_mm: FloatArray
     slip_mm: FloatArray  #: (2 or 0, ny, nx): past the shape since the last balance, if the rubber stayed where it is
+    rate: float = 0.0  #: of the last projected gradient [N/mm], with which the next balance begins
 
     @classmethod
     def at_rest(cls, patch: Patch, friction: float) -> "State":
@@ -63,57 +64,55 @@ class State:
         tolerance: float,
         first: "State | None" = None,
     ) -> "State":
-        """The shape's underside now stands (ny, nx) above the undeformed top [mm]; `first` is a guess of the forces."""
-        apart, guess = np.stack([*self.slip_mm, above_mm]), self if first is None else first
-        force, moved = balanced(give, apart, friction, guess.force_n, tolerance)
-        return replace(self, force_n=force, moved_mm=moved)
+        """Forces of contact with a shape that stands elsewhere now.
 
+        Parameters
+        ----------
+        give : function
+            Displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both into it.
+        above_mm : array, shape (ny, nx)
+            The shape's underside above the undeformed top.
+        friction : float
+            Coefficient μ.
+        tolerance : float
+            Last change of any force, relative to the largest pressing one.
+        first : State, optional
+            With a guess of the forces; default: this one.
 
-def balanced(
-    give: Callable[[FloatArray], FloatArray],
-    apart_mm: FloatArray,
-    friction: float,
-    first: FloatArray,
-    tolerance: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Forces on the body [N] and its displacement by them [mm] after one increment of contact, each (k, ny, nx).
+        Raises
+        ------
+        SolverError
+            If `MAX_STEPS` steps do not balance them.
 
-    Parameters
-    ----------
-    give : function
-        Displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both into the body.
-    apart_mm : array, shape (k, ny, nx)
-        Slip past the indenter along x and y, and gap, as they would be without forces; negative gaps overlap. Without
-        friction k may be 1, the gap alone.
-    friction, first, tolerance
-        Coefficient μ, forces to begin with, last change of any force relative to the largest pressing one. A
-        `SolverError` says that `MAX_STEPS` steps do not balance it.
-
-    Notes
-    -----
-    Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
-    where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The steps
-    α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and tangential
-    forces couple in `give` and are solved together.
-    """
-    force = _projected(first, friction)
-    moved = give(force)
-    overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
-    probe = overlap if overlap.any() else force
-    if not probe.any():
-        return force, moved
-    alpha = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
-    for step in range(MAX_STEPS):
-        change = _projected(force - alpha * (apart_mm + moved), friction) - force
-        gave = give(change)
-        force, moved = force + change, moved + gave
-        if np.abs(change).max() <= tolerance * force[-1].max(initial=0.0):
-            return force, moved
-        curvature = float(np.vdot(change, gave))
-        if curvature > 0:
-            square = float(np.vdot(change, change))
-            alpha = curvature / float(np.vdot(gave, gave)) if step % 2 else square / curvature
-    raise SolverError(f"the contact with friction={friction:g} found no balance in {MAX_STEPS} steps: lower friction.")
+        Notes
+        -----
+        Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
+        where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The
+        rates α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and
+        tangential forces couple in `give` and are solved together.
+        """
+        guess = self if first is None else first
+        apart, force, moved, rate = np.stack([*self.slip_mm, above_mm]), guess.force_n, guess.moved_mm, guess.rate
+        if not rate:
+            overlap = np.where((apart + moved)[-1] < 0, apart + moved, 0.0)
+            probe = overlap if overlap.any() else force
+            if not probe.any():
+                return replace(self, force_n=force, moved_mm=moved)
+            rate = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
+        was_small = False
+        for step in range(MAX_STEPS):
+            change = _projected(force - rate * (apart + moved), friction) - force
+            gave = give(change)
+            force, moved = force + change, moved + gave
+            is_small = np.abs(change).max() <= tolerance * force[-1].max(initial=0.0)
+            if is_small and was_small:
+                return replace(self, force_n=force, moved_mm=moved, rate=rate)
+            was_small = is_small
+            curvature = float(np.vdot(change, gave))
+            if curvature > 0:
+                square = float(np.vdot(change, change))
+                rate = curvature / float(np.vdot(gave, gave)) if step % 2 else square / curvature
+        raise SolverError(f"contact with friction={friction:g} found no balance in {MAX_STEPS} steps: lower friction.")
 
 
 def _projected(force: FloatArray, friction: float) -> FloatArray:

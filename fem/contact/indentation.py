@@ -103,6 +103,7 @@ class Indentation:
             patch=patch,
             cell_force_n=state.whole_n,
             above_mm=self.heights_mm(patch, past),
+            coarse=lambda: contact,
         )
         return contact, touched
 
@@ -118,7 +119,7 @@ class Contact(Indentation):
     patch: Patch = field(repr=False)
     cell_force_n: FloatArray = field(repr=False)  #: (3, ny, nx) on the patch's cells, z positive in compression
     above_mm: FloatArray = field(repr=False)  #: (ny, nx): the shape's underside above the undeformed top
-    coarse: "Contact | None" = field(default=None, repr=False)  #: the same on a coarser grid
+    coarse: "Callable[[], Contact]" = field(repr=False)  #: the same on a coarser grid
 
     @cached_property
     def displacement_mm(self) -> FloatArray:
@@ -151,11 +152,10 @@ class Contact(Indentation):
 
     @cached_property
     def _judged(self) -> tuple[float, float]:
-        """Relative errors of the units' forces and of the electrodes' displacements, infinite without `coarse`."""
-        if self.coarse is None:
-            return np.inf, np.inf
+        """Relative errors of the units' forces and of the electrodes' displacements."""
+        coarse = self.coarse()
         patch, surface, force_n = self.patch, self.surface, self.cell_force_n * UP
-        finer = min(INCREMENTS, max(self.coarse.patch.cell_mm) / max(patch.cell_mm))
+        finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
         left = SAFETY * richardson_factor(1.0, finer, RATE)
         between = PatchCompliance(surface, patch, FINER_DEGREE)
         pressing = self.cell_force_n[2] / self.cell_force_n[2].sum()
@@ -166,7 +166,7 @@ class Contact(Indentation):
         of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / self.depth_mm + SIDE_ERROR * beside**2
         missed = _difference(between.electrodes_mm(force_n), self.electrode_mm)
         forces, electrodes = (
-            float(left * _difference(getattr(self.coarse, name), getattr(self, name)) + of_tiles)
+            float(left * _difference(getattr(coarse, name), getattr(self, name)) + of_tiles)
             for name in ("force_n", "electrode_mm")
         )
         return forces, electrodes + TABLE_ERROR + ELECTRODE_ERROR * missed
@@ -308,7 +308,7 @@ def press(
         )
     fine = _patch(design, *_around(wide, touched), cells)
     assert fine is not None  # it is part of the wide one
-    return replace(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse=coarse)
+    return replace(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse=lambda: coarse)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:

@@ -1,8 +1,12 @@
-"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL."""
+"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL.
 
-from dataclasses import dataclass
+Capsules and convex bodies also stand as they are turned in space, for simulators that move them.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -11,6 +15,7 @@ from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length
+MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
 RASTER = 400  #: points along the longer side of an STL's height map
 
 
@@ -19,7 +24,15 @@ class ShapeError(TriPillarError, ValueError):
 
 
 class Shape(Protocol):
-    """An indenter's underside, in its own coordinates: the origin below its middle, z = 0 at its lowest point."""
+    """An indenter's underside about its origin along x and y; z = 0 at its lowest point."""
+
+    @property
+    def turn(self) -> FloatArray:
+        """Rotation (3, 3) from its own axes to the sensor's."""
+
+    @property
+    def lowest_mm(self) -> float:
+        """Height of its lowest point above its origin."""
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Height of the underside at points, infinite where there is none [mm]; x and y broadcast."""
@@ -28,8 +41,15 @@ class Shape(Protocol):
         """Half the extent along x and y of what lies below a height [mm]."""
 
 
+class Upright:
+    """A shape that has its origin at its lowest point and does not turn in space."""
+
+    turn: ClassVar[FloatArray] = np.eye(3)
+    lowest_mm: ClassVar[float] = 0.0
+
+
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Upright):
     """A ball."""
 
     radius_mm: float
@@ -46,7 +66,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class Cylinder(Upright):
     """A round bar lying on its side, its ends cut square."""
 
     radius_mm: float
@@ -65,7 +85,7 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class Flat:
+class Flat(Upright):
     """A flat punch with square edges: a rectangle, or a disc if it has a radius."""
 
     size_mm: tuple[float, float] = (0.0, 0.0)  #: along its own x and y
@@ -90,7 +110,7 @@ class Flat:
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class Solid(Upright):
     """The underside of any solid as a map of heights; `read_solid` makes one of an STL file."""
 
     x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
@@ -109,6 +129,81 @@ class Solid:
         low = self.map_mm < height_mm
         x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
         return float(np.abs(x).max()), float(np.abs(y).max())
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule:
+    """All points within a radius of a line along its own z, about its middle; without a length a ball."""
+
+    radius_mm: float
+    length_mm: float = 0.0  #: of the line
+    turn: FloatArray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        _require(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
+
+    @property
+    def lowest_mm(self) -> float:
+        return -self.radius_mm - abs(float(self.turn[2, 2])) * self.length_mm / 2
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        (ax, ay, az), r = self.turn[:, 2], self.radius_mm
+        flat = float(np.hypot(ax, ay))
+        cos, sin = (ax / flat, ay / flat) if flat else (1.0, 0.0)
+        along, across2 = x_mm * cos + y_mm * sin, (y_mm * cos - x_mm * sin) ** 2
+        # the lowest of all balls over a point touches where the line's slope is its own
+        at = (along - np.sqrt(np.maximum(r**2 - across2, 0.0)) * az) / flat if flat else -np.sign(az) * np.inf
+        middle = np.clip(at, -self.length_mm / 2, self.length_mm / 2)
+        beside2 = (along - flat * middle) ** 2 + across2
+        return _arc(np.sqrt(beside2), r) - r - self.lowest_mm + az * middle
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        half = _half_chord(self.radius_mm, height_mm)
+        x, y, _ = np.abs(self.turn[:, 2]) * self.length_mm / 2
+        return float(x + half), float(y + half)
+
+
+@dataclass(frozen=True, eq=False)
+class Convex:
+    """A convex body by its faces."""
+
+    corners_mm: FloatArray  #: (n, 3), about its origin, along its own axes
+    faces: FloatArray  #: (m, 4): normals outwards, and −normal · point [mm]
+    turn: FloatArray = field(default_factory=lambda: np.eye(3))
+
+    @classmethod
+    def hull(cls, points_mm: FloatArray) -> "Convex":
+        """The convex hull of points (n, 3).
+
+        Raises
+        ------
+        ShapeError
+            If they bound no volume.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            found = ConvexHull(points_mm)
+        except (QhullError, ValueError):
+            raise ShapeError("these points bound no volume: give four or more that do not lie in a plane.") from None
+        return cls(np.asarray(points_mm)[found.vertices], np.unique(found.equations.round(9), axis=0))
+
+    @cached_property
+    def lowest_mm(self) -> float:
+        return float((self.corners_mm @ self.turn[2]).min())
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        normals = self.faces[:, :3] @ self.turn.T
+        at = normals[:, 0] * x_mm[..., None] + normals[:, 1] * y_mm[..., None] + self.faces[:, 3]
+        up, down = normals[:, 2] > MIN_SLOPE, normals[:, 2] < -MIN_SLOPE
+        low = (-at[..., down] / normals[down, 2]).max(axis=-1)
+        high = (-at[..., up] / normals[up, 2]).min(axis=-1)
+        inside = (low <= high) & (at[..., ~(up | down)] <= 0.0).all(axis=-1)
+        return np.where(inside, low - self.lowest_mm, np.inf)
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        x, y, _ = np.abs(self.corners_mm @ self.turn.T).max(axis=0)
+        return float(x), float(y)
 
 
 def read_solid(path: Path) -> Solid:

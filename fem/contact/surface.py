@@ -282,15 +282,13 @@ class PatchCompliance:
         Forces [N] and displacements [mm] have shape (3, ny, nx), along x, y, z of the array, z negative pushing down;
         or (1, ny, nx), along z alone.
         """
-        design, patch, k = self.surface.design, self.patch, len(force_n)
-        spectrum, size = _layer_spectrum(
-            patch.nx, patch.ny, *patch.cell_mm, design.unit.height_mm, design.matrix_material
-        )
+        k, patch, (spectrum, size) = len(force_n), self.patch, self._layer
         moved = (spectrum[-k:, -k:] * fft.rfft2(force_n, size)).sum(axis=1)  # faster than einsum
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
-        return layer + self._rows[0] @ tiles @ self._columns[0].T
+        layer += self._rows[0] @ tiles @ self._columns[0].T
+        return np.asarray(layer)
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
         """The same with the last component of both pressing into the body."""
@@ -331,6 +329,13 @@ class PatchCompliance:
     @cached_property
     def _rows(self) -> tuple[FloatArray, slice]:
         return shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
+
+    @cached_property
+    def _layer(self) -> tuple[FloatArray, tuple[int, int]]:
+        design, (dx, dy) = self.surface.design, self.patch.cell_mm
+        return _layer_spectrum(  # patches of one grid have one
+            self.patch.nx, self.patch.ny, round(dx, 9), round(dy, 9), design.unit.height_mm, design.matrix_material
+        )
 
     @cached_property
     def _near(self) -> FloatArray:

@@ -3,33 +3,42 @@
 Every tensor has the environments first: e sensors of one design live side by side, each with imperfections of its own.
 """
 
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.measurement import SENSE_OHM
+from dataset.resistance import pillar_lengths, pillar_resistances
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.model.tensors import in_torch
+from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
+from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_compliance
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import AXES, PILLARS, rest_lengths
+from geometry.layout import AXES, PILLARS, pillar_volumes, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.wrench import pad_positions
+from hardware.virtual.twin import TorchTwin
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
+
+
+Pressing = tuple[Shape, Sequence[float], float | None]  #: shape, place [mm], normal force [N] or None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,6 +48,7 @@ class Reading:
     force_n: Tensor  #: (e, rows, cols, 3): on each pad along x, y, z [N]; Fz positive in compression
     resistance_ohm: Tensor  #: (e, rows, cols, 3): pillars z, x, y as the host finds them [Ω]; `OPEN_OHM` of dead ones
     decoded_n: Tensor | None  #: (e, rows, cols, k): forces that the model tells of these [N]; None without a model
+    contacts: tuple[Contact, ...] = ()  #: of bodies, by `VirtualSensor.press`
 
 
 class VirtualSensor:
@@ -53,7 +63,7 @@ class VirtualSensor:
     design : SensorDesign, TwinFile or path
         A design, its file, or the file of a twin: then each environment has a sensor of the twin's posterior.
     model : Decoupler or path, optional
-        Default: a twin's own decoder; of a design none, and nothing is decoded.
+        Default: a twin's own decoder; of a design none, and nothing is decoded. A decoder of touch has no derivatives.
     environments : int
         Number e of sensors.
     noise : float
@@ -147,7 +157,9 @@ class VirtualSensor:
                     f"the {name} has {other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}: "
                     f"take one of this design."
                 )
-        self._decoder: Any = None if model is None else in_torch(model, self._like)
+        feels = model is not None and model.knows_touch
+        self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
+        self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
@@ -158,12 +170,13 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            self._twin = _TorchTwin(decoder, self._like)
+            self._twin = TorchTwin(decoder, self._like)
             self._forward = self._twin.forward
         self._gain = self._like.new_ones((environments, *self.shape, 3))
         self._offset = torch.zeros_like(self._gain)
         self._dead = torch.zeros_like(self._gain, dtype=torch.bool)
         self._member = torch.zeros(environments, dtype=torch.int64, device=self._like.device)
+        self._steppers: dict[tuple[int, Hashable], Stepper] = {}
         self.reset()
 
     def _designed(self, response: "ArrayResponse | None") -> SensorModel:
@@ -313,8 +326,74 @@ class VirtualSensor:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`."""
         applied_n = self.pad_loads(points_mm, force_n)
         resistance_ohm = self.read(self.resistances(applied_n))
-        decoded_n = None if self._decoder is None else self.forces(resistance_ohm)
-        return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n)
+        return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=self._decoded(resistance_ohm))
+
+    def press(self, bodies: Sequence[Mapping[Hashable, "Pressing"]], friction: float = 0.5) -> Reading:
+        """Bodies pressed into bare rubber to one reading, without derivatives; each goes on from where it was before.
+
+        Parameters
+        ----------
+        bodies : sequence of mappings
+            Of each environment: by a name that stays, a shape as it stands, the place x, y, z of its origin from the
+            array's middle and above the undeformed top [mm], and the normal force [N], or None: as its z says. What is
+            not named any more has gone.
+        friction : float
+            Coulomb's coefficient.
+
+        Returns
+        -------
+        Reading
+            Forces are those on each unit's share of the top; with the contacts, environment by environment.
+
+        Raises
+        ------
+        ArgumentError, DesignError, ContactError
+            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber (as
+            `surface_compliance`), and as `Stepper.step`.
+
+        Notes
+        -----
+        Bodies do not feel each other through the rubber.
+        """
+        if len(bodies) != self.environments:
+            raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")
+        if self._twin is not None:
+            raise ArgumentError("a twin's own sensors know loads on pads alone: press a design, with gain_spread.")
+        surface, grid = self._top
+        force, moved = (np.zeros((self.environments, surface.design.n_units, k, 3)) for k in (1, 2))
+        contacts: list[Contact] = []
+        for number, own in enumerate(bodies):
+            steppers = {name: self._steppers.get((number, name)) for name in own}
+            for key in [key for key in self._steppers if key[0] == number and key[1] not in own]:
+                del self._steppers[key]
+            for name, (shape, place_mm, normal_n) in own.items():
+                stepper = steppers[name] or Stepper(surface, friction=friction)
+                self._steppers[number, name] = stepper
+                if (contact := stepper.step(shape, place_mm, normal_n)) is not None:
+                    contacts.append(contact)
+                    force[number, :, 0] += contact.force_n.reshape(-1, 3)
+                    box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
+                    moved[number] += grid.moved_mm(box_mm, contact.cell_force_n).reshape(-1, 2, 3)
+        unit = self.design.unit
+        exact = pillar_resistances(pillar_lengths(moved, unit), pillar_volumes(unit), self.design.resistivity_ohm_mm)
+        sizes = (self.environments, *self.shape, 3)
+        with torch.no_grad():
+            resistance_ohm = self.read(self._like.new_tensor(exact).reshape(sizes))
+            decoded_n = self._decoded(resistance_ohm)
+        applied_n = self._like.new_tensor(force).reshape(sizes)
+        return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n, contacts=tuple(contacts))
+
+    def _decoded(self, resistance_ohm: Tensor) -> Tensor | None:
+        if self._followers is None:
+            return None if self._decoder is None else self.forces(resistance_ohm)
+        ohms = resistance_ohm.detach().cpu().double().numpy()
+        found = [one.touches(scan)[0].force_n for one, scan in zip(self._followers, ohms[:, None], strict=True)]
+        return self._like.new_tensor(np.stack(found)).reshape(resistance_ohm.shape)
+
+    @cached_property
+    def _top(self) -> tuple[SurfaceCompliance, Grid]:
+        surface, *_ = surface_compliance(self.design)
+        return surface, Grid.of(surface)
 
     def _normal(self, shape: torch.Size) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)
@@ -323,42 +402,6 @@ class VirtualSensor:
         expected = (self.environments, *self.shape, len(AXES))
         if values.shape != expected:
             raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
-
-
-class _TorchTwin:
-    """The posterior's sensors of a twin, each to first order about the most probable one, as `Ensemble.drawn`."""
-
-    def __init__(self, decoder: Decoupler, like: Tensor) -> None:
-        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
-            raise DesignError(
-                f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
-            )
-        self.forward: Any = in_torch(decoder.inverse.forward, like)
-        held = decoder.ensemble
-        self.members = len(held)
-        self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
-        self._rest = like.new_tensor(held.rest_mm).mT  # (m, 3, P)
-        self._influence = like.new_tensor(held.influence).permute(0, 3, 2, 1).flatten(2)  # (m, Q, 3 P)
-
-    def resistances(self, force_n: Tensor, member: Tensor) -> Tensor:
-        """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
-        vectors = self.forward.vectors(force_n)
-        signed = vectors if self.forward.sign is None else vectors * self.forward.sign
-        squares = (signed * vectors).sum(dim=1)
-        of_gain = self.forward.ohm_per_mm2 * squares
-        slopes = (2.0 * signed / squares[:, None])[:, : self._rest.shape[1]]
-        order, moved_by = torch.argsort(member, stable=True), []
-        for m, some in zip(*self._groups(member[order], order), strict=True):
-            moved_by.append((force_n[some] @ self._influence[m]).reshape(len(some), *slopes.shape[1:]))
-        moved = torch.cat(moved_by)[torch.argsort(order)]
-        relative = self._relative[member] + ((moved + self._rest[member]) * slopes).sum(dim=1)
-        return ((1.0 + relative) * of_gain + self.forward.offset_ohm + self._offset[member]).clamp(min=MIN_WHOLE_OHM)
-
-    @staticmethod
-    def _groups(sorted_members: Tensor, order: Tensor) -> tuple[list[int], tuple[Tensor, ...]]:
-        """Each member once, and the environments that have it."""
-        members, sizes = torch.unique_consecutive(sorted_members, return_counts=True)
-        return members.tolist(), order.split(sizes.tolist())
 
 
 def _rounded(readings: Tensor, bits: int) -> Tensor:

@@ -9,7 +9,7 @@ from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.decoder import TouchDecoder, Touched
-from decoupler.touch.library import moved_by, presses_of, touch_library
+from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
@@ -60,7 +60,7 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
         return press(surface, Cylinder(6.0, 9.0, turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5)
 
     solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
-    moved = moved_by(decoder.library.grid, *turned)
+    moved = decoder.library.grid.moved_mm(*turned)
     assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
     part = Part.of(decoder.sensing, *turned)
     force_n = part.units(np.zeros((1, 9)))[0, :, :3]

@@ -1,11 +1,13 @@
 """Contacts of MuJoCo with a sensor's slab: forces in the sensor's frame, mm and N; stiffness. Loads mujoco."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fem.contact import Capsule, Convex, Shape
 from geometry.errors import ArgumentError, needing
 from geometry.layout import FloatArray
 
@@ -14,6 +16,7 @@ with needing("the simulator", "simulators"):
 
 MIN_IMPEDANCE = 0.5  #: MuJoCo's d of a contact: smaller is nearer to a spring, but chatters sooner
 MAX_DAMPED = 0.6  #: largest b/d times the time step; contacts chatter from 1 on
+ROUND = 48  #: faces of a round body
 MIN_COSINE = np.sqrt(0.5)  #: of the angle between a contact's normal and z; flatter ones are at the slab's sides
 
 
@@ -23,6 +26,7 @@ class SurfaceContacts:
 
     points_mm: FloatArray  #: (k, 3): places in the sensor's frame
     force_n: FloatArray  #: (k, 3): on the sensor along x and y, and Fz positive in compression
+    geoms: NDArray[np.int64]  #: (k,): of the model, that touch the slab there
     left_out: int  #: contacts at the slab's sides and underside, which the array does not feel
 
     @property
@@ -35,6 +39,14 @@ class SurfaceContacts:
         """Centre of pressure, (2,): x and y [mm]; NaN where nothing presses."""
         with np.errstate(invalid="ignore"):
             return self.force_n[:, 2] @ self.points_mm[:, :2] / self.force_n[:, 2].sum()
+
+
+class Body(NamedTuple):
+    """A shape that touches a sensor, as `VirtualSensor.press` takes it."""
+
+    shape: Shape  #: as it stands
+    place_mm: FloatArray  #: (3,): of its origin, from the array's middle and above the slab's top
+    normal_n: float  #: what presses
 
 
 class ContactReader:
@@ -70,11 +82,47 @@ class ContactReader:
         if not mm_per_length > 0:
             raise ArgumentError(f"mm_per_length={mm_per_length!r} must be above 0; 1000 for a model in metres.")
         self.model, self.mm_per_length = model, float(mm_per_length)
+        self._shapes: dict[int, Capsule | Convex] = {}
         self._site = _number(model, "site", site)
         if geom is not None:
             self._is_slab = np.arange(model.ngeom) == _number(model, "geom", geom)
         else:
             self._is_slab = model.geom_bodyid == _number(model, "body", body)
+
+    def bodies(self, data: Any) -> dict[int, Body]:
+        """The geoms that touch the top, by their number: spheres, capsules, ellipsoids, cylinders, boxes, meshes.
+
+        A mesh is its convex hull, as it is for MuJoCo; round bodies other than balls and capsules have flat faces.
+
+        Raises
+        ------
+        ArgumentError
+            If a geom is of another kind.
+        """
+        found = self.read(data)
+        axes = data.site_xmat[self._site].reshape(3, 3)
+        slab = np.flatnonzero(self._is_slab)
+        middle = data.geom_xpos[slab] + np.einsum(
+            "gab,gb->ga", data.geom_xmat[slab].reshape(-1, 3, 3), self.model.geom_aabb[slab, :3]
+        )
+        reach = np.einsum(
+            "gab,gb->ga", np.abs(axes.T @ data.geom_xmat[slab].reshape(-1, 3, 3)), self.model.geom_aabb[slab, 3:]
+        )
+        top = ((middle - data.site_xpos[self._site]) @ axes + reach)[:, 2].max()
+        bodies = {}
+        for geom in np.unique(found.geoms).tolist():
+            place = (data.geom_xpos[geom] - data.site_xpos[self._site]) @ axes - (0.0, 0.0, top)
+            bodies[geom] = Body(
+                replace(self._shape(geom), turn=axes.T @ data.geom_xmat[geom].reshape(3, 3)),
+                place * self.mm_per_length,
+                float(found.force_n[found.geoms == geom, 2].sum()),
+            )
+        return bodies
+
+    def _shape(self, geom: int) -> Capsule | Convex:
+        if geom not in self._shapes:
+            self._shapes[geom] = _shape(self.model, geom, self.mm_per_length)
+        return self._shapes[geom]
 
     def read(self, data: Any) -> SurfaceContacts:
         """Contacts of a `mujoco.MjData`; after ``mj_step`` those of the state that the step began with."""
@@ -91,8 +139,12 @@ class ContactReader:
         on_top = normal_z <= -MIN_COSINE
         points = (data.contact.pos[touching] - data.site_xpos[self._site]) @ axes * self.mm_per_length
         force_n = onto * force * (1.0, 1.0, -1.0)
+        others = np.where(is_slab[touching, 0], geoms[touching, 1], geoms[touching, 0])
         return SurfaceContacts(
-            points_mm=points[on_top], force_n=force_n[on_top], left_out=int(len(on_top) - on_top.sum())
+            points_mm=points[on_top],
+            force_n=force_n[on_top],
+            geoms=others[on_top],
+            left_out=int(len(on_top) - on_top.sum()),
         )
 
 
@@ -137,6 +189,32 @@ def soften(model: Any, geom: str, body: str, stiffness_n_per_mm: float) -> None:
     k = rate2 * (1.0 - d)
     model.geom_solimp[g] = (d, d, 0.001, 0.5, 2.0)
     model.geom_solref[g] = -k, -2.0 * np.sqrt(k)
+
+
+def _shape(model: Any, geom: int, mm_per_length: float) -> Capsule | Convex:
+    """The body of a geom about its origin."""
+    kind, kinds = model.geom_type[geom], mujoco.mjtGeom
+    x, y, _ = size = model.geom_size[geom] * mm_per_length
+    if kind == kinds.mjGEOM_SPHERE:
+        return Capsule(x)
+    if kind == kinds.mjGEOM_CAPSULE:
+        return Capsule(x, 2.0 * y)
+    if kind == kinds.mjGEOM_BOX:
+        return Convex.hull(np.stack(np.meshgrid(*np.outer(size, (-1.0, 1.0))), axis=-1).reshape(-1, 3))
+    turns = np.arange(ROUND) * 2.0 * np.pi / ROUND
+    around = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    if kind == kinds.mjGEOM_CYLINDER:
+        return Convex.hull(np.vstack([np.column_stack([x * around, np.full(ROUND, end)]) for end in (-y, y)]))
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        up = around[: ROUND // 2 + 1]
+        return Convex.hull(np.concatenate([np.column_stack([s * around, np.full(ROUND, c)]) for c, s in up]) * size)
+    if kind == kinds.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        return Convex.hull(model.mesh_vert[first : first + model.mesh_vertnum[mesh]] * mm_per_length)
+    raise ArgumentError(
+        f"geom {geom} is a {kinds(kind).name[7:].lower()}: sphere, capsule, ellipsoid, cylinder, box or mesh can press."
+    )
 
 
 def _number(model: Any, kind: str, name: str | None) -> int:

@@ -1,0 +1,266 @@
+"""Contact as fast as simulators step: a shape that is moved a little at a time over an array's top."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fem.contact.balance import State
+from fem.contact.indentation import MAX_FRICTION, PILE_UP, Contact, ContactError
+from fem.contact.shapes import Shape
+from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance
+from geometry.layout import FloatArray
+
+ACROSS = 10  #: cells along the shorter side of the first window
+MIN_ACROSS, MAX_ACROSS = 6.0, 15.0  #: cells across a contact in the mean, between which its grid is kept
+ALONG = 48  #: cells along it, at most
+COARSEST, FINEST = 3, 11  #: grids have about 2 to this cells along the longer side of the slab
+BLOCK = 8  #: windows have whole numbers of blocks of so many cells
+MARGIN = 2  #: cells around the contact, of a window that is chosen anew
+NORMAL, MAX_SECANTS = 0.01, 20  #: error of a normal force that is asked for, and steps of a search for its depth
+FIRST_DEPTH = 0.01  #: of that search, in heights of the slab
+POWER, MIN_POWER = 1.5, 0.5  #: of the depth, that a force is of a ball, and that it has at least
+MIN_NORMAL, MAX_LOG = 1e-3, 1.5  #: of the force, that counts as found; of the depth's logarithm, in one step
+MAX_WINDOWS = 8  #: that are tried in a step
+TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
+
+
+class Stepper:
+    """A shape in contact with an array's top, moved step by step; it remembers what sticks.
+
+    Parameters
+    ----------
+    surface : SurfaceCompliance
+        Of the sensor, by `surface_compliance`.
+    friction : float
+        Coulomb's coefficient μ.
+
+    Raises
+    ------
+    ContactError
+        If the friction is not from 0 to 2.
+
+    Notes
+    -----
+    Each step is an increment of `press`, from the forces of the step before, on a window of a grid that is fixed to the
+    top: cells that stick stay where they are however the shape moves. As the contact grows or shrinks the grid's cells
+    double or halve; forces go along. Steps of more than a tenth of the contact's width lose some of friction's past.
+    """
+
+    def __init__(self, surface: SurfaceCompliance, *, friction: float = 0.5) -> None:
+        if not 0 <= friction <= MAX_FRICTION:
+            raise ContactError(f"friction={friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
+        self.surface, self.friction = surface, friction
+        self.lift()
+
+    def lift(self) -> None:
+        """Take the shape off: what comes next is a new touch."""
+        self._past: _Past | None = None
+
+    def step(self, shape: Shape, place_mm: Sequence[float], normal_n: float | None = None) -> Contact | None:
+        """Move the shape and balance it; None where it does not touch.
+
+        Parameters
+        ----------
+        shape : Shape
+            As it stands now. What its `turn` changed since the last step drags the rubber along: a ball that rolls
+            does not slip.
+        place_mm : sequence of float
+            Of its origin, x, y and z: from the array's middle, above the undeformed top.
+        normal_n : float, optional
+            Normal force; the shape goes as deep as that takes, to 1 %, and its z is not looked at.
+
+        Raises
+        ------
+        ContactError
+            If the place is not of three finite numbers, it reaches the slab's base, or no depth has that force.
+        """
+        place = np.array(place_mm, dtype=float)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise ContactError(f"place_mm={place_mm} must be three finite numbers: x, y, z.")
+        if normal_n is None:
+            return self._stepped(shape, place)
+        if not 0 <= normal_n < np.inf:
+            raise ContactError(f"normal_n={normal_n:g} must be 0 or more.")
+        return self._pressed(shape, place, normal_n)
+
+    def _pressed(self, shape: Shape, place: FloatArray, normal_n: float) -> Contact | None:
+        """The step at the depth that a normal force takes: by secants, the first one a power law."""
+        if not normal_n:
+            self.lift()
+            return None
+        past = self._past
+        depth_mm, tried = (
+            past.depth_mm if past else FIRST_DEPTH * self.surface.design.unit.height_mm,
+            list[tuple[float, float]](),
+        )
+        for _ in range(MAX_SECANTS):
+            if depth_mm >= self.surface.design.unit.height_mm:
+                break
+            self._past = past
+            at = np.array([*place[:2], -depth_mm - shape.lowest_mm])
+            contact = self._stepped(shape, at)
+            found_n = 0.0 if contact is None else float(contact.cell_force_n[2].sum())
+            if abs(found_n - normal_n) <= NORMAL * normal_n:
+                return contact
+            tried.append((np.log(depth_mm), np.log(max(found_n, MIN_NORMAL * normal_n) / normal_n)))
+            (x0, y0), (x1, y1) = tried[-2] if len(tried) > 1 else (tried[0][0] - 1.0, tried[0][1] - POWER), tried[-1]
+            slope = max((y1 - y0) / (x1 - x0), MIN_POWER) if x1 != x0 else POWER
+            depth_mm = float(np.exp(x1 - np.clip(y1 / slope, -MAX_LOG, MAX_LOG)))
+        raise ContactError(
+            f"normal_n={normal_n:g} is reached at no depth at {place[0]:g}, {place[1]:g} mm: press less."
+        )
+
+    def _stepped(self, shape: Shape, place: FloatArray) -> Contact | None:
+        height_mm = self.surface.design.unit.height_mm
+        depth_mm = float(-place[2] - shape.lowest_mm)
+        if depth_mm >= height_mm:
+            raise ContactError(f"the shape is {depth_mm:g} mm deep: less than the slab's height, {height_mm:g} mm.")
+        move = _Move(shape, depth_mm, place, *self._carried(shape, place))
+        past, window = self._past, None if self._past is None else self._past.window
+        if depth_mm > 0 and window is None:
+            reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
+            window = _Window.around(self.surface, place[:2] - reach, place[:2] + reach)
+        if depth_mm <= 0 or window is None:
+            self.lift()
+            return None
+        before = State.at_rest(window.patch, self.friction) if past is None else past.state
+        for left in reversed(range(MAX_WINDOWS)):
+            after, above_mm = window.balanced(move, before, self.friction)
+            better = window.better(before.touches, after.touches)
+            if better is None or not left:
+                break
+            window, before = better, better.taken_over(window, before)
+        if not after.touches.any():
+            self.lift()
+            return None
+        self._past = _Past(shape, place, depth_mm, window, after)
+
+        def contact(window: _Window, after: State, above_mm: FloatArray) -> Contact:
+            return Contact(
+                design=self.surface.design, shape=shape, depth_mm=depth_mm, at_mm=(float(place[0]), float(place[1])),
+                slide_mm=(0.0, 0.0), friction=self.friction, surface=self.surface, patch=window.patch,
+                cell_force_n=after.whole_n, above_mm=above_mm, coarse=coarse,
+            )  # fmt: skip
+
+        def coarse() -> Contact:
+            half = _Window.around(self.surface, *window.box_mm, level=window.level - 1)
+            assert half is not None
+            return contact(half, *half.balanced(move, half.taken_over(window, before), self.friction))
+
+        return contact(window, after, above_mm)
+
+    def _carried(self, shape: Shape, place_mm: FloatArray) -> tuple[FloatArray, float]:
+        """How far the shape's surface went along the top since the last step, (2,), and its turn about z."""
+        if self._past is None:
+            return np.zeros(2), 0.0
+        x, y, z = Rotation.from_matrix(shape.turn @ self._past.shape.turn.T).as_rotvec()
+        rolled = place_mm[2] * np.array([-y, x])  # the top lies below its origin by that
+        return (place_mm - self._past.place_mm)[:2] + rolled, float(z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    shape: Shape
+    depth_mm: float
+    place_mm: FloatArray
+    carried_mm: FloatArray
+    spin_rad: float
+
+
+class _Window:
+    """Some cells of one of the grids that are fixed to the top."""
+
+    def __init__(self, surface: SurfaceCompliance, level: int, first: FloatArray, count: FloatArray) -> None:
+        self.surface, self.level = surface, level
+        slab_mm, self.whole = _grid(surface, level)
+        self.cell_mm = slab_mm / self.whole
+        blocks = BLOCK * np.ceil(count / BLOCK).astype(int)
+        self.count = np.minimum(blocks, self.whole)
+        self.first = np.clip(first - (self.count - count) // 2, 0, self.whole - self.count)
+        low, high = (-slab_mm / 2 + at * self.cell_mm for at in (self.first, self.first + self.count))
+        self.patch = Patch(tuple(low.tolist()), tuple(high.tolist()), *self.count.tolist())
+        self.give = PatchCompliance(surface, self.patch).pressed_mm
+
+    @classmethod
+    def around(
+        cls, surface: SurfaceCompliance, low_mm: FloatArray, high_mm: FloatArray, level: int | None = None
+    ) -> "_Window | None":
+        """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
+        slab_mm, _ = _grid(surface, COARSEST)
+        low, high = np.maximum(low_mm, -slab_mm / 2), np.minimum(high_mm, slab_mm / 2)
+        size = high - low
+        if not (size > 0).all():
+            return None
+        if level is None:
+            wanted_mm = max(size.min() / ACROSS, size.max() / ALONG)
+            level = int(np.clip(np.rint(np.log2(slab_mm.max() / wanted_mm)), COARSEST, FINEST))
+        cell_mm = slab_mm / _grid(surface, level)[1]
+        first = np.floor((low + slab_mm / 2) / cell_mm).astype(int) - MARGIN
+        last = np.ceil((high + slab_mm / 2) / cell_mm).astype(int) + MARGIN
+        return cls(surface, level, first, last - first)
+
+    @property
+    def box_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Its lowest and highest corner but for the margin."""
+        low, high = np.array(self.patch.low_mm), np.array(self.patch.high_mm)
+        return low + MARGIN * self.cell_mm, high - MARGIN * self.cell_mm
+
+    def balanced(self, move: _Move, before: State, friction: float) -> tuple[State, FloatArray]:
+        """The state after a move, and the shape's underside above the undeformed top (ny, nx)."""
+        x, y = self.patch.x_mm - move.place_mm[0], self.patch.y_mm[:, None] - move.place_mm[1]
+        step = move.carried_mm
+        if move.spin_rad:
+            step = np.stack(np.broadcast_arrays(step[0] - move.spin_rad * y, step[1] + move.spin_rad * x))
+        drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
+        above = move.shape.heights_mm(x + drag[0], y + drag[1]) - move.depth_mm
+        return before.carried(step).balanced(self.give, above, friction, TOLERANCE), above
+
+    def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":
+        """A window that suits what touches, (ny, nx), before and after a step; None if this one does."""
+        if not after.any():
+            return None
+        touching = before | after
+        ends = [np.flatnonzero(touching.any(axis=axis))[[0, -1]] for axis in (0, 1)]
+        low, high = np.array(ends).T
+        inside = (low > 0) | (self.first == 0), (high < self.count - 1) | (self.first + self.count == self.whole)
+        along = max(np.ptp(np.flatnonzero(after.any(axis=axis))) + 1 for axis in (0, 1))
+        across = after.sum() / along
+        is_coarse = across < MIN_ACROSS and 2 * along <= ALONG and self.level < FINEST
+        is_fine = (across > MAX_ACROSS or along > ALONG) and self.level > COARSEST
+        if np.all(inside) and not is_coarse and not is_fine:
+            return None
+        origin = np.array(self.patch.low_mm)
+        level = self.level + int(is_coarse) - int(is_fine)
+        return _Window.around(self.surface, origin + low * self.cell_mm, origin + (high + 1) * self.cell_mm, level)
+
+    def taken_over(self, other: "_Window", state: State) -> State:
+        """The state of another window on this one: its forces, and how they displace these cells."""
+        shares = []
+        for axis in (0, 1):
+            old, new = (
+                window.patch.low_mm[axis] + np.arange(window.count[axis] + 1) * window.cell_mm[axis]
+                for window in (other, self)
+            )
+            inside = np.clip(old[:, None], new[:-1], new[1:])
+            shares.append(np.diff(inside, axis=0) / np.diff(old)[:, None])
+        force = shares[1].T @ state.force_n @ shares[0]
+        return State(force, self.give(force), 0 * force[:-1])
+
+
+def _grid(surface: SurfaceCompliance, level: int) -> tuple[FloatArray, FloatArray]:
+    """Sides of the slab [mm], and the cells of a grid along them."""
+    slab_mm = np.array(surface.design.slab_mm[:2])
+    coarsest = np.maximum(1, np.rint(2**COARSEST * slab_mm / slab_mm.max())).astype(int)
+    return slab_mm, coarsest * 2 ** (level - COARSEST)
+
+
+@dataclass(frozen=True, eq=False)
+class _Past:
+    shape: Shape
+    place_mm: FloatArray
+    depth_mm: float
+    window: _Window
+    state: State

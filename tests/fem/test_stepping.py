@@ -1,0 +1,150 @@
+"""Contact step by step is contact at once, and what friction remembers; shapes that turn in space."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fem.contact import (
+    Capsule,
+    ContactError,
+    Convex,
+    Cylinder,
+    Flat,
+    Shape,
+    ShapeError,
+    Sphere,
+    Stepper,
+    SurfaceCompliance,
+    press,
+    surface_compliance,
+)
+from geometry.design import Array, SensorDesign
+
+BALL_MM, DEPTH_MM, FRICTION = 8.0, 0.6, 0.5
+BOX_MM = np.array([[x, y, z] for x in (-4.0, 4.0) for y in (-3.0, 3.0) for z in (0.0, 5.0)])
+
+
+@pytest.fixture(scope="module")
+def pair() -> SurfaceCompliance:
+    """The paper's unit twice, 1 × 2."""
+    return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
+
+
+def turned(*angles_rad: float) -> np.ndarray:
+    return Rotation.from_rotvec(angles_rad).as_matrix()
+
+
+def pressed(stepper: Stepper, shape: Shape, at_mm: tuple[float, float], depth_mm: float = DEPTH_MM, steps: int = 20):
+    """The contact after a shape went down."""
+    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+        contact = stepper.step(shape, (*at_mm, -shape.lowest_mm - share * depth_mm))
+    return contact
+
+
+@pytest.mark.parametrize(
+    ("shape", "at_mm", "slide_mm"),
+    [
+        (Sphere(6.0), (3.0, -2.0), (1.5, 0.8)),
+        (Cylinder(5.0, 9.0, 30.0), (4.0, 0.0), (0.7, 0.0)),
+        (Flat((6.0, 4.0), turn_deg=20.0), (-5.0, 1.0), (0.0, 0.4)),
+        (Sphere(5.0), (13.0, 3.0), (0.0, 0.0)),
+    ],
+    ids=["ball", "bar", "punch", "beside the rim"],
+)
+def test_small_steps_end_where_the_press_does(pair: SurfaceCompliance, shape: Shape, at_mm, slide_mm):
+    """Within 5 % of the units' forces, and within its own estimate of them and of the electrodes."""
+    expected = press(pair, shape, DEPTH_MM, at_mm=at_mm, slide_mm=slide_mm, friction=FRICTION)
+    stepper = Stepper(pair, friction=FRICTION)
+    contact = pressed(stepper, shape, at_mm)
+    for share in np.linspace(0.0, 1.0, 21)[1:] if any(slide_mm) else ():
+        contact = stepper.step(shape, (*(np.array(at_mm) + share * np.array(slide_mm)), -DEPTH_MM))
+    for name, estimate in (("force_n", contact.error_estimate), ("electrode_mm", contact.electrode_error_estimate)):
+        one, other = getattr(contact, name), getattr(expected, name)
+        missed = np.linalg.norm(one - other) / np.linalg.norm(other)
+        assert missed < estimate + expected.error_estimate, name
+        assert name != "force_n" or missed < 0.05
+
+
+def test_a_ball_slides_with_all_its_friction_rolls_with_none_and_spins_with_a_torque(pair: SurfaceCompliance):
+    """The torque is 3π/16 μ P a where all of a Hertzian contact slips; a ball that rolls leaves the shear it had."""
+    found = {}
+    for name in ("slides", "rolls", "spins"):
+        stepper = Stepper(pair, friction=FRICTION)
+        pressed(stepper, Capsule(BALL_MM), (-5.0, 0.0))
+        for step in range(1, 61):
+            way = 0.1 * step
+            turn = {"slides": turned(0, 0, 0), "rolls": turned(0, way / (BALL_MM - DEPTH_MM), 0)}
+            shape = Capsule(BALL_MM, turn=turn.get(name, turned(0, 0, way)))
+            contact = stepper.step(shape, (-5.0 + way * (name != "spins"), 0.0, BALL_MM - DEPTH_MM))
+        found[name] = contact
+    (slide_x, _, slide_z), (roll_x, _, roll_z) = found["slides"].net_force_n, found["rolls"].net_force_n
+    assert slide_x == pytest.approx(FRICTION * slide_z, rel=1e-2)
+    assert abs(roll_x) < 0.03 * roll_z
+    spun = found["spins"]
+    x, y = spun.centre_mm
+    fx, fy, fz = spun.net_force_n
+    torque = spun.moment_nmm[2] - (x * fy - y * fx)
+    radius_mm = np.sqrt(spun.area_mm2 / np.pi)
+    assert torque == pytest.approx(3 * np.pi / 16 * FRICTION * fz * radius_mm, rel=0.05)
+
+
+def test_it_goes_as_deep_as_a_force_takes_and_forgets_what_has_gone(pair: SurfaceCompliance):
+    stepper = Stepper(pair, friction=FRICTION)
+    for wanted in (5.0, 20.0, 40.0):
+        contact = stepper.step(Capsule(BALL_MM), (1.0, 2.0, 0.0), normal_n=wanted)
+        assert contact.net_force_n[2] == pytest.approx(wanted, rel=0.01)
+    deep = contact.depth_mm
+    assert stepper.step(Capsule(BALL_MM), (1.0, 2.0, BALL_MM + 1.0)) is None
+    anew, other = (one.step(Capsule(BALL_MM), (6.0, 2.0, BALL_MM - deep)) for one in (stepper, Stepper(pair)))
+    assert np.array_equal(anew.cell_force_n, other.cell_force_n)
+
+
+@pytest.mark.parametrize(
+    ("place_mm", "force_n", "told"),
+    [
+        ((0.0, 0.0), None, "three finite numbers"),
+        ((0.0, np.nan, 0.0), None, "three finite numbers"),
+        ((0.0, 0.0, -5.0), None, "less than the slab's height"),
+        ((0.0, 0.0, 0.0), -1.0, "normal_n=-1 must be"),
+        ((100.0, 0.0, 0.0), 5.0, "at no depth"),
+    ],
+)
+def test_steps_that_cannot_be_are_refused(pair: SurfaceCompliance, place_mm, force_n, told):
+    stepper = Stepper(pair)
+    with pytest.raises(ContactError, match=told):
+        stepper.step(Capsule(BALL_MM), place_mm, force_n)
+    with pytest.raises(ContactError, match="friction=3 must be"):
+        Stepper(pair, friction=3.0)
+
+
+def test_turned_capsules_and_convex_bodies_are_what_they_are_made_of():
+    """A capsule is balls along a line, a convex body the space below all of its faces."""
+    x, y = np.meshgrid(np.linspace(-6.1, 6.1, 25), np.linspace(-6.1, 6.1, 25))
+    along = np.linspace(-3.5, 3.5, 2001)
+    for turn in (np.eye(3), turned(0, np.pi / 2, 0), turned(0.3, -0.8, 0.4)):
+        capsule = Capsule(3.0, 7.0, turn)
+        cx, cy, cz = turn[:, 2, None] * along
+        square = 9.0 - (x[..., None] - cx) ** 2 - (y[..., None] - cy) ** 2
+        lower = np.where(square >= 0, cz - np.sqrt(np.maximum(square, 0)), np.inf).min(axis=-1) - capsule.lowest_mm
+        inside = np.isfinite(lower)
+        heights = capsule.heights_mm(x, y)
+        assert (np.isfinite(heights) == inside).all()
+        assert heights[inside] == pytest.approx(lower[inside], abs=1e-4)
+    body = Convex.hull(BOX_MM)
+    tipped = Convex(body.corners_mm, body.faces, turned(0, 0.1, 0))
+    heights = tipped.heights_mm(x, y)
+    inside = np.isfinite(heights)
+    points = np.stack([x, y, heights + tipped.lowest_mm], axis=-1)[inside] @ tipped.turn
+    assert (np.abs(points[:, :2]) <= (4 + 1e-9, 3 + 1e-9)).all()
+    assert (
+        np.minimum(np.abs(points[:, 2]), np.abs(points[:, 0] - 4)) < 1e-9
+    ).all()  # below, or at the side that is low
+    assert heights.min() == pytest.approx(0.0, abs=0.06)
+    with pytest.raises(ShapeError, match="no volume"):
+        Convex.hull(BOX_MM[:, :2] @ np.eye(2, 3))
+
+
+def test_upright_bodies_press_as_the_shapes_do(pair: SurfaceCompliance):
+    for body, shape in ((Capsule(BALL_MM), Sphere(BALL_MM)), (Convex.hull(BOX_MM), Flat((8.0, 6.0)))):
+        one, other = (press(pair, each, 0.3, friction=FRICTION) for each in (body, shape))
+        assert one.force_n == pytest.approx(other.force_n, rel=1e-6, abs=1e-9)
