@@ -8,6 +8,8 @@ import torch
 
 from dataset import OPEN_OHM, DatasetSettings, simulate
 from dataset.imperfections import Imperfections
+from dataset.indentation import samples_of
+from dataset.resistance import pillar_resistances
 from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.pairs import Pairs
 from decoupler.model.model_file import write_model
@@ -15,8 +17,10 @@ from decoupler.twin import identify, simulate_twin, write_twin
 from decoupler.twin.twin_file import read_twin
 from fem.array.closed_forms import layer_response
 from fem.array.sensitivities import ResponseSensitivities
+from fem.contact import Capsule, press, surface_compliance
 from geometry.design import Array, SensorDesign
 from geometry.errors import ArgumentError, DesignError
+from geometry.layout import pillar_volumes, rest_lengths
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.virtual import VirtualSensor
@@ -170,6 +174,33 @@ def test_a_twin_gives_each_environment_a_sensor_of_its_posterior(response, tmp_p
     np.testing.assert_allclose(found, drawn.resistance_ohm, rtol=1e-6)  # its draws are of single precision
     decoded = virtual.forces(torch.from_numpy(drawn.resistance_ohm)).numpy()
     np.testing.assert_allclose(decoded, twin.decoder.forces(drawn.resistance_ohm), atol=1e-8 * abs(decoded).max())
+
+
+def test_bodies_pressed_into_bare_rubber_read_as_contacts_do():
+    """Two environments: a ball here, another there, which goes. Forces to 5 %, readings to 3 % of their change."""
+    pair = SensorDesign(array=Array(rows=1, cols=2))
+    virtual = VirtualSensor(pair, environments=2, response=layer_response(pair))
+    ball = Capsule(6.0)
+    for depth in np.linspace(0.05, 0.6, 12):
+        reading = virtual.press(
+            [{"ball": (ball, (3.0, -2.0, 6.0 - depth), None)}, {"tool": (ball, (-6.0, 0.0, 0.0), 9.0)}]
+        )
+    expected = samples_of([press(surface_compliance(pair)[0], ball, 0.6, at_mm=(3.0, -2.0), friction=0.5)])
+    rest = pillar_resistances(rest_lengths(pair.unit), pillar_volumes(pair.unit), pair.resistivity_ohm_mm)
+    for found, known, part in (
+        (reading.force_n[0].numpy(), expected.force_n[0], 0.05),
+        (reading.resistance_ohm[0].numpy() - rest, expected.resistance_ohm[0] - rest, 0.03),
+    ):
+        assert np.linalg.norm(found - known) < part * np.linalg.norm(known)
+    assert not reading.force_n[0, 0, 0].any()
+    assert np.abs(reading.resistance_ohm[0, 0, 0].numpy() - rest).max() > 2.0  # the neighbour answers too
+    assert float(reading.force_n[1, ..., 2].sum()) == pytest.approx(9.0, rel=0.01)
+    assert [contact.error_estimate < 0.2 for contact in reading.contacts] == [True, True]
+    gone = virtual.press([{}, {"tool": (ball, (-6.0, 0.0, 7.0), None)}])
+    assert not gone.force_n.any()
+    assert gone.resistance_ohm[0].numpy() == pytest.approx(np.broadcast_to(rest, (1, 2, 3)))
+    with pytest.raises(ArgumentError, match="of 1 environments, expected 2"):
+        virtual.press([{}])
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,53 @@ def test_a_body_in_centimetres_and_other_contacts():
     assert contacts.left_out == 2
 
 
+def test_bodies_are_the_geoms_that_press_as_they_stand():
+    """A ball, a lying capsule, a tilted box and a mesh on a slab that is itself turned; a plane cannot press."""
+    geoms = {
+        "ball": 'type="sphere" size=".005" pos="-.03 0 .0149"',
+        "bar": 'type="capsule" size=".003 .004" zaxis="0 1 0" pos="-.01 0 .0129"',
+        "box": 'type="box" size=".004 .003 .002" euler="0 10 0" pos=".01 0 .0125"',
+        "rod": 'type="cylinder" size=".003 .004" zaxis="1 0 0" pos=".02 .01 .0129"',
+        "egg": 'type="ellipsoid" size=".003 .004 .005" pos=".02 -.01 .0149"',
+        "mesh": 'type="mesh" mesh="wedge" pos=".03 0 .0129"',
+    }
+    bodies = "".join(
+        f'<body name="{name}" pos="0 0 0"><freejoint/><geom name="{name}" {each}/></body>'
+        for name, each in geoms.items()
+    )
+    turned = bodies.replace("<body name", '<frame euler="0 30 0"><body name').replace("</body>", "</body></frame>")
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option gravity="0 0 0"/><asset>
+        <mesh name="wedge" vertex="-.004 -.004 .003  .004 -.004 .003  .004 .004 .003  -.004 .004 .003  0 0 -.003"/>
+        </asset>
+        <worldbody><frame euler="0 30 0"><geom name="top" type="box" size=".05 .05 .005" pos="0 0 .005"/>
+        <site name="frame"/></frame>{turned}</worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    found = ContactReader(model, site="frame", geom="top").bodies(data)
+    named = {model.geom(number).name: body for number, body in found.items()}
+    assert set(named) == set(geoms)
+    x, y = np.meshgrid(np.linspace(-4, 4, 81), np.linspace(-4, 4, 81))
+    for name, body in named.items():
+        depth_mm = -body.place_mm[2] - body.shape.lowest_mm
+        assert 0.05 < depth_mm < 0.5, name
+        assert body.normal_n > 0, name
+        assert np.nanmin(body.shape.heights_mm(x, y)) == pytest.approx(0.0, abs=0.05), name
+    assert named["ball"].place_mm == pytest.approx([-30.0, 0.0, 4.9], abs=1e-6)
+    assert abs(named["bar"].shape.turn[1, 2]) == pytest.approx(1.0)
+    assert named["ball"].shape.heights_mm(3.0, 4.0 - 1e-9) == pytest.approx(5.0, abs=1e-3)
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="1 1 1" zaxis="0 0 -1" pos="0 0 .0099"/><body><freejoint/>
+        <geom name="top" type="box" size=".05 .05 .005" pos="0 0 .005"/><site name="frame"/></body></worldbody>
+        </mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with pytest.raises(ArgumentError, match="geom 0 is a plane: sphere, capsule"):
+        ContactReader(model, site="frame", geom="top").bodies(data)
+
+
 def test_environments_are_stacked_with_points_that_do_not_press():
     model, data = settled()
     reader = ContactReader(model, site="frame", geom="top")
