@@ -18,7 +18,7 @@ from decoupler.touch.morph import PRIOR, Fit, Part, Sensing, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_volumes
+from geometry.layout import FloatArray
 
 STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
 STEPS = 4
@@ -120,23 +120,12 @@ class TouchDecoder:
         return Sensing(grid=self.library.grid, design=self.design)
 
     @cached_property
-    def mm2_per_ohm(self) -> FloatArray:
-        """Squared length of a pillar over its resistance, (m,)."""
-        own = pillar_volumes(self.design.unit) / self.design.resistivity_ohm_mm
-        return np.tile(own, self.rows * self.cols)
-
-    @cached_property
-    def rest_mm2(self) -> FloatArray:
-        """Squared lengths at rest, (m,)."""
-        return np.tile((self.sensing.rest_mm**2).sum(axis=1), self.rows * self.cols)
-
-    @cached_property
     def regression(self) -> Regression:
         return Regression(
             reading=self.sensing.reading(self.library.moved_mm.astype(float)).astype(np.float32),
             unit=self.library.unit.astype(np.float32),
             scale_mm2=2.0 * self.design.unit.height_mm,
-            noise=self._deviation(np.zeros(len(self.rest_mm2))),
+            noise=self.sensing.deviation(np.zeros_like(self.sensing.rest_mm2), self.errors),
         )
 
     def rest_resistances(self) -> FloatArray:
@@ -164,10 +153,7 @@ class TouchDecoder:
             raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {self.rows}, {self.cols}, 3).")
         if not (np.isfinite(ohms) & (ohms > 0)).all():
             raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
-        return ohms.reshape(len(ohms), -1) * self.mm2_per_ohm - self.rest_mm2
-
-    def _deviation(self, reading: FloatArray) -> FloatArray:
-        return self.errors.deviation((reading + self.rest_mm2) / self.mm2_per_ohm) * self.mm2_per_ohm
+        return ohms.reshape(len(ohms), -1) * self.sensing.mm2_per_ohm - self.sensing.rest_mm2
 
     def quick(self, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Forces and moments (units, 5) under a reading (m,) and their deviations, from the nearest presses alone."""
@@ -176,7 +162,7 @@ class TouchDecoder:
 
     def touched(self, reading: FloatArray) -> Touched:
         """Touch of one reading (m,) [mm²]."""
-        own = self._deviation(reading)
+        own = self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
         if at_rest < chdtri(len(reading), AT_REST):
             return self._resting(at_rest / len(reading))
@@ -187,7 +173,7 @@ class TouchDecoder:
 
     def followed(self, reading: FloatArray, last: Touched) -> Touched:
         """Touch of the scan after another: the fits go on, or are sought anew if they do not hold."""
-        own = self._deviation(reading)
+        own = self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
         if not last.fits or at_rest < chdtri(len(reading), AT_REST):
             return self.touched(reading)
@@ -223,7 +209,7 @@ class TouchDecoder:
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
-            chi2=min(fit.chi2 for fit in fits) / len(self.rest_mm2),
+            chi2=min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2),
             contacts=contacts_of(fits, weights),
             fits=tuple(fits),
         )

@@ -97,6 +97,28 @@ def surface_compliance(
     return kept("surface.npz", cache_key, make, partial(_read, design), _write)
 
 
+def endless_surface(design: SensorDesign) -> SurfaceCompliance:
+    """The same without what rims and pillars of another rubber add: an endless layer, in a second.
+
+    Raises
+    ------
+    DesignError
+        As `surface_compliance` does.
+    """
+    require_bare(design)
+    rows, cols = design.array.rows, design.array.cols
+    tiles = int(np.ceil(MIN_TILES / min(rows, cols)))
+    ny, nx = rows * tiles, cols * tiles
+    table, step_mm = _electrode_table(design)
+    return SurfaceCompliance(
+        design=design,
+        on_tiles=np.zeros((3, ny, nx, 3, ny, nx), dtype=np.float32),
+        on_electrodes=np.zeros((rows, cols, 2, 3, 3, ny, nx), dtype=np.float32),
+        table=table,
+        step_mm=step_mm,
+    )
+
+
 def tiles_per_pitch(design: SensorDesign) -> int:
     """Tiles along the side of a cell."""
     return int(np.clip(round(TILES_PER_HEIGHT * design.array.pitch_mm / design.unit.height_mm), MIN_TILES, MAX_TILES))

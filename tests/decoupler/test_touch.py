@@ -10,6 +10,7 @@ from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.library import presses_of, touch_library
+from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
@@ -108,7 +109,7 @@ def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder, contac
     part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
     light = part.units(np.zeros((1, 9)))[0]
     moved = part.moved(np.zeros((1, 9))) / light[:, 2].sum()  # of 1 N
-    ohms = (decoder.sensing.reading(moved) + decoder.rest_mm2) / decoder.mm2_per_ohm
+    ohms = (decoder.sensing.reading(moved) + decoder.sensing.rest_mm2) / decoder.sensing.mm2_per_ohm
     seen = READ.read(np.repeat(ohms.reshape(1, 4, 4, 3), 20, axis=0), generator)
     missed = np.abs(decoder.forces(seen).reshape(20, 16, 3) - light[:, :3] / light[:, 2].sum())
     assert missed[..., 2].max() < 1.1
@@ -134,6 +135,22 @@ def test_two_contacts_are_told_apart(decoder):
         assert one.centre_mm == pytest.approx(place, abs=1.0)
         pressed = Part.of(decoder.sensing, *presses_of([solved]).turned(0, 0, np.zeros(2))).contact(np.zeros((1, 9)))
         assert (np.abs(one.half_mm - pressed[0, 5:]) < 3 * one.half_deviation_mm).all()
+
+
+def test_soft_rubber_and_more_pillars_feel_touches_better(monkeypatch):
+    """What is linear knows force over stiffness: rubber half as stiff is a touch twice as heavy."""
+    monkeypatch.setattr("decoupler.touch.limits.TOUCHES", 8)
+    rubber = replace(DESIGN.matrix_material, young_mpa=DESIGN.matrix_material.young_mpa / 2)
+    soft = replace(DESIGN, matrix_material=rubber, pillar_material=rubber)
+    unit, array = replace(DESIGN.unit, span_mm=6.0), replace(DESIGN.array, pitch_mm=10.0)
+    close = replace(DESIGN, unit=unit, array=array, pad=replace(DESIGN.pad, size_mm=8.0))
+    known, heavy, softer, denser = (
+        np.array(touch_limits(design, force_n, READ))
+        for design, force_n in ((DESIGN, 10.0), (DESIGN, 20.0), (soft, 10.0), (close, 10.0))
+    )
+    assert softer == pytest.approx(heavy, rel=1e-3)
+    assert (softer < 0.8 * known).all()
+    assert (denser < 0.9 * known).all()
 
 
 def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):

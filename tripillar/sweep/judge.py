@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from dataset import Samples
-from dataset.measurement import measured
+from dataset.measurement import ReadingError, measured
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import effective_lengths, largest_factors, pillar_resistances
 from dataset.simulation import displacements, forces
@@ -18,6 +18,7 @@ from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.touch.limits import touch_limits
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign
@@ -46,6 +47,10 @@ def row_of(sample: Sample, judging: Judging) -> Row:
     try:
         response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
         metrics = metrics_of(response, judging.noise, judging.bits, judging.cap)
+        if judging.touch_n:
+            errors = ReadingError(noise=judging.noise, bits=judging.bits)
+            net, place = touch_limits(sample.design, judging.touch_n, errors)
+            metrics |= {"touch_net_pct": net, "touch_place_mm": place}
         row = replace(row, sensitivity_per_n=sensitivities(response))
     except FAILURES as error:
         return replace(row, reason=f"{type(error).__name__}: {error}", metrics=_cost(start))

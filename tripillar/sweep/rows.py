@@ -48,6 +48,8 @@ METRICS = {
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
     ),
+    "touch_net_pct": ("net force of a touch", "%", "least deviation of the normal force of a touch of touch_n, median"),
+    "touch_place_mm": ("place of a touch", "mm", "least deviation of its centre of pressure, median"),
     "area_cm2": ("area", "cm²", "footprint of the slab"),
     "volume_cm3": ("volume", "cm³", "volume of the slab"),
     "error_estimate": ("error of the response", "1", "estimated relative error of the response"),

@@ -28,6 +28,7 @@ class Judging:
     noise: float = quantity(1e-3, "relative standard deviation of a resistance")
     bits: int | None = None  #: of the converter; None reads exactly
     cap: float = quantity(0.3, "largest strain of a pillar")
+    touch_n: float = quantity(0.0, "normal force of a touch on bare rubber; 0: touches are not judged")
     train: bool = False  #: the joint network is trained as well
 
     def __post_init__(self) -> None:
@@ -36,6 +37,8 @@ class Judging:
         Imperfections(noise=self.noise, bits=self.bits)
         if not self.noise and self.bits is None:
             raise DesignError("noise=0 and no bits leave no error to compare designs by: give noise = 0.001.")
+        if self.touch_n < 0:
+            raise DesignError(f"touch_n={self.touch_n:g} must be 0 or more; 20 is a finger that presses.")
         if not 0 < self.cap < 1:
             raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
 
@@ -95,6 +98,10 @@ class Sweep:
         for name in (self.least, *self.bounds):
             if not isinstance(name, str) or name not in METRICS:
                 raise DesignError(f"no metric {name!r}; known are {', '.join(METRICS)}.")
+            if name.startswith("touch_") and not self.judging.touch_n:
+                raise DesignError(
+                    f"{name} needs touch_n, the normal force of a touch: write touch_n = 20.0 in [sweep]."
+                )
         if self.sampling == "grid":
             count = math.prod(len(variable.grid()) for variable in self.variables)
             if count > MAX_SAMPLES:

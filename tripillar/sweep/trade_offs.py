@@ -41,11 +41,13 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     least = escape(metric_label(sweep.least))
     outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
     table = Table(title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed")
-    for label in (*(variable.label for variable in sweep.variables), *map(metric_label, SHOWN)):
+    deciding = (sweep.least, *sweep.bounds)
+    shown = tuple(dict.fromkeys((*deciding, *SHOWN)))[: max(len(SHOWN), len(deciding))]
+    for label in (*(variable.label for variable in sweep.variables), *map(metric_label, shown)):
         table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
     for row in best[:count]:
         values = (f"{row.values[variable.name]:.4g}" for variable in sweep.variables)
-        table.add_row(*values, *(f"{row.metric(name):.3g}" for name in SHOWN))
+        table.add_row(*values, *(f"{row.metric(name):.3g}" for name in shown))
     return table
 
 

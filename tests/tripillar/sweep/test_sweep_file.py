@@ -71,10 +71,11 @@ def test_numbers_that_make_no_design_give_a_sample_with_the_reason():
 def test_a_row_is_known_by_its_design_and_how_it_is_judged():
     same = row_key(SensorDesign(), Judging())
     assert same == row_key(SensorDesign(), Judging())
-    other = [Judging(noise=2e-3), Judging(bits=12), Judging(tolerance=2e-2), Judging(cap=0.2), Judging(train=True)]
+    others = {"noise": 2e-3, "bits": 12, "tolerance": 2e-2, "cap": 0.2, "touch_n": 20.0, "train": True}
+    other = [Judging(**{name: value}) for name, value in others.items()]
     found = {row_key(SensorDesign(), judging) for judging in other}
     found.add(row_key(SensorDesign(resistivity_ohm_mm=3000.0), Judging()))
-    assert len(found | {same}) == 7
+    assert len(found | {same}) == 8
 
 
 def test_excess_is_relative_to_the_bound():
@@ -110,6 +111,9 @@ def test_excess_is_relative_to_the_bound():
         ({"vary": [PITCH], "sweep": {"tolerance": "fine"}}, "finite number"),
         ({"vary": [PITCH], "sweep": {"sampling": "random"}}, "choose sobol"),
         ({"vary": [PITCH], "sweep": {"least": "cost"}}, "no metric 'cost'; known are error_n"),
+        ({"vary": [PITCH], "sweep": {"least": "touch_net_pct"}}, r"needs touch_n, .* write touch_n = 20.0"),
+        ({"vary": [PITCH], "bounds": {"touch_place_mm": {"most": 1.0}}}, "touch_place_mm needs touch_n"),
+        ({"vary": [PITCH], "sweep": {"touch_n": -1.0}}, "touch_n=-1 must be 0 or more"),
         ({"vary": [PITCH], "bounds": {"range_n": 5}}, "must be written"),
         ({"vary": [PITCH], "bounds": {"range_n": {"least": 2, "most": 1}}}, "above most"),
         ({"vary": [PITCH], "design": {"pad": {"size_mm": 99.0}}}, "pads may touch"),

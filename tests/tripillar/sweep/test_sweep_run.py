@@ -1,8 +1,12 @@
 """The work of a sweep: whichever worker does it rows are the same, none is lost with one, no stage is made twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from dataset.measurement import ReadingError
+from decoupler.touch.limits import touch_limits
 from fem import ResponseSettings, solve_response
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -37,6 +41,16 @@ def known(row):
     costs = ("seconds", "peak")
     metrics = {name: value for name, value in row.metrics.items() if value is not None and not name.startswith(costs)}
     return (row.cache_key, row.values, row.design, row.reason), metrics
+
+
+def test_touches_are_judged_where_a_force_is_given(monkeypatch):
+    monkeypatch.setattr("decoupler.touch.limits.TOUCHES", 4)
+    design = SensorDesign(array=Array(rows=1, cols=2))
+    judging = replace(SWEEP.judging, touch_n=20.0)
+    row = row_of(sample(design), judging)
+    errors = ReadingError(noise=judging.noise, bits=judging.bits)
+    assert (row.metric("touch_net_pct"), row.metric("touch_place_mm")) == touch_limits(design, 20.0, errors)
+    assert "touch_net_pct" not in row_of(sample(design), SWEEP.judging).metrics
 
 
 def test_a_row_survives_its_file_and_a_torn_one_is_made_again(tmp_path):

@@ -1,0 +1,71 @@
+"""Touches as well as a design can know them: the bound of Cramér and Rao, before a press is solved."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dataset.measurement import ReadingError
+from decoupler.touch.morph import PRIOR, Part, Sensing, fitted
+from decoupler.touch.presses import Grid
+from fem.contact.surface import endless_surface
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray
+
+TOUCHES, SEED = 48, 0  #: that are drawn, the same of every design
+HALF_MM, FRICTION = (1.0, 6.0), 0.5  #: half axes of a touch's ellipse, and its largest shear over its pressure
+CELLS = 12  #: along its patch
+REACH = 3.0  #: heights from a touch within which units feel it
+
+
+def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> tuple[float, float]:
+    """Least deviations of a touch's normal force [%] and of its centre [mm], medians over `TOUCHES` touches.
+
+    Parameters
+    ----------
+    design : SensorDesign
+        Of linear rubber, soft pads and eq. 1. What pillars of another rubber and the slab's sides add is left out.
+    force_n : float
+        Normal force of every touch.
+    errors : ReadingError
+        Of a reading.
+
+    Raises
+    ------
+    DesignError
+        If the top is none of bare linear rubber.
+
+    Notes
+    -----
+    A touch is the pressure of Hertz on an ellipse, dragged. What is not known of it are the nine numbers by which the
+    decoder changes a press, with their priors; readings are linear in them nearby.
+    """
+    array, height_mm = design.array, design.unit.height_mm
+    n = 2 + int(np.ceil(2 * REACH * height_mm / array.pitch_mm))
+    array = replace(array, rows=min(array.rows, n), cols=min(array.cols, n))
+    near = replace(design, array=array)
+    sensing = Sensing(grid=Grid.of(endless_surface(near)), design=near)
+    generator, found = np.random.default_rng(SEED), []
+    for _ in range(TOUCHES):
+        part = Part.of(sensing, *_drawn(generator, array.pitch_mm, force_n))
+        zero = np.zeros((1, len(PRIOR)))
+        reading = sensing.reading(part.moved(zero))[0]
+        values, slopes = fitted(reading, sensing.deviation(reading, errors), [part], zero, 0).contacts()
+        deviation = np.sqrt((slopes[0] ** 2).sum(axis=-1))
+        found.append((100 * deviation[2] / values[0, 2], np.hypot(*deviation[3:5])))
+    net, place = np.median(found, axis=0)
+    return float(net), float(place)
+
+
+def _drawn(generator: np.random.Generator, pitch_mm: float, force_n: float) -> tuple[FloatArray, FloatArray]:
+    """Box (4,) [mm] and forces (3, CELLS, CELLS) [N] of a touch somewhere on a unit's square."""
+    at = pitch_mm * generator.uniform(-0.5, 0.5, 2)
+    half = HALF_MM[0] * (HALF_MM[1] / HALF_MM[0]) ** generator.uniform(size=2)
+    turn, way, friction = generator.uniform(size=3) * (np.pi, 2 * np.pi, FRICTION)
+    reach = half.max()
+    line = reach * ((np.arange(CELLS) + 0.5) * 2 / CELLS - 1)
+    x, y = line, line[:, None]
+    along, across = (x * np.cos(turn) + y * np.sin(turn)) / half[0], (y * np.cos(turn) - x * np.sin(turn)) / half[1]
+    pressing = np.sqrt(np.maximum(0.0, 1.0 - along**2 - across**2))
+    pressing *= force_n / pressing.sum()
+    cells = pressing * np.array([friction * np.cos(way), friction * np.sin(way), 1.0])[:, None, None]
+    return np.array([*(at - reach), *(at + reach)]), cells
