@@ -13,6 +13,7 @@ import numpy as np
 from dataset.resistance import largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
+from fem.contact.shapes import Turned
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
 from geometry.storage.netcdf import write_netcdf
@@ -94,8 +95,10 @@ def write_contact(contact: Contact, path: Path) -> None:
     write_netcdf(sample.assign(maps).assign_coords({**places, "direction": ["x", "y"]}).assign_attrs(story), path)
 
 
-def drawn_press(generator: np.random.Generator, surface: SurfaceCompliance, cells: int = CELLS) -> Contact:
-    """A random shape, pressed and dragged somewhere, on a grid of so many cells along its longer side."""
+def drawn_press(
+    generator: np.random.Generator, surface: SurfaceCompliance, cells: int = CELLS, own: Shape | None = None
+) -> Contact:
+    """A random shape, or one's own, turned, pressed and dragged somewhere, on so many cells along its longer side."""
     design = surface.design
     height, (wide, deep, _) = design.unit.height_mm, design.slab_mm
     turn = generator.uniform(0.0, 180.0)
@@ -108,7 +111,7 @@ def drawn_press(generator: np.random.Generator, surface: SurfaceCompliance, cell
     slide = height * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)
     return press(
         surface,
-        shapes[generator.integers(len(shapes))],
+        Turned(own, turn) if own is not None else shapes[generator.integers(len(shapes))],
         height * generator.uniform(*DEPTH),
         at_mm=(wide * generator.uniform(-0.5, 0.5), deep * generator.uniform(-0.5, 0.5)),
         slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),

@@ -143,9 +143,7 @@ def at_rest_and_lightly(decoder: TouchDecoder, scans: int, seed: int) -> dict[st
     unit = library.unit[rows].astype(float)
     light = 1.0 / unit[:, :, 2].sum(axis=1)
     moved = library.moved_mm[rows].astype(float) * light[:, None]
-    ohms = ((decoder.sensing.reading(moved) + decoder.sensing.rest_mm2) / decoder.sensing.mm2_per_ohm).reshape(
-        rest.shape
-    )
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(rest.shape)
     found: dict[str, float] = {}
     for name, exact, true_n in (("at rest", rest, 0 * unit), ("1 N", ohms, unit * light[:, None, None])):
         touches = decoder.touches(decoder.errors.read(exact, generator))

@@ -10,11 +10,11 @@ from numpy.linalg import norm
 from scipy.special import chdtri
 
 from dataset.measurement import ReadingError
-from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.touch.contacts import TouchContact, contacts_of
 from decoupler.touch.morph import PRIOR, Fit, Part, Sensing, fitted
+from decoupler.touch.pillars import Pillars
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
 from geometry.design import SensorDesign
@@ -80,11 +80,17 @@ class TouchDecoder:
     design: SensorDesign
     errors: ReadingError
     library: TouchLibrary
+    pillars: Pillars
     made_from: dict[str, Any] = field(default_factory=dict)
 
     dead = ensemble = usual = inverse = load_test = least_squares = uncertainty = posterior = None
-    is_identified, knows_uncertainty = False, True
+    knows_uncertainty = True
     knows_touch: ClassVar[Literal[True]] = True
+
+    @property
+    def is_identified(self) -> bool:
+        """It is of one sensor, as `identify` found it."""
+        return bool(self.pillars.deviation_ohm.any())
 
     @property
     def rows(self) -> int:
@@ -117,7 +123,7 @@ class TouchDecoder:
 
     @cached_property
     def sensing(self) -> Sensing:
-        return Sensing(grid=self.library.grid, design=self.design)
+        return Sensing(grid=self.library.grid, design=self.design, pillars=self.pillars)
 
     @cached_property
     def regression(self) -> Regression:
@@ -129,8 +135,8 @@ class TouchDecoder:
         )
 
     def rest_resistances(self) -> FloatArray:
-        """Resistances (rows, cols, 3) [Ω] as designed, with nothing on the sensor."""
-        return np.broadcast_to(rest_resistances(self.design), (self.rows, self.cols, 3))
+        """Resistances (rows, cols, 3) [Ω] with nothing on the sensor."""
+        return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, 3)
 
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
@@ -153,7 +159,7 @@ class TouchDecoder:
             raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {self.rows}, {self.cols}, 3).")
         if not (np.isfinite(ohms) & (ohms > 0)).all():
             raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
-        return ohms.reshape(len(ohms), -1) * self.sensing.mm2_per_ohm - self.sensing.rest_mm2
+        return self.sensing.shown(ohms.reshape(len(ohms), -1))
 
     def quick(self, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Forces and moments (units, 5) under a reading (m,) and their deviations, from the nearest presses alone."""

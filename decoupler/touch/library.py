@@ -15,7 +15,7 @@ import numpy as np
 from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
-from fem.contact import Contact, ContactError, surface_compliance
+from fem.contact import Contact, ContactError, Solid, surface_compliance
 from fem.contact.surface import Patch, SurfaceCompliance
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
@@ -25,6 +25,7 @@ from geometry.threads import one_blas_thread
 
 VERSION = 2  #: raise when the same design gives another library
 PRESSES = 5000  #: that are solved
+OWN = 500  #: of each shape that is one's own
 CELLS = 18  #: of a press's grid along its longer side
 SEED = 6
 SHIFTS = 8  #: places more of a press that has room on the slab
@@ -47,7 +48,10 @@ def presses_of(contacts: Sequence[Contact]) -> Presses:
 
 
 def touch_library(
-    design: SensorDesign, presses: int = PRESSES, progress: Callable[[int], None] = lambda done: None
+    design: SensorDesign,
+    presses: int = PRESSES,
+    progress: Callable[[int], None] = lambda done: None,
+    shapes: Sequence[Solid] = (),
 ) -> tuple[TouchLibrary, Path, bool]:
     """Library of a sensor with bare rubber, its file, and whether it was there already.
 
@@ -59,6 +63,8 @@ def touch_library(
         Number of contacts to solve.
     progress : function
         Called with the number of presses that were solved since.
+    shapes : sequence of Solid
+        One's own, by `read_solid`, each pressed `OWN` times as well.
 
     Raises
     ------
@@ -66,24 +72,31 @@ def touch_library(
         As `surface_compliance` does.
     """
     surface = surface_compliance(design)[0]
-    cache_key = digest("touch library", VERSION, presses, CELLS, SEED, SHIFTS, surface.cache_key)
+    maps = [part.tobytes() for shape in shapes for part in (shape.x_mm, shape.y_mm, shape.map_mm)]
+    cache_key = digest("touch library", VERSION, presses, CELLS, SEED, SHIFTS, surface.cache_key, *maps)
 
     def make() -> TouchLibrary:
-        solved = presses_of(list(_solved(surface, presses, progress)))
+        solved = presses_of(list(_solved(surface, presses, progress, shapes)))
         return _spread_out(solved, surface, cache_key)
 
     return kept("touch.npz", cache_key, make, _read, _write)
 
 
-def _solved(surface: SurfaceCompliance, presses: int, progress: Callable[[int], None]) -> Iterator[Contact]:
-    def solve(number: int) -> Contact | None:
+def _solved(
+    surface: SurfaceCompliance, presses: int, progress: Callable[[int], None], shapes: Sequence[Solid]
+) -> Iterator[Contact]:
+    def solve(task: tuple[int, int]) -> Contact | None:
+        kind, number = task  # kind 0 is of shapes that are drawn
+        own = shapes[kind - 1] if kind else None
         try:
-            return drawn_press(np.random.default_rng([SEED, 0, number]), surface, CELLS)
+            return drawn_press(np.random.default_rng([SEED, kind, number]), surface, CELLS, own)
         except ContactError:  # it misses the sensor
             return None
 
+    tasks = [(0, number) for number in range(presses)]
+    tasks += [(1 + k, number) for k in range(len(shapes)) for number in range(OWN)]
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-        for contact in pool.map(solve, range(presses)):
+        for contact in pool.map(solve, tasks):
             progress(1)
             if contact is not None:
                 yield contact

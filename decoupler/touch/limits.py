@@ -6,6 +6,7 @@ import numpy as np
 
 from dataset.measurement import ReadingError
 from decoupler.touch.morph import PRIOR, Part, Sensing, fitted
+from decoupler.touch.pillars import Pillars
 from decoupler.touch.presses import Grid
 from fem.contact.surface import endless_surface
 from geometry.design import SensorDesign
@@ -43,7 +44,7 @@ def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> 
     n = 2 + int(np.ceil(2 * REACH * height_mm / array.pitch_mm))
     array = replace(array, rows=min(array.rows, n), cols=min(array.cols, n))
     near = replace(design, array=array)
-    sensing = Sensing(grid=Grid.of(endless_surface(near)), design=near)
+    sensing = Sensing(grid=Grid.of(endless_surface(near)), design=near, pillars=Pillars.designed(near))
     generator, found = np.random.default_rng(SEED), []
     for _ in range(TOUCHES):
         part = Part.of(sensing, *_drawn(generator, array.pitch_mm, force_n))

@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from dataset.measurement import ReadingError
+from decoupler.touch.pillars import Pillars
 from decoupler.touch.presses import UPWARDS, Grid
 from geometry.design import SensorDesign
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
@@ -30,6 +31,7 @@ class Sensing:
 
     grid: Grid
     design: SensorDesign
+    pillars: Pillars
 
     @cached_property
     def rest_mm(self) -> FloatArray:
@@ -38,19 +40,22 @@ class Sensing:
         return np.asarray(top - bottom)
 
     @cached_property
-    def mm2_per_ohm(self) -> FloatArray:
-        """Squared length of a pillar over its resistance, (3 units,)."""
-        own = pillar_volumes(self.design.unit) / self.design.resistivity_ohm_mm
-        return np.tile(own, self.design.n_units)
-
-    @cached_property
     def rest_mm2(self) -> FloatArray:
         """Squared lengths at rest, (3 units,)."""
         return np.tile((self.rest_mm**2).sum(axis=1), self.design.n_units)
 
+    def ohms(self, reading: FloatArray) -> FloatArray:
+        """Resistances [Ω] by readings, both (..., 3 units)."""
+        return (reading + self.rest_mm2) * self.pillars.ohm_per_mm2 + self.pillars.offset_ohm
+
+    def shown(self, ohms: FloatArray) -> FloatArray:
+        """Readings that resistances show, the inverse of `ohms`."""
+        return (ohms - self.pillars.offset_ohm) / self.pillars.ohm_per_mm2 - self.rest_mm2
+
     def deviation(self, reading: FloatArray, errors: ReadingError) -> FloatArray:
         """Standard deviation of a reading, of its shape [mm²]."""
-        return errors.deviation((reading + self.rest_mm2) / self.mm2_per_ohm) * self.mm2_per_ohm
+        own = errors.deviation(self.ohms(reading))
+        return np.hypot(own, self.pillars.deviation_ohm) / self.pillars.ohm_per_mm2
 
     def reading(self, moved_mm: FloatArray) -> FloatArray:
         """Changes of the pillars' squared lengths (n, 3 units) [mm²] by displacements (n, e) of electrodes [mm]."""

@@ -12,7 +12,7 @@ from geometry.errors import FileFormatError
 from geometry.storage.files import stated
 
 AnyDecoder = Decoupler | TouchDecoder  #: of loads on pads, or of whatever presses
-FORMAT = "tripillar-touch-1"
+FORMAT = "tripillar-touch-2"
 _MEND = "make it anew with 'tripillar train --touch'"
 
 

@@ -132,6 +132,20 @@ class Solid(Upright):
 
 
 @dataclass(frozen=True, eq=False)
+class Turned(Upright):
+    """A shape turned about z."""
+
+    shape: Shape
+    turn_deg: float  #: from x towards y
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        return self.shape.heights_mm(*_turned(x_mm, y_mm, self.turn_deg))
+
+    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        return _box(*self.shape.half_extents_mm(height_mm), self.turn_deg)
+
+
+@dataclass(frozen=True, eq=False)
 class Capsule:
     """All points within a radius of a line along its own z, about its middle; without a length a ball."""
 

@@ -12,6 +12,7 @@ from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, fitted
+from decoupler.touch.pillars import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, press, surface_compliance
@@ -25,7 +26,9 @@ N = 25
 
 @pytest.fixture(scope="module")
 def decoder(module_cache):
-    return TouchDecoder(design=DESIGN, errors=READ, library=touch_library(DESIGN, 150)[0])
+    return TouchDecoder(
+        design=DESIGN, errors=READ, library=touch_library(DESIGN, 150)[0], pillars=Pillars.designed(DESIGN)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +49,7 @@ def contacts(module_cache):
     return simulate(response, settings)
 
 
-@pytest.mark.parametrize("symmetry", range(8))
+@pytest.mark.parametrize("symmetry", [3, 4, 6])  # the three mirrors, alone and one after another
 def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
     """A bar pressed and dragged, solved anew in each symmetry: electrodes and loads of units, to the grids' error."""
     surface = surface_compliance(DESIGN)[0]
@@ -109,7 +112,7 @@ def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder, contac
     part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
     light = part.units(np.zeros((1, 9)))[0]
     moved = part.moved(np.zeros((1, 9))) / light[:, 2].sum()  # of 1 N
-    ohms = (decoder.sensing.reading(moved) + decoder.sensing.rest_mm2) / decoder.sensing.mm2_per_ohm
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(moved))
     seen = READ.read(np.repeat(ohms.reshape(1, 4, 4, 3), 20, axis=0), generator)
     missed = np.abs(decoder.forces(seen).reshape(20, 16, 3) - light[:, :3] / light[:, 2].sum())
     assert missed[..., 2].max() < 1.1

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import tripillar as tp
 from dataset import read_samples
@@ -20,8 +21,14 @@ def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("decoupler.touch.library.PRESSES", 60)
+        patch.setattr("decoupler.touch.library.OWN", 5)
         made = house.result("train", "--touch", "--design", "small.toml", "-o", "touch.safetensors", "-q")
         assert 30 < made["presses"] <= 60
+        trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
+        more = house.result(
+            "train", "--touch", "--shape", "tool.stl", "--design", "small.toml", "-o", "t.safetensors", "-q"
+        )
+        assert made["presses"] < more["presses"] <= made["presses"] + 5
         assert made["rows"] > 3 * made["presses"]
         assert house.result("train", "--touch", "--design", "small.toml", "-o", "t.safetensors", "-q")["reused"]
     house.result(
@@ -66,6 +73,13 @@ def test_a_recording_is_replayed_and_shown_with_it(house):
 def test_what_a_decoder_of_touch_cannot_is_refused(house):
     said = house.refusal("export", "--model", "touch.safetensors", "-o", "m.h")
     assert "is a decoder of touch: export takes a model of loads on pads" in said
+    (house.folder / "text.stl").write_text("no solid")
+    for words, told in (
+        (("--touch", "--shape", "none.stl"), "there is no such file"),
+        (("--touch", "--shape", "text.stl"), "holds no triangles"),
+        (("--data", "indent.nc", "--shape", "tool.stl"), "is of decoders of touch"),
+    ):
+        assert told in house.refusal("train", *words, "-o", "none.safetensors")
     tp.write(tp.dataset(tp.SensorDesign(), samples=5), house.folder / "large.nc")
     assert "rows: model 1, data 6" in house.refusal("evaluate", "--model", "touch.safetensors", "--data", "large.nc")
 
@@ -96,3 +110,26 @@ def test_a_decoder_of_pads_says_that_contacts_are_none_of_its_loads(house):
     assert "warning" not in tested["pads2.nc"]
     assert "of these readings, so errors of pads.safetensors are large" in tested["indent.nc"]
     assert "seem" not in tested["indent.nc"]  # no mistake is named that explains nothing
+
+
+def test_a_sensor_as_made_is_felt_by_its_twin(house, monkeypatch):
+    """Ten pairs on pads lead to its own library and pillars; errors are as of one as designed."""
+    monkeypatch.setattr("decoupler.touch.library.PRESSES", 60)
+    made = (house.folder / "small.toml").read_text()
+    (house.folder / "made.toml").write_text(f"{made}[unit]\nheight_mm = 10.3\n")
+    as_made = (
+        "--gain-spread", "0.1", "--offset", "40", "--specimen", "3", "--noise", "0.001", "--bits", "12",
+        "--design", "made.toml", "-q",
+    )  # fmt: skip
+    house.result("dataset", "--protocol", "three-axis", "--samples", "10", "--seed", "1", *as_made, "-o", "pairs.nc")
+    house.result("dataset", "--protocol", "indent", "--samples", "12", "--seed", "5", *as_made, "-o", "made.nc")
+    own = ("-o", "own.safetensors", "--twin", "own.toml", "-q")
+    house.result("identify", "--data", "pairs.nc", "--design", "small.toml", *own)
+    house.result("train", "--touch", "--design", "own.toml", "-o", "own-touch.safetensors", "-q")
+    found = house.result("evaluate", "--model", "own-touch.safetensors", "--data", "made.nc", "-q")
+    designed = house.result("evaluate", "--model", "touch.safetensors", "--data", "indent.nc", "-q")
+    assert found["fz"]["rmse_n"] < 1.3 * designed["fz"]["rmse_n"]
+    assert found["net"]["centre_mm"] < 1.3 * designed["net"]["centre_mm"]
+    said = house.refusal("evaluate", "--model", "touch.safetensors", "--data", "made.nc", "-q")
+    assert "trained for another sensor" in said
+    assert tp.read_model(house.folder / "own-touch.safetensors").is_identified

@@ -55,6 +55,7 @@ def train(
     component: Component | None = None,
     *,
     touch: bool = False,
+    shape: list[File] | None = None,
     out: Annotated[File | None, Parameter(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
@@ -78,7 +79,10 @@ def train(
     component : str, optional
         Forces that the network tells, along one axis or all; default: those that act.
     touch : bool
-        Make a decoder of whatever presses on bare rubber, from presses that are solved for the design: 4 minutes, once.
+        Make a decoder of whatever presses on bare rubber, from presses that are solved for the design, or for a twin's
+        own sensor: 4 minutes, once.
+    shape : list of path, optional
+        STL files of tools that press: a decoder of touches knows them as well.
     out : path, optional
         Model file to write (.safetensors).
     net : str
@@ -137,7 +141,9 @@ def train(
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return touch_decoder(design_of(design), to_write("out", out, ".safetensors", read=(design,)))
+        return touch_decoder(design, to_write("out", out, ".safetensors", read=(design,)), shape or ())
+    if shape:
+        raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
         raise DesignError("give data=, samples to train on; or touch=True.")
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
