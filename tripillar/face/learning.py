@@ -294,7 +294,7 @@ class Asked:
 def _asked(
     *, component: Component | None, net: Net, hidden: int, feature: Feature, design: "DesignLike | None",
     response: "ArrayResponse | None", force: bool, settings: dict[str, Any], data: object = None, out: object = None,
-    touch: bool = False, **training: Any,
+    touch: bool = False, shape: object = None, **training: Any,
 ) -> Asked:  # fmt: skip
     """What `train` is asked by its arguments."""
     from decoupler.model.settings import TrainingConfig
