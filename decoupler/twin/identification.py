@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
@@ -42,43 +42,18 @@ MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """One sensor as its pairs show it; P pillars are those that its decoder reads."""
+    """One sensor as its pairs show it."""
 
     design: SensorDesign | None  #: as it was meant; None if no design was stated
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
-    parameters: dict[str, tuple[float, float]]  #: most probable value and standard deviation, by the design's keys
-    covariance: FloatArray  #: of the parameters in their order, over their deviations before any pair, (k, k)
-    resistivity: float  #: over the design's
-    gain: FloatArray  #: of each pillar, (P,)
-    gain_deviation: FloatArray  #: (P,)
-    offset_ohm: FloatArray  #: (P,)
-    offset_deviation_ohm: FloatArray  #: (P,)
-    excess: float  #: χ² of the readings over their number: 1 if all is as modelled
     posterior: Specimen
     next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
-    @classmethod
-    def of(cls, found: Specimen, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
-        """The twin of a posterior."""
-        expected, state = found.expected, found.state
-        resistivity = expected.parts(state.shared)[1]
-        deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
-        rows = zip(found.values.items(), deviations, strict=True)
-        return cls(
-            design=design,
-            decoder=decoder,
-            n_pairs=n_pairs,
-            parameters={name: (value, float(deviation)) for (name, value), deviation in rows},
-            covariance=found.covariance,
-            resistivity=math.exp(expected.widths.resistivity * resistivity[0]),
-            gain=expected.gain(state),
-            gain_deviation=found.gain_deviation,
-            offset_ohm=expected.offset_ohm(state),
-            offset_deviation_ohm=found.offset_deviation_ohm,
-            excess=found.excess,
-            posterior=found,
-        )
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Most probable value and standard deviation of each parameter, by the design's keys."""
+        return self.posterior.parameters
 
 
 def identify(
@@ -158,7 +133,7 @@ def identify(
             expected = expected.at_strain(at_strain.forward, by_weights)
             if response.conducted is not None:  # by eq. 1 changes add up to 0.05 %
                 first = infer(expected, readings, draws=1)
-                expected = expected.at_strain(near.about_pads(first.values, by_weights), by_weights)
+                expected = expected.at_strain(near.about_pads({name: value for name, (value, _) in first.parameters.items()}, by_weights), by_weights)
             progress(0.1)
         found = infer(
             expected,
@@ -174,7 +149,7 @@ def identify(
             decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)
             if n > 1 and response is not None and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
-    return Twin.of(found, decoder.design, decoder, n)
+    return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
 
 
 def _contradicted(found: Specimen, stated: Widths) -> bool:

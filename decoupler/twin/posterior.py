@@ -4,6 +4,7 @@ What all pillars share is solved for together; what is a pillar's own is margina
 Widths that nobody states follow from the pairs, too.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -49,11 +50,27 @@ class Specimen:
         return self.expected.sensor(self.state)
 
     @property
-    def values(self) -> dict[str, float]:
-        """Most probable values of the parameters, by the design's keys."""
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Most probable value and standard deviation of each parameter, by the design's keys."""
         expected = self.expected
         values = expected.values + expected.deviations * expected.parts(self.state.shared)[0]
-        return dict(zip(expected.names, values.tolist(), strict=True))
+        deviations = expected.deviations * np.sqrt(self.covariance.diagonal())
+        return dict(zip(expected.names, zip(values.tolist(), deviations.tolist(), strict=True), strict=True))
+
+    @property
+    def resistivity(self) -> float:
+        """Of all pillars together, over the design's."""
+        return math.exp(self.expected.widths.resistivity * self.expected.parts(self.state.shared)[1][0])
+
+    @property
+    def gain(self) -> FloatArray:
+        """Of each pillar, (P,)."""
+        return self.expected.gain(self.state)
+
+    @property
+    def offset_ohm(self) -> FloatArray:
+        """Of each pillar, (P,)."""
+        return self.expected.offset_ohm(self.state)
 
 
 def infer(
