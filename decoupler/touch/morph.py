@@ -7,14 +7,16 @@ y, the turn, drag added as a share of the pressure along x and y, and the logari
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.touch.pillars import Pillars
+from decoupler.model.decoupler import Decoupler
 from decoupler.touch.presses import UPWARDS, Grid
 from geometry.design import SensorDesign
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
+from geometry.errors import DesignError
+from geometry.layout import AXES, PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
@@ -23,6 +25,30 @@ POINTS = 12  #: along each side of a patch, at which its forces act at most
 INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, their forces taken away
 DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
 MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pillars:
+    """Eq. 1 of each pillar, R = c l² + o."""
+
+    ohm_per_mm2: FloatArray  #: c, (3 units,): ρ/V, times the pillar's own gain
+    offset_ohm: FloatArray  #: o, (3 units,)
+    deviation_ohm: FloatArray  #: (3 units,): standard deviation of R at rest, as far as pairs leave it open
+
+    @classmethod
+    def designed(cls, design: SensorDesign) -> Self:
+        """As designed."""
+        own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
+        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own, deviation_ohm=0.0 * own)
+
+    @classmethod
+    def identified(cls, decoder: Decoupler) -> Self:
+        """Of an identified sensor, by the decoder that `identify` made of it; `DesignError` if of some forces alone."""
+        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
+        forward = decoder.inverse.forward
+        at_rest = decoder.ensemble.differences(forward, np.zeros((1, forward.n_forces)))[0]
+        return cls(ohm_per_mm2=forward.ohm_per_mm2, offset_ohm=forward.offset_ohm, deviation_ohm=at_rest.std(axis=0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

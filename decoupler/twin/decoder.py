@@ -32,20 +32,8 @@ def decoder_of(
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
-    Parameters
-    ----------
-    found : Specimen
-    component : Component
-    size : tuple
-        Rows and columns of the array.
-    loads_n : array, shape (n, Q)
-        Usual loads [N]; rest and light touches are added.
-    errors : ReadingError
-        Of the readings that it will take.
-    design : SensorDesign, optional
-        The design that was meant.
-    dead : array, shape (rows, cols, 3), optional
-        Pillars that are not read.
+    `size` are rows and columns, `loads_n` (n, Q) usual loads [N], to which rest and light touches are added, `errors`
+    those of the readings that it will take, `dead` (rows, cols, 3) pillars that are not read.
 
     Notes
     -----

@@ -132,8 +132,9 @@ def identify(
             by_weights = near.by_parameters(lambda part: progress(0.5 * part))
             expected = expected.at_strain(at_strain.forward, by_weights)
             if response.conducted is not None:  # by eq. 1 changes add up to 0.05 %
-                first = infer(expected, readings, draws=1)
-                expected = expected.at_strain(near.about_pads({name: value for name, (value, _) in first.parameters.items()}, by_weights), by_weights)
+                first = infer(expected, readings, draws=1).parameters
+                values = {name: value for name, (value, _) in first.items()}
+                expected = expected.at_strain(near.about_pads(values, by_weights), by_weights)
             progress(0.1)
         found = infer(
             expected,

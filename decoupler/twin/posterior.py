@@ -80,18 +80,12 @@ def infer(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Specimen:
-    """Infer a sensor from pairs.
+    """Infer a sensor from pairs, with an ensemble of so many draws; `progress` is told each step's part of the whole.
 
-    Parameters
-    ----------
-    expected : Expectation
-    readings : Readings
-    draws : int
-        Size of the ensemble.
-    seed : int
-        Of its draws.
-    progress : callable
-        Called with the part of the whole that each step takes.
+    Raises
+    ------
+    SampleError
+        If no pair has forces that finite strain knows.
 
     Notes
     -----

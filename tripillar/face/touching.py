@@ -20,7 +20,7 @@ def touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[
     from dataset.measurement import ReadingError
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
-    from decoupler.touch.pillars import Pillars
+    from decoupler.touch.morph import Pillars
     from decoupler.touch.touch_file import write_touch
     from decoupler.twin.twin_file import read_twin
     from fem.contact import read_solid
