@@ -1,6 +1,7 @@
 """Touch on the command line and live: `train --touch`, `evaluate`, `live` and `replay` with its file."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,13 @@ import trimesh
 
 import tripillar as tp
 from dataset import DatasetSettings, read_samples, simulate
+from decoupler.data.pairs import Pairs
+from decoupler.twin import identify
 from fem.array.closed_forms import layer_response
 from hardware.link.frames import Info, ScanMode
+from tests.decoupler.synthetic_sensor import layer_sensitivities
 from tests.hardware.boards import recording_from_resistances
-from tests.house import House
+from tests.house import SMALL, House
 
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
 READ = ("--noise", "0.001", "--bits", "12", "-q", "-o")
@@ -25,10 +29,10 @@ def house(tmp_path_factory):
     """Contacts with a small sensor, and a decoder that was made of few presses."""
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("decoupler.touch.library.PRESSES", 30)
+        patch.setattr("decoupler.touch.library.PRESSES", 40)
         patch.setattr("decoupler.touch.library.OWN", 3)
         made = house.result(*TRAIN, "small.toml", "-o", "touch.safetensors")
-        assert 15 < made["presses"] <= 30
+        assert 20 < made["presses"] <= 40
         assert made["rows"] > 3 * made["presses"]
         assert house.result(*TRAIN, "small.toml", "-o", "t.safetensors")["reused"]
         trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
@@ -101,14 +105,15 @@ def test_a_decoder_of_pads_says_that_contacts_are_none_of_its_loads(house):
 
 def test_a_sensor_as_made_is_felt_by_its_twin(house, monkeypatch):
     """Ten pairs on pads lead to its own library and pillars; errors are as of one as designed."""
-    monkeypatch.setattr("decoupler.touch.library.PRESSES", 30)
-    small = (house.folder / "small.toml").read_text()
-    (house.folder / "made.toml").write_text(f"{small}[unit]\nheight_mm = 10.3\n")
-    made = ("--gain-spread", "0.1", "--offset", "40", "--specimen", "3", "--design", "made.toml", *READ)
-    house.result(*PADS, "10", "--seed", "1", *made, "pairs.nc")
-    house.result(*INDENT, *made, "made.nc")
-    own = ("-o", "own.safetensors", "--twin", "own.toml", "-q")
-    house.result("identify", "--data", "pairs.nc", "--design", "small.toml", *own)
+    monkeypatch.setattr("decoupler.touch.library.PRESSES", 40)
+    (house.folder / "made.toml").write_text(f"{SMALL}[unit]\nheight_mm = 10.3\n")
+    meant, made = (tp.read_design(house.folder / name) for name in ("small.toml", "made.toml"))
+    specimen = {"gain_spread": 0.1, "offset_ohm": 40.0, "specimen": 3}
+    settings = DatasetSettings(protocol="three-axis", samples=10, seed=1, noise=0.001, bits=12, **specimen)
+    pairs = Pairs.of(replace(simulate(layer_response(made), settings).labels(), design=meant))
+    tp.write(identify(pairs, layer_response(meant), layer_sensitivities(meant)), house.folder / "own.toml")
+    as_made = ("--gain-spread", "0.1", "--offset", "40", "--specimen", "3", "--design", "made.toml")
+    house.result(*INDENT, *as_made, *READ, "made.nc")
     house.result(*TRAIN, "own.toml", "-o", "own-touch.safetensors")
     evaluate = ("evaluate", "-q", "--model")
     found = house.result(*evaluate, "own-touch.safetensors", "--data", "made.nc")

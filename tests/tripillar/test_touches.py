@@ -8,8 +8,7 @@ import pytest
 from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
-from fem.array.sensitivities import ResponseSensitivities
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import labelled, response, sensor, softness
 from tripillar.pipeline.comparison import TOUCHES_N, touches
 from tripillar.pipeline.manufactured import READ, SPECIMEN
 
@@ -26,13 +25,7 @@ def rows():
     pairs = labelled(SENSOR, "z", n_samples=10, seed=1)
     specimen_ohm = SPECIMEN.apply(pairs.resistance_ohm, np.random.default_rng(0))
     pairs = Pairs.of(replace(pairs, resistance_ohm=specimen_ohm, noise=SPECIMEN.noise))
-    softness = ResponseSensitivities(
-        design=SENSOR,
-        parameters=("rubber.young_mpa",),
-        deviation=np.array([0.6]),
-        influence_mm_per_n=-RESPONSE.influence_mm_per_n[None] / 6.1,
-    )
-    identified = identify(pairs, RESPONSE, softness).decoder
+    identified = identify(pairs, RESPONSE, softness(SENSOR)).decoder
     found = touches({"ours": model.forces}, model, identified, RESPONSE, truth)
     return {row.decoupler: row for row in found}
 
