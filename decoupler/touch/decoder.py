@@ -23,7 +23,9 @@ STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of t
 STEPS = 4
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 CONSIDERED = 400  #: nearest rows among which starts are sought
-SHARE = 0.8  #: of the fitted presses in the answer, beside the nearest ones' forces
+#: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
+#: 1.3, where no press of the library explains the scan
+SHARES, AT_CHI2 = (0.9, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS = 4
@@ -32,7 +34,7 @@ JUMP = 1.0  #: of the reading from scan to scan, as a share of its size, likewis
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
-AT_REST = 1e-4  #: share of scans at rest that are taken for a touch
+AT_REST = 1e-6  #: share of scans at rest that are taken for a touch
 HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
 WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: these have wider tails than normal ones
 
@@ -204,7 +206,8 @@ class TouchDecoder:
         weights /= weights.sum()
         answers = [fit.loads() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
-        share = 1.0 if near is None else SHARE
+        chi2 = min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2)
+        share = 1.0 if near is None else float(np.interp(chi2, AT_CHI2, SHARES))
         near = morphed if near is None else near
         touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
         blend = share * morphed + (1.0 - share) * near
@@ -220,7 +223,7 @@ class TouchDecoder:
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
-            chi2=min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2),
+            chi2=chi2,
             contacts=_contacts(fits, weights),
             fits=tuple(fits),
         )

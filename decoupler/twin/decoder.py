@@ -91,13 +91,12 @@ def decoder_at_strain(
     design: SensorDesign,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
-    seed: int = 0,
 ) -> Decoupler:
     """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
 
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, seed, found.ensemble)
+    drawn = drawn_samples(own, loads_n, design, errors, 0, found.ensemble)
     decoder = refined(own, drawn, design)
     return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

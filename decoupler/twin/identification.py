@@ -63,8 +63,6 @@ def identify(
     component: str | None = None,
     loads_n: FloatArray | None = None,
     at_strain: Posterior | None = None,
-    draws: int | None = None,
-    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Twin:
     """Identify a sensor from measured pairs.
@@ -85,10 +83,6 @@ def identify(
         pairs', or at finite strain those that the design has seen. Images of them fill the array.
     at_strain : Posterior, optional
         Of the design at finite strain: that of a decoder which was trained on its samples. Needs the derivatives.
-    draws : int, optional
-        Sensors that are drawn from the posterior, for deviations; default: `DRAWN`.
-    seed : int
-        Of these draws.
     progress : callable
         Called with the part of the whole that each step takes.
 
@@ -97,15 +91,14 @@ def identify(
     SampleError
         If the pairs are of another array, none presses the sensor, or no pair has forces that finite strain knows.
     """
-    known_n = None if response is None else loads_n
-    parts = component_named("all" if at_strain is not None else component or acting(pairs, known_n))
+    of_pairs = component or acting(pairs, None if response is None else loads_n)
+    parts = component_named(of_pairs if at_strain is None else "all")
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     design = None if response is None else response.design
-    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(
-        None if design is None else design.electrics
-    )
-    readings = readings_of(pairs, axes, pillars, errors)
+    drifts = None if design is None else design.electrics
+    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(drifts)
+    readings, most = readings_of(pairs, axes, pillars, errors), LOADS if at_strain is None else DRAWS
     if response is None or design is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
@@ -113,13 +106,13 @@ def identify(
         if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
         if loads_n is None:
-            loads_n = loads_like(pairs.force_n, axes, design, LOADS if at_strain is None else DRAWS)
+            loads_n = loads_like(pairs.force_n, axes, design, most)
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
     usual_n = loads_n[..., axes]
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    usual_n = images_of(usual_n, axes, LOADS if at_strain is None else DRAWS)
+    usual_n = images_of(usual_n, axes, most)
     usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
@@ -136,15 +129,9 @@ def identify(
                 values = {name: value for name, (value, _) in first.items()}
                 expected = expected.at_strain(near.about_pads(values, by_weights), by_weights)
             progress(0.1)
-        found = infer(
-            expected,
-            readings,
-            draws or DRAWN[at_strain is not None],
-            seed,
-            lambda part: progress(share * part),
-        )
+        found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
         if at_strain is not None and design is not None:
-            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from, seed)
+            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from)
             progress(0.2)
         else:
             decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)

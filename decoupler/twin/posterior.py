@@ -77,7 +77,6 @@ def infer(
     expected: Expectation,
     readings: Readings,
     draws: int = 32,
-    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Specimen:
     """Infer a sensor from pairs, with an ensemble of so many draws; `progress` is told each step's part of the whole.
@@ -105,7 +104,7 @@ def infer(
         state = state.rescaled(expected, old)
         if max(change, evidence.moved) < CONVERGED:
             break
-    return _drawn(expected, readings, state, draws, seed)
+    return _drawn(expected, readings, state, draws)
 
 
 def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
@@ -182,9 +181,9 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     return replace(state, own=own + size * (found - own))
 
 
-def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Specimen:
+def _drawn(expected: Expectation, readings: Readings, state: State, draws: int) -> Specimen:
     """The posterior about the most probable state, with draws from it."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     linear = Linear(expected, readings, state)
     n, own = len(linear.weight), state.own
     factor = np.linalg.cholesky(linear.N)

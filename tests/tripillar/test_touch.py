@@ -29,10 +29,10 @@ def house(tmp_path_factory):
     """Contacts with a small sensor, and a decoder that was made of few presses."""
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("decoupler.touch.library.PRESSES", 40)
+        patch.setattr("decoupler.touch.library.PRESSES", 60)
         patch.setattr("decoupler.touch.library.OWN", 3)
         made = house.result(*TRAIN, "small.toml", "-o", "touch.safetensors")
-        assert 20 < made["presses"] <= 40
+        assert 30 < made["presses"] <= 60
         assert made["rows"] > 3 * made["presses"]
         assert house.result(*TRAIN, "small.toml", "-o", "t.safetensors")["reused"]
         trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
@@ -105,7 +105,7 @@ def test_a_decoder_of_pads_says_that_contacts_are_none_of_its_loads(house):
 
 def test_a_sensor_as_made_is_felt_by_its_twin(house, monkeypatch):
     """Ten pairs on pads lead to its own library and pillars; errors are as of one as designed."""
-    monkeypatch.setattr("decoupler.touch.library.PRESSES", 40)
+    monkeypatch.setattr("decoupler.touch.library.PRESSES", 60)
     (house.folder / "made.toml").write_text(f"{SMALL}[unit]\nheight_mm = 10.3\n")
     meant, made = (tp.read_design(house.folder / name) for name in ("small.toml", "made.toml"))
     specimen = {"gain_spread": 0.1, "offset_ohm": 40.0, "specimen": 3}
