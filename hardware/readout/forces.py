@@ -149,13 +149,8 @@ class ForceReader:
     extrapolation. They are given all the same, finite, and `Forces.saturated` says so.
 
     Without a calibration the sensor is taken to be as designed; without `crosstalk` each crossing is taken as read
-    alone.
-
-    Raises
-    ------
-    FileFormatError
-        If model or calibration are of another array or design, if both know gains, or if there is a state at rest and
-        the model states no design.
+    alone. `FileFormatError` if model or calibration are of another array or design, if both know gains, or if there is
+    a state at rest and the model states no design.
     """
 
     def __init__(

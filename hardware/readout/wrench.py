@@ -35,17 +35,9 @@ OF_MOMENTS = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0, 0.0
 def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool = False) -> FloatArray:
     """Weights of the loads in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
 
-    Parameters
-    ----------
-    position_mm : array, shape (rows, cols, 3)
-        Of the pads; NaN leaves the moment unknown.
-    axes : k names
-        Components of each force, as a model gives them.
-    moments : bool
-        Whether each force is followed by the moments of its pressure; k counts these two, too.
+    Positions (rows, cols, 3) are those of the pads; NaN leaves the moment unknown. Axes are the components of each
+    force, as a model gives them; with `moments` the two moments of its pressure follow, and k counts these, too.
 
-    Notes
-    -----
     Columns are Fx, Fy, Fz as reported (Fz positive in compression) [N] and M = Σ r × f [N mm], with f the vector on the
     sensor, (Fx, Fy, -Fz).
 

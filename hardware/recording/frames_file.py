@@ -49,15 +49,9 @@ class Recorder:
 
     With `append` it continues the file if there is one, of the same info, calibration and made_from.
 
-    Raises
-    ------
-    FileFormatError
-        If the file exists (without `append`), or is another board's or no recording (with it).
-    RecordingError
-        If the file cannot be made or written; then it is not there, or as it was.
+    `FileFormatError` if the file exists (without `append`), or is another board's or no recording (with it);
+    `RecordingError` if it cannot be made or written: then it is not there, or as it was.
 
-    Notes
-    -----
     A process that is killed loses the frame that it was writing. A computer that loses its power may lose what the
     system had not yet written to the disk, 30 s on a usual Linux. On any failure the file ends with its last whole
     frame.
@@ -220,12 +214,8 @@ def read_recording(path: Path) -> Recording:
     """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent.
 
     Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
-    recorder that was killed.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, no recording, or holds no frame or those of two boards.
+    recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
+    boards.
     """
     try:
         with Path(path).open("rb") as file:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "tripillar recording", 2
 MADE_FROM = ("model_recipe", "design_hash")  #: hashes of the model and the design that a recording may state
-COLUMNS = {  # by frame, as NetCDF and MCAP have them: type and meaning
-    "counts": "[u16] in the order of the wires, docs/frames.md",
-    "sequence": "u16 frames sent since the board's start, modulo 2^16",
-    "device_us": "u32 board's clock at the start of the scan [us], modulo 2^32",
-    "flags": "u8 bit 0: saturation; bits 1 and 2: scan mode",
-    "overruns": "u8 scans skipped since the board's start, 255 stands for more",
-    "run": "u32 counts up where the board or the recorder began anew; nothing is lost from one to the next",
-    "received_s": "number arrival at the host",
+COLUMNS = {  #: by frame, as NetCDF and MCAP have them
+    "counts": "in the order of the wires, docs/frames.md",
+    "sequence": "frames sent since the board's start, modulo 2^16",
+    "device_us": "board's clock at the start of the scan [us], modulo 2^32",
+    "flags": "bit 0: saturation; bits 1 and 2: scan mode",
+    "overruns": "scans skipped since the board's start, 255 stands for more",
+    "run": "counts up where the board or the recorder began anew; nothing is lost from one to the next",
+    "received_s": "arrival at the host",
 }
 
 
@@ -116,7 +116,7 @@ class Recording(Header):
         import xarray as xr
 
         variables = {
-            name: (("frame", "crossing")[: values.ndim], values, {"long_name": COLUMNS[name].partition(" ")[2]})
+            name: (("frame", "crossing")[: values.ndim], values, {"long_name": COLUMNS[name]})
             for name, values in self.columns().items()
         }
         variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"

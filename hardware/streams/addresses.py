@@ -16,7 +16,13 @@ ROOM_BYTES = 2**22  #: kept free of a stream's file, for its index and what stil
 
 
 class Stream(Protocol):
-    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts."""
+    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts.
+
+    Those here serve viewers on an address of this machine (`host` None: there is no server) and write a file, which
+    must not exist. Raised are `MissingPackageError`; `DesignError` if nobody knows where the pads are; `StreamError` on
+    entering, if the port cannot be had or the file be made, and later if the disk is full: the file is ended then and
+    can be read.
+    """
 
     def add(self, scan: Forces) -> None:
         """Take those of one scan."""

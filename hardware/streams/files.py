@@ -13,9 +13,8 @@ from geometry.storage.files import replacing, write_text
 from geometry.storage.netcdf import write_netcdf
 from hardware.readout.forces import Forces
 from hardware.recording import Recording
-from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, INFO, SCAN, SCHEMAS, SENSOR, WRENCH, json_bytes
+from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, INFO, SCAN, SENSOR, WRENCH, json_bytes, schemas
 
-STATISTICS = "tripillar statistics"  #: name of the metadata at the end of MCAP files
 CHUNK_BYTES = 2**18  #: of messages that are compressed together
 
 
@@ -31,8 +30,9 @@ class Channel:
 
 
 def json_channels(*topics: str) -> dict[str, Channel]:
-    """The channels of topics of `SCHEMAS`."""
-    return {topic: Channel(schema=SCHEMAS[topic]["title"], text=json.dumps(SCHEMAS[topic])) for topic in topics}
+    """The channels of topics whose messages are JSON."""
+    known = schemas()
+    return {topic: Channel(schema=known[topic]["title"], text=json.dumps(known[topic])) for topic in topics}
 
 
 class Message(NamedTuple):
@@ -46,13 +46,7 @@ class Message(NamedTuple):
 
 
 class McapWriter:
-    """Writes messages of channels {topic: channel} into an open file, one by one, until closed.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package `mcap` is not installed.
-    """
+    """Writes messages of channels {topic: channel} into an open file, until closed; needs the package `mcap`."""
 
     def __init__(self, file: Any, channels: Mapping[str, Channel], profile: str = "") -> None:
         with needing("MCAP", "mcap"):
@@ -68,10 +62,8 @@ class McapWriter:
         """Write one encoded message."""
         self._writer.add_message(self._numbers[topic], log_ns, data, publish_ns, sequence)
 
-    def close(self, statistics: Mapping[str, object] | None = None) -> None:
-        """Write the statistics and the index; the file itself stays open."""
-        if statistics is not None:
-            self._writer.add_metadata(STATISTICS, {name: str(value) for name, value in statistics.items()})
+    def close(self) -> None:
+        """Write the index; the file itself stays open."""
         self._writer.finish()
 
 
@@ -84,7 +76,7 @@ def convert(recording: Recording, path: Path) -> None:
     if suffix == ".nc":
         write_netcdf(recording.to_xarray(), path)
     elif suffix == ".mcap":
-        _write_mcap(path, json_channels(INFO, SCAN), _messages(recording), recording)
+        _write_mcap(path, json_channels(INFO, SCAN), _messages(recording))
     elif suffix == ".csv":
         write_text(csv_text(recording), path)
     else:
@@ -96,25 +88,9 @@ def write_forces(recording: Recording, forces: Forces, path: Path, ros2: bool = 
 
     NetCDF (.nc) and MCAP (.mcap) as `docs/frames.md` has them.
 
-    Parameters
-    ----------
-    recording : Recording
-        Its calibration and hashes go along: they should be those used.
-    forces : Forces
-        That `replay` made of it.
-    path : Path
-        File to write; replaced if it exists.
-    ros2 : bool
-        Messages of ROS 2 in the MCAP file, in place of JSON.
-
-    Raises
-    ------
-    FileFormatError
-        If the suffix names no format of forces.
-    MissingPackageError
-        If the package that writes the format is not installed.
-    DesignError
-        With `ros2`, if nobody knows where the pads are.
+    The recording's calibration and hashes go along: they should be those that `replay` made the forces with. With
+    `ros2`, MCAP has messages of ROS 2 in place of JSON; `DesignError` then if nobody knows where the pads are.
+    `FileFormatError` for a suffix that names no format of forces, `MissingPackageError` without its package.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".nc" and not ros2:
@@ -124,11 +100,11 @@ def write_forces(recording: Recording, forces: Forces, path: Path, ros2: bool = 
         from hardware.streams.ros2_file import ros2_channels, ros2_messages
 
         forces.description.require_positions()
-        _write_mcap(path, ros2_channels(), ros2_messages(recording, forces), recording, profile="ros2")
+        _write_mcap(path, ros2_channels(), ros2_messages(recording, forces), profile="ros2")
     elif suffix == ".mcap":
         topics = (FORCES, WRENCH) if forces.contacts is None else (FORCES, WRENCH, CONTACTS)
         channels = json_channels(INFO, SCAN, SENSOR, *topics)
-        _write_mcap(path, channels, _messages(recording, forces, topics), recording)
+        _write_mcap(path, channels, _messages(recording, forces, topics))
     else:
         raise FileFormatError(f"{path}: no form of forces: end the name in {'.mcap' if ros2 else '.nc or .mcap'}.")
 
@@ -182,16 +158,10 @@ def _messages(recording: Recording, forces: Forces | None = None, topics: tuple[
                 yield Message(topic, CONTENTS[topic](one), stamp_ns, stamp_ns)
 
 
-def _write_mcap(
-    path: Path,
-    channels: Mapping[str, Channel],
-    messages: Iterable[Message],
-    recording: Recording,
-    profile: str = "",
-) -> None:
+def _write_mcap(path: Path, channels: Mapping[str, Channel], messages: Iterable[Message], profile: str = "") -> None:
     """Write messages as MCAP, whole or not at all."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         writer = McapWriter(file, channels, profile)
         for topic, content, *stamps in messages:
             writer.write(topic, channels[topic].encode(content), *stamps)
-        writer.close(asdict(recording.statistics))
+        writer.close()

@@ -15,7 +15,6 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from hmac import compare_digest
-from ipaddress import ip_address
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -25,6 +24,7 @@ from hardware.streams.files import Channel
 SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 #: origins of pages that may connect: of this machine, of Foxglove, and of files and programs, which have no host
 TRUSTED = re.compile(r"\w+://((localhost|127\.0\.0\.1|\[::1\]|([\w-]+\.)*foxglove\.dev)(:\d+)?)?")
+NUMBERS = re.compile(r"localhost|[\d.]+|[\da-f:.]*:[\da-f:.]*")  #: hosts that no other name can be pointed at
 MAX_CLIENTS = 8
 MAX_WAITING = 2**22  #: bytes that wait for a client; where more do, it gets no new messages
 MAX_TOLD = 2**16  #: bytes of what a client says at once
@@ -36,22 +36,10 @@ _MESSAGE = struct.Struct("<BIQ")  # 1, subscription, time [ns]
 class FoxgloveServer:
     """Serves messages of channels {topic: channel} to clients, in a thread of its own, until closed.
 
-    Parameters
-    ----------
-    channels : mapping
-    host, port : str, int
-        To listen on; port 0: one that is free.
-    token : str
-        With one, a client must name it as ``ws://host:port/?token=...``. Without one, pages in a browser are let in by
-        their origin, `TRUSTED`; and the address must be asked for as numbers or as localhost, so that no other name
-        can be pointed at it.
-    latched : str
-        Topic whose last message whoever subscribes gets at once.
-
-    Raises
-    ------
-    StreamError
-        If the port cannot be had.
+    Port 0 is one that is free. With a token, a client must name it as ``ws://host:port/?token=...``. Without one, pages
+    in a browser are let in by their origin, `TRUSTED`, and the address must be asked for as numbers or as localhost, so
+    that no other name can be pointed at it. Whoever subscribes to the topic `latched` gets its last message at once.
+    If the port cannot be had, a `StreamError` is raised.
     """
 
     def __init__(self, channels: Mapping[str, Channel], host: str, port: int, token: str, latched: str) -> None:
@@ -129,7 +117,8 @@ class FoxgloveServer:
             is_known = compare_digest(said.encode(), self._token.encode())
         else:
             origins = request.headers.get_all("Origin")
-            is_known = all(map(TRUSTED.fullmatch, origins)) and _is_number(request.headers.get("Host", ""), self._host)
+            asked = urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
+            is_known = all(map(TRUSTED.fullmatch, origins)) and (NUMBERS.fullmatch(asked) or asked == self._host)
         if not is_known:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "not let in: by origin, host or token\n")
         if len(self._clients) >= MAX_CLIENTS:
@@ -172,13 +161,3 @@ def _heard(told: str | bytes, subscribed: dict[int, int], channels: set[int]) ->
     except (ValueError, TypeError, KeyError):
         pass
     return []
-
-
-def _is_number(asked: str, host: str) -> bool:
-    """Whether a Host header names this machine by numbers, as localhost, or as it was told to listen."""
-    name = urlsplit(f"//{asked}").hostname or ""
-    try:
-        ip_address(name)
-    except ValueError:
-        return name in ("localhost", host)
-    return True

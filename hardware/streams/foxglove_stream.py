@@ -19,29 +19,7 @@ class FoxgloveStream:
     """Sends the forces of scans to all who are connected, and into a file, as long as the with block lasts.
 
     A topic that nobody listens to is not made. The description is sent at the beginning, and again to whoever
-    subscribes to it later.
-
-    Parameters
-    ----------
-    sensor : SensorDescription
-    host : str, optional
-        Address of this machine to listen on; None: there is no server.
-    port : int
-        To listen on; 0: one that is free.
-    mcap : Path, optional
-        File to write; it must not exist.
-    token : str
-        That clients must name, as of `FoxgloveServer`; empty: they are let in by their origin.
-
-    Raises
-    ------
-    MissingPackageError
-        If a package is not installed.
-    DesignError
-        If nobody knows where the pads are.
-    StreamError
-        On entering: if the port cannot be had, or the file exists or cannot be made. Later: if the disk is full; the
-        file is ended then and can be read.
+    subscribes to it later. Port 0 is one that is free; the token is as of `FoxgloveServer`, all else as of `Stream`.
     """
 
     def __init__(

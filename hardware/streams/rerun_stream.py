@@ -25,27 +25,7 @@ class RerunStream:
     """Sends frames to all who are connected, and into a file, as long as the with block lasts.
 
     Entities are ``sensor`` (description, pads in colours, forces and net force as arrows), ``net`` and ``force_n`` and
-    ``resistance_ohm`` (numbers over time).
-
-    Parameters
-    ----------
-    sensor : SensorDescription
-    host : str, optional
-        Address of this machine to listen on; None: there is no server.
-    port : int
-        To listen on.
-    rrd : Path, optional
-        File to write; it must not exist.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package is not installed.
-    DesignError
-        If nobody knows where the pads are.
-    StreamError
-        On entering: if the port is taken, or the file exists or cannot be made. Later: if the disk is full; the file
-        is ended then and can be read.
+    ``resistance_ohm`` (numbers over time). All else is as of `Stream`.
     """
 
     def __init__(

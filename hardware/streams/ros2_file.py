@@ -43,13 +43,7 @@ def definition(name: str) -> str:
 
 
 def ros2_channels() -> dict[str, Channel]:
-    """The topics of `ros2_messages`.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package is not installed.
-    """
+    """The topics of `ros2_messages`; `MissingPackageError` without the package."""
     with needing("ROS 2", "mcap"):
         from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
 
@@ -74,8 +68,7 @@ def ros2_messages(recording: Recording, forces: Forces) -> Iterator[Message]:
 
 def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
     """The description as a TactileShape."""
-    low, high = np.moveaxis(sensor.range_n, -1, 0)
-    low, high = _on_sensor(low, sensor.axes), _on_sensor(high, sensor.axes)
+    low, high = (_on_sensor(each, sensor.axes) for each in np.moveaxis(sensor.range_n, -1, 0))
     return {
         "header": _header(stamp_ns),
         "rows": sensor.rows,
@@ -129,10 +122,10 @@ def _on_sensor(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     return found * SIGNS
 
 
-def _vectors(values: FloatArray) -> list[dict[str, float]]:
-    """(rows, cols, 3) row by row."""
-    return [dict(zip(AXES, each, strict=True)) for each in values.reshape(-1, 3).tolist()]
-
-
 def _vector(values: FloatArray) -> dict[str, float]:
     return dict(zip(AXES, values.tolist(), strict=True))
+
+
+def _vectors(values: FloatArray) -> list[dict[str, float]]:
+    """(rows, cols, 3) row by row."""
+    return [_vector(each) for each in values.reshape(-1, 3)]

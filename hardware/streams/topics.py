@@ -1,16 +1,19 @@
-"""Messages of MCAP files and of live streams: topics, JSON schemas, and what each says of the forces of a scan."""
+"""Messages of MCAP files and of live streams: their topics, and what each says of the forces of a scan, as JSON."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.layout import FloatArray
-from hardware.readout.description import FRAME, plain_numbers
+from geometry.layout import AXES, FloatArray
+from hardware.link.frames import Info
+from hardware.readout.description import FRAME, SensorDescription, plain_numbers
 from hardware.readout.forces import Forces
-from hardware.recording.recorded import COLUMNS
+from hardware.readout.wrench import NET, wrench_weights
+from hardware.recording.recorded import COLUMNS, Header
 from hardware.streams.scene import (
     ARROW_COLOUR,
     CONTACT_COLOUR,
@@ -26,137 +29,7 @@ from hardware.streams.scene import (
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics
 SENSOR, WRENCH, SCENE = "/tripillar/sensor", "/tripillar/wrench", "/tripillar/scene"
 RESISTANCES, CONTACTS = "/tripillar/resistances", "/tripillar/contacts"
-_TYPES: dict[str, dict[str, Any]] = {
-    "text": {"type": "string"},
-    "number": {"type": "number"},
-    "flag": {"type": "boolean"},
-    **{f"u{bits}": {"type": "integer", "minimum": 0, "maximum": 2**bits - 1} for bits in (8, 16, 32)},
-}
-
-
-def _schema(title: str = "", meaning: str = "", **properties: str | dict[str, Any]) -> dict[str, Any]:
-    """JSON schema of an object, each property a type and its meaning in one text; "[number]" is a list of numbers."""
-    found: dict[str, Any] = {"type": "object", "properties": {name: _field(each) for name, each in properties.items()}}
-    return found | ({"title": title} if title else {}) | ({"description": meaning} if meaning else {})
-
-
-def _field(told: str | dict[str, Any]) -> dict[str, Any]:
-    if isinstance(told, dict):
-        return told
-    kind, _, meaning = told.partition(" ")
-    inner = _TYPES[kind.strip("[]")]
-    return ({"type": "array", "items": inner} if kind[0] == "[" else inner) | {"description": meaning}
-
-
-def _list(meaning: str = "", **properties: str | dict[str, Any]) -> dict[str, Any]:
-    """A list of objects, since Foxglove refuses a schema with arrays of arrays."""
-    return {"type": "array", "items": _schema(**properties), "description": meaning}
-
-
-def _by_unit(**properties: str) -> dict[str, Any]:
-    return _list("row by row", row="u8 of the unit, along y", col="u8 of the unit, along x", **properties)
-
-
-def _numbers(names: str) -> dict[str, Any]:
-    return _schema(**dict.fromkeys(names, "number"))
-
-
-_SIZE = {"rows": "u8 units along y", "cols": "u8 units along x"}
-_AXES = "[text] components of each force"
-_SHAPE = {"pose": _schema(position=_numbers("xyz"), orientation=_numbers("xyzw")), "color": _numbers("rgba")}
-_ARROW = dict.fromkeys(("shaft_length", "shaft_diameter", "head_length", "head_diameter"), "number [m]")
-#: JSON schemas of the topics
-SCHEMAS: dict[str, dict[str, Any]] = {
-    INFO: _schema(
-        "tripillar.Info",
-        format="text tripillar recording",
-        version="u16 of the format",
-        protocol="u8 of the frames between board and host",
-        **_SIZE,
-        bits="u8 of the converter",
-        scan_mode="text DIVIDER, GROUNDED or ZERO_POTENTIAL",
-        firmware="text major.minor.patch",
-        rate_hz="u16 nominal scans a second",
-        serial="u32 the board's own number, 0 if it has none",
-        sense_ohm="u32 sense resistor [ohm]",
-        vref_mv="u16 the converter's reference [mV]",
-        calibration="text JSON, may be empty",
-        model_recipe="text hash of the model in use, may be empty",
-        design_hash="text hash of the sensor's design, may be empty",
-    ),
-    SCAN: _schema("tripillar.Scan", **COLUMNS),
-    FORCES: _schema(
-        "tripillar.Forces",
-        time="number Unix time of arrival of the scan [s]",
-        **_SIZE,
-        axes=_AXES,
-        units=_by_unit(
-            force_n="[number] one an axis [N], to six decimals",
-            deviation_n="[number] half-widths that hold 68 % of their errors [N], empty if unknown",
-        ),
-    ),
-    WRENCH: _schema(
-        "tripillar.Wrench",
-        net_force_n="[number] along x, y, z [N], z positive in compression; null along axes that the model lacks",
-        net_force_deviation_n="[number] one standard deviation, empty if unknown",
-        net_moment_nmm="[number] of the vectors on the sensor, about the middle of the array on its surface [N mm]",
-        net_moment_deviation_nmm="[number] one standard deviation, empty if unknown",
-        centre_of_pressure_mm="[number] x and y [mm]; empty where hardly anything presses",
-        centre_of_pressure_deviation_mm="[number] one standard deviation, empty if unknown",
-    ),
-    CONTACTS: _schema(
-        "tripillar.Contacts",
-        contacts=_list(
-            "found by a decoder of touch; deviations are standard deviations",
-            force_n="[number] along x, y, z [N], z positive in compression",
-            force_deviation_n="[number] of it",
-            centre_mm="[number] centre of pressure, x and y [mm]",
-            centre_deviation_mm="[number] of it",
-            half_mm="[number] half axes along x and y of the pressed ellipse [mm]",
-            half_deviation_mm="[number] of them",
-        ),
-    ),
-    RESISTANCES: _schema(
-        "tripillar.Resistances",
-        units=_by_unit(
-            resistance_ohm="[number] of pillars z, x, y as the model saw them [ohm]",
-            saturated="[flag] counts at 0 or full scale",
-        ),
-    ),
-    SENSOR: _schema(
-        "tripillar.Sensor",
-        **{name: f"text {name.replace('_', ' ')}" for name in ("frame", "frame_meaning", "sign_meaning", "clock")},
-        **_SIZE,
-        axes=_AXES,
-        signs="[number] times a force, the component of the vector on the sensor",
-        pillars="[text] of each unit",
-        units=_schema(meaning="of all numbers"),
-        pad_mm="number side of a pad [mm]",
-        design_hash="text of the model's design, may be empty",
-        model_hash="text of what the model was made of, may be empty",
-        board=_schema(meaning="serial, firmware, rate, bits, scan mode"),
-        pads=_by_unit(
-            position_mm="[number] of the pad's centre [mm]",
-            normal="[number] unit vector out of the sensor",
-            low_n="[number] least force in the model's training, one an axis [N]",
-            high_n="[number] largest [N]",
-            rest_ohm="[number] pillars with nothing on the sensor, as the model expects them [ohm]",
-            dead="[flag] pillars that the model does not look at",
-        ),
-    ),
-    SCENE: _schema(  # the part of Foxglove's own message that ours has
-        "foxglove.SceneUpdate",
-        deletions=_list(id="text"),
-        entities=_list(
-            timestamp=_schema(sec="u32", nsec="u32"),
-            frame_id="text",
-            id="text",
-            cubes=_list(size=_numbers("xyz"), **_SHAPE),
-            spheres=_list(size=_numbers("xyz"), **_SHAPE),
-            arrows=_list(**_SHAPE, **_ARROW),
-        ),
-    ),
-}
+CONTACT = ("force_n", "force_deviation_n", "centre_mm", "centre_deviation_mm", "half_mm", "half_deviation_mm")
 
 
 def _units(**values: NDArray[Any]) -> list[dict[str, Any]]:
@@ -187,7 +60,7 @@ def wrench_content(net: Mapping[str, FloatArray]) -> dict[str, Any]:
     ([None, 0.333333], [], [])
     """
     there = {name: values for name, values in net.items() if not np.isnan(values).all()}
-    return {name: plain_numbers(there[name]) if name in there else [] for name in SCHEMAS[WRENCH]["properties"]}
+    return {name: plain_numbers(there[name]) if name in there else [] for name in NET}
 
 
 def scene_content(scan: Forces) -> dict[str, Any]:
@@ -247,3 +120,50 @@ CONTENTS: dict[str, Callable[[Forces], dict[str, Any]]] = {
 def json_bytes(content: Mapping[str, Any]) -> bytes:
     """A message as JSON; numbers that are not finite are a ValueError."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+
+
+TITLES = {SCENE: "foxglove.SceneUpdate"}  #: of schemas that are not ours
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """JSON schemas of all topics: those of the messages of a scan that has all that a scan can have."""
+    scan = _everything()
+    examples = {topic: content(scan) for topic, content in CONTENTS.items()}
+    examples |= {
+        INFO: Header(info=Info()).plain(),
+        SCAN: {name: 0 for name in COLUMNS} | {"counts": [0], "received_s": 0.0},
+        SENSOR: scan.description.plain(),
+    }
+    titles = {topic: f"tripillar.{topic.rpartition('/')[2].title()}" for topic in examples} | TITLES
+    return {topic: {"title": titles[topic]} | schema_of(example) for topic, example in examples.items()}
+
+
+def schema_of(content: Any) -> dict[str, Any]:
+    """JSON schema of a message; lists hold what their first entry is, None is a number.
+
+    >>> schema_of({"axes": ["x"]})
+    {'type': 'object', 'properties': {'axes': {'type': 'array', 'items': {'type': 'string'}}}}
+    """
+    if isinstance(content, Mapping):
+        return {"type": "object", "properties": {name: schema_of(each) for name, each in content.items()}}
+    if isinstance(content, list | tuple):
+        return {"type": "array", "items": schema_of(content[0] if content else {})}
+    return {"type": {bool: "boolean", int: "integer", str: "string"}.get(type(content), "number")}
+
+
+def _everything() -> Forces:
+    unit, contact = np.ones((1, 1, 3)), {name: [0.0] for name in CONTACT}
+    sensor = SensorDescription(
+        rows=1, cols=1, axes=AXES, position_mm=unit, pad_mm=1.0, range_n=np.ones((1, 1, 3, 2)), rest_ohm=unit,
+        dead=unit > 1,
+    )  # fmt: skip
+    return Forces(
+        force_n=100.0 * unit,
+        resistance_ohm=unit,
+        saturated=unit > 1,
+        stamp_ns=0,
+        stated=(unit, np.eye(6)),
+        contacts=[SimpleNamespace(centre_mm=np.ones(2), half_mm=np.ones(2), plain=lambda: contact)],
+        weights=wrench_weights(unit, AXES),
+        description=sensor,
+    )

@@ -116,7 +116,7 @@ def test_correct_undoes_exact_readings(mode, switch_ohm):
 
 
 def test_the_closed_form_is_only_taken_where_it_is_exact_enough():
-    """Over three decades of everything; half a step is what the converter leaves, a hundredth the tolerance."""
+    """Over three decades of everything: to the tolerance, a hundredth of a step, which the inverse amplifies."""
     generator = np.random.default_rng(0)
     for _ in range(100):
         crossbar = crossbar_of(
@@ -128,7 +128,7 @@ def test_the_closed_form_is_only_taken_where_it_is_exact_enough():
         state = 10 ** generator.uniform(3.3, 4.6, (1, 6, 6, 3))
         g = 1 / state
         error = np.abs(1 / Corrector(crossbar).correct(crossbar.readings(state)) - g).max() / g.max()
-        assert error < 1.5 * STEP_SHARE / crossbar.full_scale
+        assert error < 3 * STEP_SHARE / crossbar.full_scale
 
 
 @each_mode
