@@ -191,4 +191,11 @@ class StiffLoad(_OnRectangle):
 
 
 Load = DeadLoad | FollowerLoad | StiffLoad
+
+
+def at_rest(loads: Sequence[Load]) -> list[Load]:
+    """Loads as linear elasticity sees them: pressures push along −z."""
+    return [load.spread[0] if isinstance(load, FollowerLoad) else load for load in loads]
+
+
 LOAD_KINDS: dict[str, type[Load]] = {load.kind: load for load in (DeadLoad, FollowerLoad, StiffLoad)}

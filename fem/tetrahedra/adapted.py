@@ -19,11 +19,13 @@ from skfem import Basis, MeshTet
 from fem.factor import Factor, checked_solve
 from fem.field import Field
 from fem.levels import SAFETY
+from fem.scene.loads import at_rest
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import SMALLEST_SHARE, MeshAnswer, Stopwatch, relative_errors
 from fem.tetrahedra.mixed import Elements, IntArray, TaylorHood, taylor_hood
-from fem.tetrahedra.patch import bonded, patch_integrals
+from fem.tetrahedra.patch import patch_integrals
 from fem.tetrahedra.scene_mesh import bisected, cell_sizes, mesh_scene, prism_of_cells
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
@@ -111,47 +113,44 @@ class AdaptedTetrahedra:
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, body = self.scene, self.body
-        no_loads = sp.csr_matrix((0, body.basis.N))
-        loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
-        forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
+        system = TetrahedralSystem(body, at_rest(scene.loads))
         rows = probe_rows(scene, body.basis)
-        plates = scene.plate_rectangles_mm
-        motions = bonded(body.n_unknowns, body.free, body.points_mm, plates)
-        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if len(plates) else body.upper
+        matrix = system.rest_tangent()
         watch.spent("assemble")
         factor = Factor(matrix, upper=True)
         watch.spent("factor")
 
-        pushing = motions.T @ body.loads(forces)
-        reduced, residual = checked_solve(factor, pushing)
-        x = motions @ reduced
-        u = body.displacements(x)
-        probes = np.asarray(rows @ u.reshape(-1, 3))
-        duals, scales, shapes = _dual_loads(scene, rows, probes)
-        y, dual_residual = checked_solve(factor, motions.T @ body.loads(duals))
-        y = motions @ y
-        z = body.displacements(y)
+        forces = np.zeros((system.n_unknowns, 1))
+        forces[: 3 * system.n_blocks, 0] = system.loads_on(system.rest()).ravel()
+        x, residual = checked_solve(factor, forces)
+        u = system.displaced(x)[0]
+        probes = np.asarray(rows @ u)
+        weights, scales = dual_weights(probes)
+        y, dual_residual = checked_solve(factor, system.rest_loads(np.stack([rows.T @ weight for weight in weights])))
+        z = system.displaced(y)
         watch.spent("solve")
 
-        n = len(body.free)
+        n, plates = body.n_pressure, scene.plate_rectangles_mm
         loaded, seen = scene.load_rectangles_mm, scene.probe_rectangles_mm
-        of_answer = residuals(body, u[:, 0], x[n:, 0], loaded, scene.tractions_mpa, plates)
+        areas_mm2 = (seen[:, 2:] - seen[:, :2]).prod(axis=1)[:, None]
+        shapes = weights[:, [probe.kind == "mean" for probe in scene.probes]] / areas_mm2
+        of_answer = residuals(body, u, x[-n:, 0], loaded, scene.tractions_mpa, plates)
         of_duals = [
             residuals(body, own, pressure, seen, tractions, plates)
-            for own, pressure, tractions in zip(z.T, y[n:].T, shapes, strict=True)
+            for own, pressure, tractions in zip(z, y[-n:].T, shapes, strict=True)
         ]
         watch.spent("assemble")
         indicators = probe_indicators(of_answer, of_duals, scales)
         self.history.append((float(indicators.sum()), probes))
         return MeshAnswer(
             probes=probes,
-            energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
+            energy_mj=0.5 * float(forces[:, 0] @ x[:, 0]),
             residual=max(residual, dual_residual),
             unknowns=matrix.shape[0],
             indicators=indicators,
             field=lambda: Field(
                 mesh=body.elements,
-                displacement_mm=u.reshape(-1, 3),
+                displacement_mm=u,
                 material=self.materials,
             ),
         )
@@ -190,18 +189,6 @@ def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
     return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
 
 
-def _dual_loads(
-    scene: Scene, rows: sp.csr_matrix, probes: FloatArray
-) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Unit loads on the probes: nodal forces (n_displacement, k), their scales, and tractions (n_means, 3) of each."""
-    weights, scales = dual_weights(probes)
-    rectangles = scene.probe_rectangles_mm
-    areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
-    is_mean = np.array([probe.kind == "mean" for probe in scene.probes])
-    forces = np.stack([np.asarray(rows.T @ weight).ravel() for weight in weights], axis=1)
-    return forces, scales, [weight[is_mean] / areas for weight in weights]
-
-
 def residuals(
     body: TaylorHood,
     u: FloatArray,
@@ -215,7 +202,7 @@ def residuals(
     Parameters
     ----------
     body : TaylorHood
-    u : array, shape (n_displacement,)
+    u : array, shape (n_nodes, 3)
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
         Corner pressures of the mixed form [MPa].
@@ -233,7 +220,7 @@ def residuals(
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
     elements = body.elements
-    gradient = elements.corner_gradients(u.reshape(-1, 3))
+    gradient = elements.corner_gradients(u)
     divergence = np.trace(gradient, axis1=2, axis2=3)
     p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
