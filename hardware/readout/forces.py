@@ -227,6 +227,8 @@ class ForceReader:
 
     def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:
         """Forces by touches, with their deviations."""
+        assert self._uncertain is not None
+        assert self._uncertain.knows_touch
         touches, shape = self._uncertain.touches(resistance_ohm), resistance_ohm.shape[:-1]
         load = np.stack([each.load for each in touches]).reshape(*shape, -1)
         sums = [self._weights.T @ each.factors for each in touches]

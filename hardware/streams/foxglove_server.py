@@ -118,7 +118,8 @@ class FoxgloveServer:
         else:
             origins = request.headers.get_all("Origin")
             asked = urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
-            is_known = all(map(TRUSTED.fullmatch, origins)) and (NUMBERS.fullmatch(asked) or asked == self._host)
+            is_named = NUMBERS.fullmatch(asked) or asked == self._host
+            is_known = bool(is_named) and all(map(TRUSTED.fullmatch, origins))
         if not is_known:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "not let in: by origin, host or token\n")
         if len(self._clients) >= MAX_CLIENTS:
