@@ -3,6 +3,7 @@
 import re
 import runpy
 
+import numpy as np
 import pytest
 
 from geometry.design import SensorDesign
