@@ -65,14 +65,8 @@ def test_readings_are_those_of_the_whole_circuit(mode):
     assert crossbar.readings(state)[0] == pytest.approx(kirchhoff(crossbar, state[0]), rel=1e-9)
 
 
-def test_a_ladder_of_three_is_read_alone_and_of_an_array_crosstalk_is_the_largest_error():
-    """No second way leads around a pillar of a 1 × 1 array; equal pillars of 6 × 6 err by 79 % in a plain divider."""
-    state = np.array([[[[8e3, 12e3, 15e3]]]])
-    perfect = {"rows": 1, "cols": 1, "switch_ohm": 0.0, "amplifier_gain": 1e12, "bits": None}
-    divider = crossbar_of(ScanMode.DIVIDER, **perfect).readings(state)[0]
-    assert divider == pytest.approx(2_200 / (2_200 + state.ravel()), rel=1e-12)
-    amplified = crossbar_of(ScanMode.ZERO_POTENTIAL, **perfect).readings(state)[0]
-    assert amplified == pytest.approx(4_700 / state.ravel(), rel=1e-9)
+def test_uncorrected_crosstalk_is_the_largest_error_of_such_sensors():
+    """Equal pillars of 10 kΩ with 25 Ω switches in a plain divider: 79 %."""
     R, crossbar = np.full((1, 6, 6, 3), 1e4), crossbar_of(ScanMode.DIVIDER, bits=None)
     assert np.abs(crossbar.uncorrected(crossbar.readings(R)) / R - 1).mean() == pytest.approx(0.79, abs=0.01)
 
@@ -150,12 +144,6 @@ def test_readings_that_no_array_gives_end_in_finite_resistances(mode):
     resistance_ohm = Corrector(crossbar).correct(readings)
     assert np.isfinite(resistance_ohm).all()
     assert (resistance_ohm > 0).all()
-
-
-def test_saturated_counts_are_flagged_and_taken_for_their_neighbours():
-    fractions, is_bound = crossbar_of(ScanMode.DIVIDER, bits=10).fractions(np.array([0, 1, 512, 1022, 1023]))
-    assert is_bound.tolist() == [True, False, False, False, True]
-    assert fractions * 1023 == pytest.approx([1, 1, 512, 1022, 1022])
 
 
 def test_data_pass_through_the_crossbar():
