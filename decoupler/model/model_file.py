@@ -11,8 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset.measurement import ReadingError
+from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
-from decoupler.data.enough import AnySamples
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset.samples import SampleError
+from dataset.samples import AnySamples, SampleError
 from decoupler.data.columns import Columns
-from decoupler.data.enough import AnySamples, drawn
+from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares

@@ -110,7 +110,7 @@ identify --as-designed --port text.txt -o x.json --loads place.csv --noise 2 -> 
 identify --as-designed --data data.nc -o x.json -> a data set has no circuit
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
 export data.nc -o x.md --precision float -> --precision is for models
-export data.nc -> give --to parquet, csv or card, or --out FILE
+export data.nc -> a data set needs --out FILE that ends in .csv
 export text.txt -o y.nc -> text.txt: no valid frame in 6 bytes
 export text.txt -o y.txt -> must be a file that ends in .nc, .mcap or .csv
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm

@@ -2,13 +2,10 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from geometry.design import SensorDesign
 from geometry.errors import ArgumentError, DesignError
-from geometry.storage.files import write_bytes
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, ModelLike, pads_model_of, require_there, to_write
 
@@ -20,7 +17,6 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
     from hardware.recording import Recording
 
-ENDINGS = {"parquet": ".parquet", "csv": ".csv", "card": ".md"}  #: of the forms of a data set
 OF_RECORDINGS = (".nc", ".mcap", ".csv")
 MAX_NAMED = 3  #: places of damage in one line
 
@@ -29,73 +25,54 @@ def export(
     data: File | None = None,
     /,
     *,
-    to: Literal["parquet", "csv", "card"] | None = None,
     model: ModelLike | None = None,
     out: File | None = None,
     precision: Literal["float", "double"] | None = None,
-    licence: Annotated[str | None, Parameter(name="--license")] = None,
 ) -> Path:
-    """Write a model, a data set or a recording for other programs: ONNX or C, Parquet or CSV, NetCDF or MCAP.
-
-    A data set's card says in Markdown what it holds, how it was made and under which licence.
+    """Write a model, a data set or a recording for other programs: ONNX or C, CSV, NetCDF or MCAP.
 
     Parameters
     ----------
     data : path, optional
         Data set (.nc or .zarr) or recording (.frames, or a board's bytes) to write.
-    to : str, optional
-        Form of a data set: a table, or the card that describes it; default: as the name of the file ends.
     model : Decoupler or path, optional
         Model file to write in their place.
     out : path, optional
-        File to write: of a model .onnx, or .h for a header in C; of a data set .parquet, .csv or .md, by default beside
-        it; of a recording .nc (NetCDF), .mcap (Foxglove, ROS) or .csv.
+        File to write: of a model .onnx, or .h for a header in C; of a data set .csv; of a recording .nc (NetCDF), .mcap
+        (Foxglove, ROS) or .csv.
     precision : str, optional
         Precision of a model's numbers; default: double in .onnx, float in .h.
-    licence : str, optional
-        Licence of a data set for its card, such as cc-by-4.0.
 
     Returns
     -------
     Path
         The file that was written.
     """
-    caller = current()
     if (data is None) == (model is None):
         raise DesignError("give a data set, a recording or model=FILE, one of them.")
     require_there(model, what="a model file of 'tripillar train'")
     if model is not None:
-        if to is not None or licence is not None:
-            raise DesignError("to= and licence= are for data sets: the ending of out= says the form of a model.")
         return _model_written(model, out, precision)
     assert data is not None
     if precision is not None:
         raise DesignError("precision= is for models: a table has the numbers of its data set.")
     source = Path(data)
     require_there(source, what="a data set or a recording")
-    if _is_recording(source):
-        return _recording_written(source, to, out)
-    named = [form for form, ending in ENDINGS.items() if out is not None and Path(out).suffix == ending]
-    form = to or "".join(named)
-    if not form:
-        raise DesignError("give to=parquet, csv or card, or out=FILE that ends in .parquet, .csv or .md.")
-    if licence is not None and form != "card":
-        raise DesignError("licence= is written into the card: give to=card too.")
-    beside = source.with_suffix(".card.md" if form == "card" else ENDINGS[form])
-    file = to_write("out", out or beside, ENDINGS[form], read=(source,))
-    assert file is not None
-    from dataset import read_samples
-    from dataset.card import UNSTATED, card_text
-    from dataset.table import columns_of, write_table
+    return _recording_written(source, out) if _is_recording(source) else _table_written(source, out)
 
-    samples = read_samples(source)
-    result: dict[str, Any] = {"file": str(file), "samples": len(samples), "columns": len(columns_of(samples))}
-    if form == "card":
-        write_bytes(file, card_text(samples, source, licence or UNSTATED).encode())
-    else:
-        advance = caller.bars.begin("export", total=len(samples))
-        write_table(samples, file, lambda n: advance(n, ""))
-    caller.answer(lambda: result, f"{result['samples']} samples, {result['columns']} columns", file)
+
+def _table_written(path: Path, out: "File | None") -> Path:
+    file = to_write("out", out, ".csv", read=(path,))
+    if file is None:
+        raise DesignError("a data set needs out=FILE that ends in .csv.")
+    from dataset import read_samples
+    from dataset.table import write_table
+
+    samples = read_samples(path)
+    advance = current().bars.begin("export", total=len(samples))
+    columns = write_table(samples, file, lambda n: advance(n, ""))
+    result = {"file": str(file), "samples": len(samples), "columns": len(columns)}
+    current().answer(lambda: result, f"{len(samples)} samples, {len(columns)} columns", file)
     return file
 
 
@@ -106,15 +83,14 @@ def _model_written(model: "ModelLike", out: "File | None", precision: Literal["f
     from decoupler.export import export_model
 
     exported = export_model(pads_model_of(model, "export"), file, precision)
-    checked = f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
-    said = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
+    said = f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})"
     current().answer(lambda: {"file": str(file), **asdict(exported)}, said, file)
     return file
 
 
 def _is_recording(path: Path) -> bool:
     """Whether a file is a recording, and no data set."""
-    if path.suffix in (".zarr", ".parquet", ".csv") or path.is_dir():
+    if path.suffix in (".zarr", ".csv") or path.is_dir():
         return False
     if path.suffix != ".nc":
         return True
@@ -127,9 +103,7 @@ def _is_recording(path: Path) -> bool:
         return False  # as a data set it is refused
 
 
-def _recording_written(path: Path, to: str | None, out: "File | None") -> Path:
-    if to is not None:
-        raise DesignError("to= is for data sets: the ending of out= says the form of a recording.")
+def _recording_written(path: Path, out: "File | None") -> Path:
     file = to_write("out", out, *OF_RECORDINGS, read=(path,))
     if file is None:
         raise DesignError("a recording needs out=FILE that ends in .nc, .mcap or .csv.")

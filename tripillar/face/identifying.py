@@ -30,7 +30,7 @@ from tripillar.face.inputs import (
 from tripillar.face.twins import MAX_NEXT, identified, next_loads_of
 
 if TYPE_CHECKING:
-    from decoupler.data.enough import AnySamples
+    from dataset.samples import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.twin.identification import Twin
     from decoupler.twin.next_load import NextLoad

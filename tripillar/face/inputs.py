@@ -17,7 +17,7 @@ from geometry.errors import DesignError, FileFormatError
 from geometry.storage.files import require_file, require_folder
 
 if TYPE_CHECKING:
-    from decoupler.data.enough import AnySamples
+    from dataset.samples import AnySamples
     from decoupler.data.pairs import Pairs
     from decoupler.model.decoupler import Decoupler
     from decoupler.touch.touch_file import AnyDecoder

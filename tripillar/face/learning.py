@@ -27,8 +27,7 @@ from tripillar.face.inputs import (
 from tripillar.face.touching import assessed_touch, touch_decoder
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
-    from decoupler.data.enough import AnySamples
+    from dataset.samples import AnySamples, Samples
     from decoupler.evaluation.assessment import Assessment
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.settings import NetworkConfig, TrainingConfig

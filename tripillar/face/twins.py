@@ -10,8 +10,7 @@ from geometry.errors import DesignError, FileFormatError
 from tripillar.face.caller import current
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
-    from decoupler.data.enough import AnySamples
+    from dataset.samples import AnySamples, Samples
     from decoupler.data.load_table import KnownLoad
     from decoupler.data.pairs import Pairs
     from decoupler.inverse.posterior import Posterior
