@@ -6,6 +6,8 @@ after one of `MISTAKES` is taken back, or if the readings fit the forces worse t
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
@@ -38,31 +40,55 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 MIN_EXPLAINED = 0.7
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
-Turn = Callable[[FloatArray], FloatArray]
+Mend = Callable[[Samples], Samples]  #: takes a mistake back
 
 
-def _times(*factors: float) -> Turn:
-    return lambda values: values * np.array(factors)
+def _forces(turn: Callable[[FloatArray], FloatArray]) -> Mend:
+    return lambda data: replace(data, force_n=turn(data.force_n))
 
 
-AS_GIVEN, NOTHING = _times(1.0), _times(0.0)
+def _times(*factors: float) -> Mend:
+    return _forces(lambda force_n: force_n * np.array(factors))
+
+
+def _axes_from(order: tuple[int, ...]) -> Mend:
+    return _forces(lambda force_n: force_n[..., order])
+
+
+def _pillars_from(order: tuple[int, ...]) -> Mend:
+    def mended(data: Samples) -> Samples:
+        dead = None if data.dead is None else data.dead[..., order]
+        return replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead)
+
+    return mended
+
+
 _SIGNS = "z > 0 is compression, x runs along columns, y along rows"
-#: what is said, and the way from a file's forces (n, rows, cols, 3) to the sensor's
-MISTAKES: dict[str, Turn] = {
+_OTHER_ORDERS = [*permutations(range(3))][1:]
+OF_PILLARS = {
+    f"pillars seem to stand in the order {', '.join(PILLARS[order.index(k)] for k in range(3))}: a file's are "
+    f"{', '.join(PILLARS)}": _pillars_from(order)
+    for order in _OTHER_ORDERS
+}  #: told by a joint model alone
+MISTAKES: dict[str, Mend] = {
     "the forces seem to be in kN: multiply them by 1000": _times(1e3),
     "the forces seem to be in mN: divide them by 1000": _times(1e-3),
     f"all forces seem to have the other sign: {_SIGNS}": _times(-1.0),
     f"Fz seems to have the other sign: {_SIGNS}": _times(1.0, 1.0, -1.0),
     f"Fx seems to have the other sign: {_SIGNS}": _times(-1.0, 1.0, 1.0),
     f"Fy seems to have the other sign: {_SIGNS}": _times(1.0, -1.0, 1.0),
-    "Fx and Fy seem to be exchanged: a file's axes are x, y, z": lambda values: values[..., [1, 0, 2]],
-    "rows and columns of the forces seem to be exchanged: rows run along y": lambda values: values.swapaxes(1, 2),
-    "rows of the forces seem to stand in reverse order: they begin at −y": lambda values: values[:, ::-1],
-    "columns of the forces seem to stand in reverse order: they begin at −x": lambda values: values[:, :, ::-1],
+    "rows and columns of the forces seem to be exchanged: rows run along y": _forces(lambda F: F.swapaxes(1, 2)),
+    "rows of the forces seem to stand in reverse order: they begin at −y": _forces(lambda F: F[:, ::-1]),
+    "columns of the forces seem to stand in reverse order: they begin at −x": _forces(lambda F: F[:, :, ::-1]),
+    **{
+        f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
+        f"{', '.join(AXES)}": _axes_from(order)
+        for order in _OTHER_ORDERS
+    },
 }
 UNLINKED = (
     "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
-    "load, pillars in the order z, x, y and axes in the order x, y, z"
+    "load"
 )
 
 
@@ -125,8 +151,8 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
         return None
     data, share = _some(data, component), ""
     if forward is not None:
-        alone = _times(*(float(axis in component.axes) for axis in AXES))
-        by_own, by_all = _left(data, component, forward, alone), _left(data, component, forward)
+        alone = _times(*(float(axis in component.axes) for axis in AXES))(data)
+        by_own, by_all = _left(alone, component, forward), _left(data, component, forward)
         if not _log_likelier(by_own, by_all, data) > math.log(1.0 / FALSE_ALARMS):
             return None
         share = (
@@ -164,27 +190,30 @@ def _some(data: Samples, component: Component) -> Samples:
 
 def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
-    as_given, unlinked = (_left(data, component, forward, turn) for turn in (AS_GIVEN, NOTHING))
+    as_given, unlinked = (_left(each, component, forward) for each in (data, _times(0.0)(data)))
+    possible = MISTAKES | (OF_PILLARS if _is_joint(forward, data) else {})
     enough, found = math.log(2.0 / FALSE_ALARMS), {}
-    for said, turn in MISTAKES.items():
-        force_n = turn(data.force_n)
-        if force_n.shape != data.force_n.shape or np.abs(force_n).max() > MAX_N:
+    for said, mend in possible.items():
+        mended = mend(data)
+        if mended.force_n.shape != data.force_n.shape or np.abs(mended.force_n).max() > MAX_N:
             continue
-        left = _left(data, component, forward, turn)
+        left = _left(mended, component, forward)
         likelier = min(_log_likelier(other, left, data) for other in (as_given, unlinked))
-        share = _explained(data, component, forward, left)
-        if likelier > math.log(len(MISTAKES)) + enough and (share is None or share > MIN_EXPLAINED):
+        share = _explained(mended, component, forward, left)
+        if likelier > math.log(len(possible)) + enough and (share is None or share > MIN_EXPLAINED):
             found[said] = _energy(left)
     none = UNLINKED if _log_likelier(as_given, unlinked, data) > enough else None
     return min(found, key=found.__getitem__, default=none)
 
 
-def _motions(
-    data: Samples, component: Component, forward: SensorModel, turn: Turn = AS_GIVEN
-) -> tuple[FloatArray, FloatArray]:
+def _is_joint(forward: SensorModel, data: Samples) -> bool:
+    return forward.n_pillars == forward.n_forces == data.force_n[0].size
+
+
+def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple[FloatArray, FloatArray]:
     """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
-    joint = forward.n_pillars == forward.n_forces == data.force_n[0].size
-    modelled = forward.lengths(force_columns(turn(data.force_n), COMPONENTS["all"] if joint else component))
+    joint = _is_joint(forward, data)
+    modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"] if joint else component))
     if joint:
         pillars = [PILLARS.index(pillar) for pillar in component.pillars]
         modelled = modelled.reshape(data.force_n.shape)[..., pillars].reshape(len(modelled), -1)
@@ -194,9 +223,9 @@ def _motions(
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 
 
-def _left(data: Samples, component: Component, forward: SensorModel, turn: Turn = AS_GIVEN) -> FloatArray:
+def _left(data: Samples, component: Component, forward: SensorModel) -> FloatArray:
     """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
-    return residuals(*_motions(data, component, forward, turn))
+    return residuals(*_motions(data, component, forward))
 
 
 def _energy(residuals: FloatArray) -> float:
