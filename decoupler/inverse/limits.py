@@ -33,8 +33,6 @@ def cramer_rao(
 
     Parameters
     ----------
-    forward : SensorModel
-    force_n : array, shape (n, n_forces)
     noise, bits : float, int or None
         Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
     readable : array, shape (n_pillars,), optional

@@ -60,15 +60,9 @@ def train(
         Default: a skip net of 17 hidden nodes, which starts from the response if one is given that explains the data.
     training : TrainingConfig, optional
     progress : callable
-        Called as progress(iteration, mse) once an iteration.
+        Called as progress(iteration, mse) once an iteration; mse is of the outputs scaled to [-1, 1].
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
-
-    Returns
-    -------
-    Decoupler
-        ``made_from["outcome"]`` says how its training ended: iterations, mse (of the outputs scaled to [-1, 1]) and
-        reason, which is goal, iterations, stagnation or validation.
 
     Raises
     ------
