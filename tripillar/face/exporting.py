@@ -90,17 +90,7 @@ def _model_written(model: "ModelLike", out: "File | None", precision: Literal["f
 
 def _is_recording(path: Path) -> bool:
     """Whether a file is a recording, and no data set."""
-    if path.suffix in (".zarr", ".csv") or path.is_dir():
-        return False
-    if path.suffix != ".nc":
-        return True
-    import netCDF4
-
-    try:
-        with netCDF4.Dataset(path) as opened:
-            return "counts" in opened.variables
-    except OSError:
-        return False  # as a data set it is refused
+    return path.suffix not in (".zarr", ".csv", ".nc") and not path.is_dir()
 
 
 def _recording_written(path: Path, out: "File | None") -> Path:
