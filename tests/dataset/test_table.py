@@ -90,21 +90,20 @@ def test_what_is_held_is_told_in_a_terminal_in_a_notebook_and_on_the_card(data, 
         card_text(stored, stored.path, "my own\nlicense: other")
 
 
-def test_the_command_writes_beside_the_data_and_refuses_what_does_not_go_together(data, stored, tmp_path):
+def test_the_command_writes_as_the_name_ends_and_refuses_what_does_not_go_together(data, stored, tmp_path):
     house = House(tmp_path)
     data.write(tmp_path / "data.nc")
-    told = house.result("export", "data.nc", "--to", "parquet", "-q")
+    told = house.result("export", "data.nc", "-o", "data.parquet", "-q")
     assert told == {"file": "data.parquet", "samples": 40, "columns": len(columns_of(data))}
     assert house.result("export", str(stored.path), "-o", "own.csv", "-q")["columns"] == 54
-    house.result("export", "data.nc", "--to", "card", "--license", "mit", "-q")
-    assert "license: mit\n" in (tmp_path / "data.card.md").read_text(encoding="utf-8")
+    house.result("export", "data.nc", "--license", "mit", "-q", "-o", "card.md")
+    assert "license: mit\n" in (tmp_path / "card.md").read_text(encoding="utf-8")
     (tmp_path / "m.safetensors").touch()
     for words, says in {
         (): "give a data set, a recording or --model FILE, one of them",
-        ("--model", "m.safetensors"): "a model needs --out FILE that ends in .onnx or .h",
-        ("--model", "m.safetensors", "--to", "csv", "-o", "m.csv"): "are for data sets",
-        ("data.nc", "--to", "csv", "-o", "a.parquet"): "must be a file that ends in .csv",
-        ("data.nc", "--to", "csv", "--license", "mit"): "is written into the card",
-        ("data.nc", "--to", "card", "--license", "A B"): "must be an identifier",
+        ("--model", "m.safetensors"): "m.csv must be a file that ends in .onnx or .h",
+        ("data.nc", "--license", "mit"): "is written into the card",
+        ("data.nc", "--license", "A B", "-o", "c.md"): "must be an identifier",
     }.items():
+        words = words if "-o" in words else (*words, "-o", "m.csv")
         assert says in house.refusal("export", *words)

@@ -24,7 +24,7 @@ from docstring_parser import parse
 
 from geometry.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown, called_by
-from tripillar.face.inputs import Options, require_above_0
+from tripillar.face.inputs import options_of, require_numbers
 from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
 
@@ -96,12 +96,6 @@ def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
                 yield theirs[name].replace(kind=given.KEYWORD_ONLY, annotation=hint)
 
 
-def options_of(given: inspect.Parameter) -> list[Options]:
-    """The options of another function or dataclass that a parameter holds."""
-    said = get_args(given.annotation) if get_origin(given.annotation) is Annotated else ()
-    return [each for each in said if isinstance(each, Options)]
-
-
 def command_of(job: Job) -> Callable[..., int]:
     """The command of a job, whose signature and docstring the parser reads."""
     told, parameters, flags = meanings(job), [], {}
@@ -149,7 +143,7 @@ def command_of(job: Job) -> Callable[..., int]:
         typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=as_json, is_typed=True)
         with refusals(flags), called_by(typed):
             if serves:
-                require_above_0(seconds=seconds)
+                require_numbers({"seconds": seconds})
                 with job(*arguments, **absent | options):
                     with bars:
                         pass
