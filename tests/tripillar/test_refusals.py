@@ -53,7 +53,7 @@ cad --out cad --design data.nc -> data.nc: not a text file
 solve small.toml -> the table [body] is missing
 solve sphere.toml -> kind='sphere' is unknown; it must be one of block, pillar, unit, array
 solve idle.toml --json --vtu never.vtu -> add a [[probe]]
-solve pillar.toml --tolerance 0 -> --tolerance 0 must be a number above 0
+solve pillar.toml --tolerance 0 -> --tolerance 0.0 must be a number above 0
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
 press --shape sphere --radius 5 --depth 0 -> must be above 0
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
