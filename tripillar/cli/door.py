@@ -56,9 +56,11 @@ class Typed(Caller):
 
     answers: list[tuple[Callable[[], dict[str, Any]], Shown, Sequence[Path], int]] = field(default_factory=list)
 
-    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | None, code: int = 0) -> None:
+    def answer(
+        self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | str | None, code: int = 0
+    ) -> None:
         """Keep the answer for `show`."""
-        self.answers.append((result, text, [path for path in files if path is not None], code))
+        self.answers.append((result, text, [Path(path) for path in files if path is not None], code))
 
     def tell(self, *lines: str) -> None:
         """Print lines on how the job is done, where they are in nobody's way."""

@@ -357,7 +357,8 @@ def tare(
         measured_ohm, noise = stages.averaged(counts, crossbar)
         tared = replace(known, electronics=electronics, serial=scanner.info.serial).tared(measured_ohm)
     stages.write_calibration(tared, path)
-    rest_ohm = np.where(np.isnan(measured_ohm), None, measured_ohm.astype(object))  # JSON knows no NaN
+    rest_ohm = measured_ohm.astype(object)
+    rest_ohm[np.isnan(measured_ohm)] = None  # JSON knows no NaN
     least, most = np.nanmin(measured_ohm), np.nanmax(measured_ohm)
     text = f"pillars rest at {least:.0f} to {most:.0f} Ω, known to {100 * noise:.2f} %"
     current().answer(lambda: {"file": str(path), "noise": noise, "rest_ohm": rest_ohm.tolist()}, text, path)

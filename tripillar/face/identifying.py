@@ -360,7 +360,6 @@ def _at_strain(finite: "SamplesLike | ModelLike", response: "stages.ArrayRespons
             raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
         size, found = (source.rows, source.cols), source.posterior
     else:
-        require_type("finite", source, stages.Samples | stages.StoredSamples, "give samples at finite strain")
         source = stages.in_memory(source)
         source = source[source.is_finite]
         size, found = source.shape, None

@@ -332,8 +332,8 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
-    network, component = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
-    parts, is_automatic = stages.component_named(component), feature == "auto"
+    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
+    parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
@@ -356,7 +356,7 @@ def _checked(
     forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
     stages.mention(samples, name, parts, judge)
-    return component, replace(network, feature=chosen), solved, forced
+    return named, replace(network, feature=chosen), solved, forced
 
 
 def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:

@@ -112,7 +112,9 @@ def dataset(
     sensor, twin, solved = _sensor(design)
     require_pool(workers, scheduler)
     names = None if only is None else _variables(only)
-    read = {name: tuple(value) if name.startswith("dead_") else value for name, value in SPECIMEN.of(more).items()}
+    read: dict[str, Any] = {
+        name: tuple(value) if name.startswith("dead_") else value for name, value in SPECIMEN.of(more).items()
+    }
     if "dead_pillars" in read:
         read["dead_pillars"] = tuple(map(_place, read["dead_pillars"]))
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
@@ -131,7 +133,9 @@ def dataset(
     if is_finite and twin is not None:
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
-    solved, made, story = replace(solved, design=sensor), None, {}
+    solved = replace(solved, design=sensor)
+    made: stages.Samples | stages.StoredSamples
+    story: dict[str, Any] = {}
     if is_finite:
         stages.require_finite(sensor)
         advance = caller.bars.begin("dataset", total=stages.n_groups(samples))
@@ -142,25 +146,25 @@ def dataset(
         leaves = stages.LeafJob(response=solved, settings=settings, readout=readout, twin=twin, only=names, dtype=dtype)
         if path is not None and in_leaves:
             story = asdict(stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, "")))
+            made = stages.read_samples(path)
         else:
             made = leaves.whole(lambda n: advance(n, ""))
-    if made is not None:
-        story = made.made_from
+    if isinstance(made, stages.Samples):
+        story = made.made_from | {"kept": 0}
         if path is not None:
             made.write(path, dtype)
-    found = stages.read_samples(path) if made is None and path is not None else made
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
     line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
     line += f"; {story['kept']} samples are of earlier runs" if story.get("kept") else ""
-    if is_finite and made is not None and (errors := made.error_estimate) is not None:
+    if is_finite and (errors := stages.in_memory(made).error_estimate) is not None:
         result |= {"strain": "finite", "unsolved": story["unsolved"], "error_estimate": float(errors.mean())}
         line += (
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
     caller.answer(lambda: result, line, out)
-    return found
+    return made
 
 
 def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, stages.TwinFile | None, stages.ArrayResponse | None]":
