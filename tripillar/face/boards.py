@@ -233,7 +233,7 @@ def replay(
     Parameters
     ----------
     recording : path
-        Recording, or what `export` made of one, or a board's bytes.
+        Recording (.frames), or a board's bytes.
     model : Decoupler or path
         Model file, trained for this array.
     calibration : path, optional

@@ -31,9 +31,9 @@ def pressed():
     return SimpleNamespace(samples=samples, model=model, counts=counts)
 
 
-@pytest.fixture
+@pytest.fixture(scope="package")
 def board(pressed):
-    """A simulated board, live: the `description` of its sensor, and `take(n)` frames of it."""
+    """A simulated board, live: the `description` of its sensor, and `take(n)` scans of it."""
     with VirtualBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
 
         def take(n):
@@ -42,12 +42,13 @@ def board(pressed):
         yield SimpleNamespace(description=scans.description, take=take)
 
 
-@pytest.fixture
-def recording(pressed, tmp_path):
+@pytest.fixture(scope="package")
+def recording(pressed, tmp_path_factory):
     """40 scans, 5 ms apart by the board's clock; they arrive up to 3 ms late, and the board restarts after 20."""
     late_s = np.random.default_rng(2).uniform(0.0, 0.003, 40)
     late_s[[0, 20]] = 0.0  # what each run is told by at once
-    with Recorder(tmp_path / "press.frames", INFO) as recorder:
+    path = tmp_path_factory.mktemp("recorded") / "press.frames"
+    with Recorder(path, INFO) as recorder:
         for k in range(40):
             if k == 20:
                 recorder.begin_run("restart")
@@ -56,4 +57,4 @@ def recording(pressed, tmp_path):
                 sequence=k % 20, device_us=us, bits=INFO.bits, counts=pressed.counts[k], scan_mode=INFO.scan_mode
             )
             recorder.append(frame, BEGAN_S + 0.005 * k + late_s[k])
-    return read_recording(tmp_path / "press.frames")
+    return read_recording(path)
