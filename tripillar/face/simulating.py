@@ -113,10 +113,10 @@ def board(
     script = stages.PressAndSlide(peak_mpa=3.0 if pressure_mpa is None else pressure_mpa, seconds=period_s)
     if scene is not None:
         motion = stages.scene_motion(scene_of(scene), period_s)
+    elif design is None or isinstance(design, SensorDesign | Path | str):
+        motion = stages.press_and_slide(stages.respond(design_of(design), caller.bars)[1], script)
     else:
-        is_solved = isinstance(design, stages.ArrayResponse)
-        solved = design if is_solved else stages.respond(design_of(design), caller.bars)[1]
-        motion = stages.press_and_slide(solved, script)
+        motion = stages.press_and_slide(design, script)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")

@@ -81,10 +81,10 @@ if TYPE_CHECKING:
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
     from hardware.readout.known_loads import calibrated, doubt_about
-    from hardware.recording import Recording, convert, read_recording
+    from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, hashes_of, live, measure_link, record_scans
     from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
-    from hardware.streams.forces_file import write_forces
+    from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT
     from hardware.streams.foxglove_stream import FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT

@@ -107,7 +107,7 @@ def sweep(
         raise DesignError("trials= are of a search: add optimize=True, or leave trials= out.")
     asked = stages.read_sweep(source)
     asked = replace(asked, judging=replace(asked.judging, train=train), samples=trials or asked.samples)
-    pool = {"count": workers, "scheduler": scheduler, "log": folder / f"{source.stem}-workers.log"}
+    pool: dict[str, Any] = {"count": workers, "scheduler": scheduler, "log": folder / f"{source.stem}-workers.log"}
     if optimize:
         return _optimized(asked, source, folder, pool)
     require_packages("pyarrow", "matplotlib")

@@ -101,7 +101,9 @@ def view(
     defaults = {"save": None, "pressure_mpa": None, "load": None, "colour": "displacement", "scale": "true"}
     of_pictures = dict(save=save, pressure_mpa=pressure_mpa, load=load, colour=colour, scale=scale, camera=camera)
     of_pictures = {name: value for name, value in of_pictures.items() if value != defaults.get(name, "iso")}
-    of_page = dict(host=host, http_port=http_port, port=port, model=model, calibration=calibration)
+    named = (("model", model), ("calibration", calibration))
+    files = {name: None if path is None else Path(path) for name, path in named}
+    of_page: dict[str, Any] = dict(host=host, http_port=http_port, port=port, **files)
     of_page = {name: value for name, value in of_page.items() if value is not None}
     if surplus := ", ".join(f"{name}=" for name in (of_pictures if serve else of_page)):
         if serve:
