@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from dataset.imperfections import Imperfections
+from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
