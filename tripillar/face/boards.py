@@ -104,8 +104,8 @@ def watch(
         Serial port, socket://host:port, or a recording.
     model : Decoupler or path
         Model file.
-    calibration
-        As of `info`.
+    calibration : path, optional
+        Calibration file of this sensor; default: as designed, switches of 25 Ω.
     seconds : float
         Seconds after which to stop; default: on Ctrl-C.
     rate_hz : int, optional
@@ -163,7 +163,7 @@ def record(
     append : bool
         Continue the recording, of the same board.
     **link
-        As of `info`.
+        Fields of `inputs.Link`.
 
     Returns
     -------

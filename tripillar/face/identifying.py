@@ -32,7 +32,7 @@ from tripillar.face.inputs import (
 if TYPE_CHECKING:
     from geometry.layout import FloatArray
 
-    Tolerances = Mapping[str, float]
+    Tolerances = Mapping[str, float] | None
 else:
     Tolerances = Annotated[None, Parameter(parse=False)]  # of the command line those of the design's file
 
@@ -54,7 +54,7 @@ def identify(
     noise: float | None = None,
     pairs: int | None = None,
     usual: Protocol | None = None,
-    tolerances: Tolerances | None = None,
+    tolerances: Tolerances = None,
     finite: SamplesLike | ModelLike | None = None,
     next_loads: Annotated[int, Parameter(name="--next")] = 0,
     have: str | None = None,

@@ -63,7 +63,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """How a board is reached, as `hardware.Scanner` takes it."""
+    """Reach of a board, as `hardware.Scanner` takes it."""
 
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")

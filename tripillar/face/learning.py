@@ -28,7 +28,7 @@ from tripillar.face.inputs import (
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
-    Response = stages.ArrayResponse
+    Response = stages.ArrayResponse | None
 else:
     SeveralSamples = list[Path]
     Response = Annotated[None, Parameter(parse=False)]  # for Python alone
@@ -44,7 +44,7 @@ READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt wit
 
 @job(out=".safetensors")
 def train(
-    data: Annotated[SeveralSamples | None, Parameter(required=False)],
+    data: SeveralSamples | None = None,
     component: Component | None = None,
     *,
     touch: bool = False,
@@ -58,7 +58,7 @@ def train(
     max_iterations: Annotated[int, ITERATIONS] = 0,
     seed: int = 0,
     design: DesignLike | None = None,
-    response: Response | None = None,
+    response: Response = None,
     force: bool = False,
     **settings: Any,
 ) -> "stages.Decoupler | stages.TouchDecoder":
@@ -171,12 +171,12 @@ TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "g
 
 @job()
 def evaluate(
-    model: Annotated[ModelLike | None, Parameter(required=False)],
-    data: SamplesLike,
+    model: ModelLike | None = None,
+    data: Annotated[SamplesLike | None, Parameter(required=True)] = None,
     *,
     limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
     folds: int | None = None,
-    response: Response | None = None,
+    response: Response = None,
     **training: Annotated[Any, TRAINING],
 ) -> "dict[str, stages.Assessment]":
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
@@ -227,6 +227,8 @@ def evaluate(
     True
     """
     caller, name, named = current(), name_of(data, "samples"), name_of(model, "model")
+    if data is None:
+        raise DesignError("give data=, samples to test on.")
     if (model is None) == (folds is None):
         raise DesignError("give model=, or folds= to cross-validate: one of them.")
     if folds is not None:
@@ -236,7 +238,7 @@ def evaluate(
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or cross-validate with folds=.")
-    assert model is not None
+    assert model is not None  # there are no folds
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
     if isinstance(decoupler, stages.TouchDecoder):

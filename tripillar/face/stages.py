@@ -1,6 +1,6 @@
 """Names of the stages that jobs call, each loaded when it is first used: to load all of them takes seconds."""
 
-# ruff: noqa: F401  # they are for others
+# ruff: noqa: F401, I001
 import ast
 from functools import cache
 from importlib import import_module
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dataset.card import UNSTATED, card_text
     from dataset.finite_strain import n_groups, require_finite
-    from dataset.indentation import largest_strain, write_contact
-    from dataset.indentation import samples_of as samples_of_contacts
+    from dataset.indentation import largest_strain, samples_of as samples_of_contacts, write_contact
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.measurement import ReadingError, Readout
     from dataset.protocols import INDENT, PROTOCOLS, pad_protocol
@@ -62,13 +61,7 @@ if TYPE_CHECKING:
     from geometry.mould import write_cad
     from geometry.pool import open_pool
     from hardware.boards.simulated import (
-        PressAndSlide,
-        counts_over_time,
-        press_and_slide,
-        run_board,
-        scene_motion,
-        suited_kind,
-        write_truth,
+        PressAndSlide, counts_over_time, press_and_slide, run_board, scene_motion, suited_kind, write_truth,
     )  # fmt: skip
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
@@ -85,22 +78,15 @@ if TYPE_CHECKING:
     from hardware.session import RECORDING_QUEUE, connect, counts_within, hashes_of, live, measure_link, record_scans
     from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
     from hardware.streams.files import convert, write_forces
-    from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT
-    from hardware.streams.foxglove_stream import FoxgloveStream
-    from hardware.streams.rerun_stream import PORT as RERUN_PORT
-    from hardware.streams.rerun_stream import RerunStream
+    from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
+    from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
     from tripillar.doctor import Check
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
     from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor, warn_of_test
     from tripillar.face.measured_loads import loads_of_table, measured_in_recording, measured_live
     from tripillar.face.tables import (
-        assessed_touch_tables,
-        assessment_table,
-        comparison_table,
-        contact_table,
-        crossval_table,
-        solution_table,
+        assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,
         stage_table,
     )  # fmt: skip
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline

@@ -16,7 +16,7 @@ from tripillar.terminal.interrupts import leave_at_once
 from tripillar.viewer.showing import Camera, Colour, LoadKind
 
 if TYPE_CHECKING:
-    Pressures = float | Sequence[float]
+    Pressures = float | Sequence[float] | None
     Scale = float | str | None
 else:
     Pressures = Annotated[tuple[float, ...], Parameter(consume_multiple=True, show_default=lambda _: "3")]
@@ -33,7 +33,7 @@ def view(
     /,
     *,
     save: File | None = None,
-    pressure_mpa: Pressures | None = None,
+    pressure_mpa: Pressures = None,
     load: LoadKind | None = None,
     colour: Annotated[Colour, Parameter(name=("--colour", "--color"))] = "displacement",
     scale: Scale = "true",
@@ -150,7 +150,7 @@ def _serve(options: "stages.PageOptions", source: "BodyLike | None") -> None:
         leave_at_once()
 
 
-def _pressures(given: "Pressures | None") -> tuple[float, ...]:
+def _pressures(given: "Pressures") -> tuple[float, ...]:
     """The pressures that are asked for, sound and different."""
     pressures = PRESSURES if given is None else (given,) if isinstance(given, int | float) else tuple(given)
     for value in pressures:
