@@ -125,10 +125,11 @@ class StoredSamples(AnySamples):
         return xr.open_zarr(self.path, chunks=chunks, consolidated=False, decode_times=False)
 
 
-def in_memory(samples: Samples | StoredSamples) -> Samples:
+def in_memory(samples: AnySamples) -> Samples:
     """All samples in memory; a `SampleError` if they take more than `IN_MEMORY` of the memory that is free."""
     if isinstance(samples, Samples):
         return samples
+    assert isinstance(samples, StoredSamples)
     import psutil
 
     needed = 2 * sum(8 * values.size for values in samples._data.data_vars.values())  # with a copy of what is used
