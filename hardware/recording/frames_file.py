@@ -194,9 +194,9 @@ def _require_same_board(info: Info, n_counts: float, bits: int, flags: int, sour
     """Refuse a frame that a board with this INFO does not send."""
     if (n_counts, bits, flags >> 1) != (info.n_crossings, info.bits, info.scan_mode):
         raise FileFormatError(
-            f"{source}: a data frame has {n_counts:g} counts of {bits} bits in scan mode {flags >> 1}, its INFO frame's "
-            f"{info.rows} × {info.cols} units make {info.n_crossings} of {info.bits} bits in {info.scan_mode.name}: "
-            "keep one board with one setting to a recording."
+            f"{source}: a data frame has {n_counts:g} counts of {bits} bits in scan mode {flags >> 1}, but its INFO "
+            f"frame says {info.rows} × {info.cols} units, which make {info.n_crossings} of {info.bits} bits in "
+            f"{info.scan_mode.name}: keep one board with one setting to a recording."
         )
 
 
