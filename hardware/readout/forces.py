@@ -66,7 +66,7 @@ class Forces:
         stated: Any = known and tuple(None if each is None else each[which] for each in known)
         some = replace(self, **given, stated=stated)
         if "wrench" in vars(self):
-            found = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
+            found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
             vars(some)["wrench"] = Wrench(**found)
         return some
 

@@ -184,7 +184,7 @@ HEAD = encode(BOARD)
         ({"rows": -3}, "its header is damaged .*rows=-3"),
         ({"scan_mode": "grounded"}, "its header is damaged"),
         ({"sense_ohm": None}, "its header is damaged .*sense_ohm"),
-        ({"bits": 12}, r"16 bits in scan mode 1, its INFO frame .* 12 bits"),
+        ({"bits": 12}, r"16 bits in scan mode 1, .* 12 bits"),
         (b"CDF\x05", "an export for other programs, which is not read back: give the recording"),
         (b"\x89HDF\r\n\x1a\n" + bytes(100), "an export"),
         (b"\x89MCAP0\r\n", "an export"),
