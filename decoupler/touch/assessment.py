@@ -58,32 +58,31 @@ def assess_touch(
     errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "light": None}
     by_force = {}
-    for k, (name, one) in enumerate(errors.items()):
+    for k, (name, own) in enumerate(errors.items()):
         coverage = float(within[0][..., k].mean()), float(within[1][..., k].mean())
-        by_force[name] = Assessment(errors=one, coverage=coverage, **nothing)
+        by_force[name] = Assessment(errors=own, coverage=coverage, **nothing)
     true_net_n = true_n[..., 2].sum(axis=1)
     pressed, loaded = true_net_n > 0, true_n[..., 2] > LOADED_N
     net_ratio = found_n[pressed][..., 2].sum(axis=1) / true_net_n[pressed]
-    moments = np.stack([each.moment_nmm for each in touches]), data.moment_nmm
-    centres = [
-        _centres(force_n[..., 2], unit_centres(decoder.design), None if moments[1] is None else moment.reshape(shape))
-        for force_n, moment in zip((found_n, true_n), moments, strict=True)
-    ]
+    places, moment = unit_centres(decoder.design), np.stack([each.moment_nmm for each in touches])
+    true_moment = None if data.moment_nmm is None else data.moment_nmm.reshape(shape)
+    if true_moment is None:
+        moment = true_moment = np.zeros_like(moment)
+    apart_mm = _centres(found_n[..., 2], places, moment) - _centres(true_n[..., 2], places, true_moment)
     one, two = (float(each[..., 2][loaded].mean()) if loaded.any() else 1.0 for each in within)
     return TouchAssessment(
         by_force=by_force,
         net_fz_median_pct=_median(100.0 * np.abs(net_ratio - 1.0)),
-        centre_mm=_median(np.linalg.norm(centres[0] - centres[1], axis=1)[pressed]),
+        centre_mm=_median(np.linalg.norm(apart_mm, axis=1)[pressed]),
         loaded_rmse_n=float(np.sqrt((missed[..., 2][loaded] ** 2).mean())) if loaded.any() else 0.0,
         loaded_coverage=(one, two),
     )
 
 
-def _centres(pressing_n: FloatArray, places_mm: FloatArray, moment_nmm: FloatArray | None) -> FloatArray:
+def _centres(pressing_n: FloatArray, places_mm: FloatArray, moment_nmm: FloatArray) -> FloatArray:
     """Centres of pressure (n, 2) [mm] of units' forces (n, units) and moments about their middles (n, units, 2)."""
     total = np.maximum(pressing_n.sum(axis=1), 1e-9)[:, None]
-    about = 0.0 if moment_nmm is None else moment_nmm.sum(axis=1)
-    return np.asarray(((pressing_n[..., None] * places_mm).sum(axis=1) + about) / total)
+    return np.asarray(((pressing_n[..., None] * places_mm).sum(axis=1) + moment_nmm.sum(axis=1)) / total)
 
 
 def _median(values: FloatArray) -> float:
