@@ -168,7 +168,7 @@ def test_what_are_no_pairs_is_refused():
     ohms, newtons = np.full((2, 1, 1, 3), 1e4), np.zeros((2, 1, 1, 3))
     with pytest.raises(SampleError, match=r"resistance_ohm has shape \(1, 1, 1, 3\), expected \(2, 1, 1, 3\)"):
         Pairs(resistance_ohm=ohms[:1], force_n=newtons)
-    with pytest.raises(SampleError, match=r"'pair 0' reads -10000 Ω at pillar 0,0,z"):
+    with pytest.raises(SampleError, match=r"'pair 0': resistance_ohm is -10000.0 at sample 0, row 0, col 0, pillar z"):
         Pairs(resistance_ohm=-ohms, force_n=newtons)
     with pytest.raises(SampleError, match="no pillar of any pair was read"):
         Pairs(resistance_ohm=np.nan * ohms, force_n=newtons)
