@@ -194,7 +194,8 @@ class SensorModel:
         lengths = self._norms(vectors)
         if self.sign is not None:
             vectors *= self.sign
-        return lengths, np.einsum("nip,pif->npf", vectors / lengths[:, None], self.by_component, optimize=True)
+        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
+        return lengths, np.einsum("nip,fip->npf", vectors / lengths[:, None], B, optimize=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
