@@ -175,7 +175,7 @@ HEAD = encode(BOARD)
         (HEAD[:-1], "no valid frame"),
         (a_frame(0) + a_frame(1), "2 data frames but no INFO frame of protocol 1"),
         (HEAD, "an INFO frame but no data frame"),
-        (HEAD + a_frame(0) + a_frame(1, n=12), "a data frame has 12 counts .* 2 × 3 units make 18"),
+        (HEAD + a_frame(0) + a_frame(1, n=12), "a data frame has 12 counts .* 2 × 3 units, which make 18"),
         (HEAD + a_frame(0, bits=13), "13 bits in scan mode 0, .* 12 bits in DIVIDER"),
         (HEAD + a_frame(0, scan_mode=ScanMode.GROUNDED), "12 bits in scan mode 1"),
         (HEAD + a_frame(0) + encode(replace(BOARD, serial=2)), "two INFO frames that differ"),
@@ -184,7 +184,7 @@ HEAD = encode(BOARD)
         ({"rows": -3}, "its header is damaged .*rows=-3"),
         ({"scan_mode": "grounded"}, "its header is damaged"),
         ({"sense_ohm": None}, "its header is damaged .*sense_ohm"),
-        ({"bits": 12}, r"16 bits in scan mode 1, the INFO frame's .* 12 bits"),
+        ({"bits": 12}, r"16 bits in scan mode 1, .* 12 bits"),
         (b"CDF\x05", "an export for other programs, which is not read back: give the recording"),
         (b"\x89HDF\r\n\x1a\n" + bytes(100), "an export"),
         (b"\x89MCAP0\r\n", "an export"),
@@ -236,7 +236,7 @@ def test_two_boards_frames_of_another_and_times_that_are_none_leave_the_others(p
         parse_recording(path.read_bytes() + path.with_name("b").read_bytes())
     with Recorder(path, INFO, append=True) as recorder:
         for frame, time_s, message in (
-            (frames(1, info=replace(INFO, rows=3))[0], 1.8e9, "has 27 counts .* 2 × 3 units make 18 of 16 bits"),
+            (frames(1, info=replace(INFO, rows=3))[0], 1.8e9, "has 27 counts .* 2 × 3 units, which make 18 of 16 bits"),
             (frames(1, info=replace(INFO, bits=12))[0], 1.8e9, "12 bits in scan mode 1"),
             *((frames(1)[0], time_s, r"Unix time \[s\], 0 to 1e\+10") for time_s in (float("nan"), -1.0, 1.8e18)),
         ):
