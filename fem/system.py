@@ -79,7 +79,7 @@ class System(Equations):
 
     def _take_parity(self, parity: Parity) -> None:
         self.parity, self.is_free = parity, self.is_free_in(parity)
-        self.take(folded_loads(self.whole_loads, self.mirrors, parity), self.body.boxes.integrals)
+        self.take(folded_loads(self.whole_loads, self.mirrors, parity), self.integrals)
 
     def of_parity(self, parity: Parity) -> "System":
         """The same part of the body with another part of the loads; they share `assembly`, found before."""
@@ -233,6 +233,10 @@ class System(Equations):
             if judge.n_negative:
                 return False
         return True
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        """∫ φ dA of every node's function over what the part has of rectangles (k, 4) of the top face, (k, n) [mm²]."""
+        return self.body.boxes.integrals(rectangles)
 
     def rest_tangent(self) -> FloatArray:
         """Blocks of the tangent at rest in `assembly`, (n_entries, 3, 3): linear elasticity."""

@@ -5,7 +5,7 @@ there are pressures.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor, whole
+from fem.mirrors import Mirror, Parity
 from fem.plates import FollowingFaces, Plates
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
@@ -31,6 +32,7 @@ class TetrahedralSystem(Equations):
     """
 
     body: TaylorHood
+    mirrors: tuple[Mirror, ...] = ()
 
     def __init__(self, body: TaylorHood, loads: Sequence[Load]) -> None:
         points = body.points_mm
@@ -40,9 +42,30 @@ class TetrahedralSystem(Equations):
         plates = Plates.on(points, nodes, rectangles, middles)
         faces = FollowingFaces.on_tetrahedra(body.basis, loads)
         super().__init__(body, loads, plates, faces, points, points[:, 2] > 0.0)
-        self.take(loads, lambda rectangles: patch_integrals(body.basis, rectangles))
+        self.take(loads, self.integrals)
         self.n_mixed, self.pressures_shape = body.n_pressure, (body.n_pressure,)
         self._pattern: sp.csr_matrix | None = None
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        """∫ φ dA of every node's function over rectangles (k, 4) of the top face, (k, n_nodes) [mm²]."""
+        return patch_integrals(self.body.basis, rectangles)
+
+    def rest_tangent(self) -> sp.csr_matrix:
+        """The upper triangle of the tangent at rest: linear elasticity."""
+        return self._tangent(self.rest(), 0.0, np.zeros_like(self.points_mm))
+
+    def matrix(self, tangent: sp.csr_matrix, parity: Parity) -> sp.csr_matrix:
+        """The tangent itself: there are no mirrors."""
+        return tangent
+
+    def of_parity(self, parity: Parity) -> Self:
+        """The same: there are no mirrors."""
+        return self
+
+    def displaced(self, y: FloatArray) -> FloatArray:
+        """Linear displacements (k, n_nodes, 3) of all nodes by solutions (n_unknowns, k) of the tangent at rest."""
+        blocks = y[: 3 * self.n_blocks].T.reshape(-1, self.n_blocks, 3)
+        return self.nodal_change(self.rest().rotation, blocks)
 
     def volume_ratios(self, state: State) -> FloatArray:
         """J at the points of integration, (n_elements, q)."""

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from fem.array.meshed import BoxCell, cell_lines
+from fem.array.meshed import CellBody, cell_lines
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
@@ -76,7 +76,7 @@ def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
     start = perf_counter()
     x, y, z = cell_lines(design, level)
     rows, cols = design.array.rows, design.array.cols
-    body, whole = BoxCell.of([_tiled(x, cols), _tiled(y, rows), z], [design.matrix_material]), (0, 0)
+    body, whole = CellBody.of_boxes([_tiled(x, cols), _tiled(y, rows), z], [design.matrix_material]), (0, 0)
     pads, electrodes = (
         (body.integrals(some) / ((some[:, 2:] - some[:, :2]).prod(axis=1)[:, None])).tocsr()
         for some in (pad_squares(design), electrode_squares(design))

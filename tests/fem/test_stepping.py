@@ -15,6 +15,7 @@ from fem.contact import (
     Sphere,
     Stepper,
     SurfaceCompliance,
+    Turned,
     press,
     surface_compliance,
 )
@@ -45,8 +46,8 @@ def pressed(stepper: Stepper, shape: Shape, at_mm: tuple[float, float], depth_mm
     ("shape", "at_mm", "slide_mm"),
     [
         (Sphere(6.0), (3.0, -2.0), (1.5, 0.8)),
-        (Cylinder(5.0, 9.0, 30.0), (4.0, 0.0), (0.7, 0.0)),
-        (Flat((6.0, 4.0), turn_deg=20.0), (-5.0, 1.0), (0.0, 0.4)),
+        (Turned(Cylinder(5.0, 9.0), 30.0), (4.0, 0.0), (0.7, 0.0)),
+        (Turned(Flat((6.0, 4.0)), 20.0), (-5.0, 1.0), (0.0, 0.4)),
         (Sphere(5.0), (13.0, 3.0), (0.0, 0.0)),
     ],
     ids=["ball", "bar", "punch", "beside the rim"],

@@ -143,7 +143,7 @@ def _as_plain(contact: "Contact", strain: float) -> dict[str, Any]:
 
 def _shape(name: "Indenter", given: dict[str, Any]) -> "Shape":
     """The indenter that a name and sizes describe."""
-    from fem.contact import Cylinder, Flat, Sphere, read_solid
+    from fem.contact import Cylinder, Flat, Sphere, Turned, read_solid
 
     if not isinstance(name, Path | str):
         return name
@@ -162,11 +162,12 @@ def _shape(name: "Indenter", given: dict[str, Any]) -> "Shape":
             raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
         if "radius_mm" in given:
             return Flat(radius_mm=given["radius_mm"])
-        return Flat(_pair("size_mm", given["size_mm"], alone=True), turn_deg=given.get("turn_deg", 0.0))
+        return Turned(Flat(_pair("size_mm", given["size_mm"], alone=True)), given.get("turn_deg", 0.0))
     if "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
     radius_mm = given.pop("radius_mm")
-    return Sphere(radius_mm) if kind == "sphere" else Cylinder(radius_mm, **given)
+    turn_deg = given.pop("turn_deg", 0.0)
+    return Sphere(radius_mm) if kind == "sphere" else Turned(Cylinder(radius_mm, **given), turn_deg)
 
 
 def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:
