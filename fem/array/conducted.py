@@ -56,8 +56,7 @@ def conducted_pillars(
     radius = influence_range(design, TRUNCATION)
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     interior = design_interior(design, functionals(design), pad_plate(design), progress)
-    electrics = design.electrics
-    piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+    piezo = Piezoresistivity.of(design.electrics)
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)

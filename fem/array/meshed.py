@@ -30,7 +30,7 @@ from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
-from fem.tetrahedra.mixed import Elements, TaylorHood
+from fem.tetrahedra.mixed import TaylorHood
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
@@ -309,21 +309,20 @@ def design_interior(
     `progress` is called with the name of each step as it begins.
     """
     material = [design.matrix_material, design.pillar_material]
-    elements: Boxes | Elements
     if design.is_homogeneous:
         progress("cell")
         body, degree = CellBody.of_boxes(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
-        elements = body.system.body.boxes
     else:
         progress("mesh")
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)
         progress("cell")
         body, degree = CellBody.of_tetrahedra(tetrahedra, plate), MESH_DEGREE
-        elements = tetrahedra.elements
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
     moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
-    loaded = [*rectangles_mm] if isinstance(elements, Boxes) else []  # tetrahedra have no edges along those of loads
-    field = Field(mesh=elements, displacement_mm=moved, material=material, loaded_mm=loaded)
+    loaded = [*rectangles_mm] if design.is_homogeneous else []  # tetrahedra have no edges along those of loads
+    rubber = body.system.body
+    mesh = rubber.boxes if isinstance(rubber, RubberBody) else rubber.elements
+    field = Field(mesh=mesh, displacement_mm=moved, material=material, loaded_mm=loaded)
     return CellInterior(cell=cell, field=field)

@@ -13,7 +13,6 @@ extrapolated.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
-from fem.conduction.reduced import ReducedConduction, reduced_conduction
+from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -297,7 +296,7 @@ class PillarReader:
 
     def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
         self.unit = design.unit
-        self._piezo, self._reduced = _piezoresistivity(design), typical_conduction(typical)
+        self._piezo, self._reduced = Piezoresistivity.of(design.electrics), typical_conduction(typical)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         #: places in the pillars where gradients are wanted, (k·n, 3)
         self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
@@ -322,11 +321,6 @@ class PillarReader:
         return ratios, good
 
 
-def _piezoresistivity(design: SensorDesign) -> Piezoresistivity:
-    electrics = design.electrics
-    return Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
-
-
 def typical_conduction(design: SensorDesign) -> ReducedConduction:
     """Reduced conduction of a design's units, from samples of 2 × 2 of them: a minute, then from the cache."""
     typical = replace(
@@ -334,39 +328,38 @@ def typical_conduction(design: SensorDesign) -> ReducedConduction:
     )
 
     def make() -> ReducedConduction:
-        return reduced_conduction(design.unit, _TypicalSamples(typical).deformations, _piezoresistivity(design))
+        piezo = Piezoresistivity.of(design.electrics)
+        return reduced_conduction(design.unit, _typical_deformations(typical), piezo)
 
-    def read(path: Path) -> ReducedConduction:
-        return ReducedConduction(**read_arrays(path))
+    key = digest("reduced conduction", TYPICAL_METHOD, TYPICAL, typical)
+    return kept(
+        "conduction.npz",
+        key,
+        make,
+        lambda path: ReducedConduction(**read_arrays(path)),
+        lambda made, path: write_arrays(vars(made), path),
+    )[0]
 
-    def write(made: ReducedConduction, path: Path) -> None:
-        write_arrays(vars(made), path)
 
-    return kept("conduction.npz", digest("reduced conduction", TYPICAL_METHOD, TYPICAL, typical), make, read, write)[0]
+def _typical_deformations(design: SensorDesign) -> Deformations:
+    """Deformation gradients of both grids in all units of an array of eq. 1, in random samples that others resemble."""
+    generator, k = np.random.default_rng(0), design.n_units
+    force_n = np.empty((TYPICAL, k, 3))
+    force_n[..., 2] = -generator.uniform(0, HIGHEST, (TYPICAL, k))
+    angle, share = generator.uniform(0, 2 * np.pi, (TYPICAL, k)), np.sqrt(generator.uniform(0, 1, (TYPICAL, k)))
+    force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
+    force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
+    solver = SampleSolver(design)
+    fields = solver.fields(force_n * (design.matrix_material.young_mpa * design.pad.size_mm**2))
 
-
-class _TypicalSamples:
-    """Random samples of an array of eq. 1, whose deformations others resemble."""
-
-    def __init__(self, design: SensorDesign) -> None:
-        self._solver = SampleSolver(design)
-        self._centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        generator, k = np.random.default_rng(0), design.n_units
-        force_n = np.empty((TYPICAL, k, 3))
-        force_n[..., 2] = -generator.uniform(0, HIGHEST, (TYPICAL, k))
-        angle, share = generator.uniform(0, 2 * np.pi, (TYPICAL, k)), np.sqrt(generator.uniform(0, 1, (TYPICAL, k)))
-        force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
-        force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
-        force_n *= design.matrix_material.young_mpa * design.pad.size_mm**2
-        self._fields = self._solver.fields(force_n)
-
-    def deformations(self, points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
-        """Deformation gradients (n, 3, 3) of both grids in all units at points (n, 3) of a unit's pillars [mm]."""
-        for centre in self._centres:
-            slopes = self._solver.slopes(points_mm + centre)
-            for H in (H for field in self._fields for H in field.gradients(*slopes)):
+    def deformations(points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
+        for centre in np.pad(unit_centres(design), ((0, 0), (0, 1))):
+            slopes = solver.slopes(points_mm + centre)
+            for H in (H for field in fields for H in field.gradients(*slopes)):
                 F, good = _mended(np.eye(3) + H[:, None], pillar, weight_mm3)
                 yield from F[good]
+
+    return deformations
 
 
 def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
