@@ -20,7 +20,6 @@ from fem.boxes.boxes import Boxes
 from fem.boxes.lines import Attractor, graded_lines
 from fem.factor import SparseMatrix
 from fem.field import Field
-from fem.finite.tetrahedra import TetrahedralSystem
 from fem.levels import richardson_factor
 from fem.mirrors import QUARTER, Mirror, Parity
 from fem.rubber.body import RubberBody
@@ -31,6 +30,7 @@ from fem.scene.solution import Stopwatch
 from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
 from fem.tetrahedra.mixed import TaylorHood
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
@@ -61,12 +61,12 @@ BOX_RATE, MESH_RATE = 2.5, {"soft": 1.1, "stiff": 0.65}
 
 @dataclass(frozen=True, eq=False)
 class CellBody:
-    """A cell, or its part beyond mirrors, as the equations at rest of boxes or of a whole cell of tetrahedra."""
+    """A cell of boxes, or its part beyond mirrors; or a whole one of tetrahedra."""
 
-    system: System | TetrahedralSystem  #: its loads are plates without force
+    system: System | TetrahedralSystem  #: at rest; its loads are plates without force
 
     @classmethod
-    def of_boxes(
+    def of(
         cls,
         lines: Sequence[FloatArray],
         rubbers: Sequence[Material],
@@ -82,22 +82,22 @@ class CellBody:
         boxes = Boxes.between(lines)
         every = np.ones((1, len(boxes.nodes), 1)) if shares is None else shares.reshape(len(rubbers), -1, 1)
         body = RubberBody(boxes, LAWS["linear"].of(rubbers[: len(every)], every))
-        return cls(System(body, _plates(plate), mirrors))
+        return cls(System(body, plate_on(plate), mirrors))
 
     @classmethod
     def of_tetrahedra(cls, body: TaylorHood, plate: FloatArray | None = None) -> "CellBody":
-        """Tetrahedra with a plate bonded to a rectangle (4,)."""
-        return cls(TetrahedralSystem(body, _plates(plate)))
+        """A whole cell of Taylor-Hood tetrahedra, with a plate as of `of`."""
+        return cls(TetrahedralSystem(body, plate_on(plate)))
+
+    @property
+    def definite(self) -> bool:
+        """True if its matrices are."""
+        return not self.system.n_mixed
 
     @property
     def mirrors(self) -> tuple[Mirror, ...]:
         """Planes beyond which the part lies."""
         return self.system.mirrors
-
-    @property
-    def definite(self) -> bool:
-        """Whether its matrices are."""
-        return not self.system.n_mixed
 
     @property
     def points_mm(self) -> FloatArray:
@@ -113,8 +113,8 @@ class CellBody:
 
     @property
     def is_square(self) -> bool:
-        """True if the body stays the same when x and y are exchanged; tetrahedra never do."""
-        if not isinstance(self.system, System):
+        """True if the body stays the same when x and y are exchanged."""
+        if isinstance(self.system, TetrahedralSystem):
             return False
         boxes, law = self.system.body.boxes, self.system.body.law
         moduli = [part.reshape(boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
@@ -136,16 +136,11 @@ class CellBody:
 
     def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
         """Forces (m, k) on the unknowns of forces (k, n, 3) on the nodes [N]."""
-        blocks = self.system.of_parity(parity).gathered(forces, self.system.rest().rotation)
-        return np.pad(blocks.reshape(len(forces), -1), ((0, 0), (0, self.system.n_mixed))).T
+        return self.system.of_parity(parity).rest_loads(forces)
 
     def displacements(self, solution: FloatArray) -> FloatArray:
         """Displacements (k, n, 3) of the nodes by unknowns (m, k) [mm]."""
         return self.system.displaced(solution)
-
-
-def _plates(rectangle: FloatArray | None) -> list[StiffLoad]:
-    return [] if rectangle is None else [StiffLoad(**_sides(rectangle), force_n=(0.0, 0.0, 0.0))]
 
 
 def lone_unit(design: SensorDesign) -> SensorDesign:
@@ -230,7 +225,7 @@ class DesignCell:
         if self.design.is_homogeneous:
             mirrors = cell_mirrors(self.design)
             lines = cell_lines(self.design, level, mirrors)
-            return CellBody.of_boxes(lines, [self.design.matrix_material], self.plate, mirrors)
+            return CellBody.of(lines, [self.design.matrix_material], self.plate, mirrors)
         return CellBody.of_tetrahedra(self.tetrahedra(level), self.plate)
 
     def tetrahedra(self, level: int) -> TaylorHood:
@@ -281,6 +276,11 @@ class DesignCell:
         return richardson_factor(one, other, MESH_RATE[self.design.pad.kind])
 
 
+def plate_on(plate: FloatArray | None) -> list[Load]:
+    """A plate on a rectangle (4,), as a load without force; none if there is none."""
+    return [] if plate is None else [StiffLoad(**_sides(plate), force_n=(0.0, 0.0, 0.0))]
+
+
 def _sides(rectangle: FloatArray) -> dict[str, Any]:
     """Centre and size of a rectangle (4,)."""
     x0, y0, x1, y1 = rectangle.tolist()
@@ -311,7 +311,7 @@ def design_interior(
     material = [design.matrix_material, design.pillar_material]
     if design.is_homogeneous:
         progress("cell")
-        body, degree = CellBody.of_boxes(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
+        body, degree = CellBody.of(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
     else:
         progress("mesh")
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)

@@ -178,4 +178,4 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
     shares = None if side.is_homogeneous else pillar_shares(side.unit, *lines)
     shares = None if shares is None else np.stack([1 - shares, shares])
     rubbers = [side.matrix_material, side.pillar_material]
-    return condense(CellBody.of_boxes(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
+    return condense(CellBody.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)

@@ -12,12 +12,13 @@ from time import perf_counter
 import numpy as np
 from skfem import MeshTet
 
-from fem.array.meshed import lone_unit
+from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.patch import bonded, patch_means
+from fem.tetrahedra.patch import patch_means
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -74,15 +75,17 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
     body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
     pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
-    plates = pad_squares(design) if design.pad.kind == "stiff" else np.empty((0, 4))
-    T = bonded(body.n_unknowns, body.free, body.points_mm, plates)
-    x, residual = checked_solve(Factor(T.T @ body.matrix @ T), T.T @ body.loads(pads.T.toarray()))
+    plates = [plate for square in pad_squares(design) for plate in plate_on(square)]
+    system = TetrahedralSystem(body, plates if design.pad.kind == "stiff" else [])
+    loads = system.rest_loads(pads.toarray().reshape(pads.shape[0], -1, 3))
+    x, residual = checked_solve(Factor(system.matrix(system.rest_tangent()), upper=True), loads)
+    moved = system.displaced(x).reshape(pads.shape[0], -1)
     rows, cols = design.array.rows, design.array.cols
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=(electrodes @ body.displacements(T @ x)).reshape(rows, cols, -1, 3, rows, cols, 3),
+        influence_mm_per_n=(electrodes @ moved.T).reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=residual,
-        unknowns=T.shape[1],
+        unknowns=system.n_unknowns,
         mesh_hash=mesh.content_hash,
         seconds={"solve": perf_counter() - start},
         method="taylor-hood",

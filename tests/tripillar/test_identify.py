@@ -16,7 +16,7 @@ from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor
 from tests.house import House
-from tripillar.face import identifying, twins
+from tripillar.face import identifying
 from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
@@ -48,7 +48,7 @@ def _derivatives(design, tolerances=None):
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(twins, "with_derivatives", _derivatives)
+    monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
