@@ -15,7 +15,7 @@ from fem import Scene, solve_scene
 from fem.scene.solution import largest_error, relative_errors
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from tripillar.sweep.memory import peak_mib
+from studies.memory import peak_mib
 
 PATIENCE_S = 1800.0  #: by the clock, after which an answer is given up
 ROUNDED = 1e-6  #: relative; what an answer without an estimate may move by, since single precision is kept

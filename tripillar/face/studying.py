@@ -81,7 +81,6 @@ def sweep(
     trials: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    train: bool = False,
     retry: bool = False,
     best: int = 8,
 ) -> "list[Row]":
@@ -103,8 +102,6 @@ def sweep(
         Number of worker processes; default: one a core.
     scheduler : str, optional
         Address of a Dask scheduler to use instead of processes here.
-    train : bool
-        Train the network of every design, too; not in a search.
     retry : bool
         Try designs that failed before once more; not in a search.
     best : int
@@ -119,11 +116,13 @@ def sweep(
     require_there(source, what="a sweep file")
     require_counts(workers=workers, best=best, trials=trials)
     require_pool(workers if scheduler is None else None, scheduler)
-    if optimize and (train or retry):
-        raise DesignError("train=True and retry=True are of sweeps: leave them out with optimize=True.")
+    if optimize and retry:
+        raise DesignError("retry=True is of sweeps: leave it out with optimize=True.")
     if trials is not None and not optimize:
         raise DesignError("trials= are of a search: add optimize=True, or leave trials= out.")
-    asked = sweep_of(source, train)
+    from tripillar.sweep.sweep_file import read_sweep
+
+    asked = read_sweep(source)
     if optimize:
         asked = asked if trials is None else replace(asked, samples=trials)
         return _optimized(asked, source, folder, workers, scheduler)
@@ -131,26 +130,22 @@ def sweep(
     from geometry.pool import open_pool
     from geometry.storage.journal import Journal
     from tripillar.sweep.rows import write_parquet
-    from tripillar.sweep.run import are_cached, judge_all, kept_rows
+    from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of
-    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
 
     samples = samples_of(asked)
     journal = Journal(folder / f"{source.stem}-rows")
     found = kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
-    if missing:
-        log = folder / f"{source.stem}-workers.log"
-        tasks = 0 if are_cached(missing, asked.judging) else None
-        with stoppable(journal), open_pool(workers, scheduler, log, tasks) as pool:
-            found |= judge_all(missing, asked.judging, pool, journal, shown(caller.bars, "designs", len(missing)))
+    with stoppable(journal), open_pool(workers, scheduler) as pool:
+        found |= judge_all(missing, asked.judging, pool, journal, shown(caller.bars, "designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
     write_parquet(rows, files[0])
     if not all(row.failed for row in rows):
-        files += [folder / f"{source.stem}-pareto.png", folder / f"{source.stem}-parallel.png"]
+        files.append(folder / f"{source.stem}-pareto.png")
         draw_pareto(rows, asked, files[1])
-        draw_parallel(rows, asked, files[2])
     failed = reasons(rows)
     result = {
         "designs": len(rows),
@@ -171,18 +166,12 @@ def _optimized(asked: "Sweep", source: Path, folder: Path, workers: int | None, 
     from geometry.pool import open_pool
     from geometry.storage.files import write_text
     from geometry.storage.journal import Journal
-    from tripillar.sweep.optimize import search, trial_sample, tried
-    from tripillar.sweep.run import kept_rows
+    from tripillar.sweep.optimize import search
     from tripillar.sweep.trade_offs import best_table, ranked
 
-    journal, history = Journal(folder / f"{source.stem}-rows"), Journal(folder / f"{source.stem}-trials")
-    done = [trial_sample(asked, shares) for shares in tried(asked, history)]
-    rows = list(kept_rows(done, journal).values())
-    left = max(0, asked.samples - len(done))
-    if left or len(rows) < len({sample.cache_key for sample in done}):
-        log = folder / f"{source.stem}-workers.log"
-        with history.alone(), stoppable(journal), open_pool(workers, scheduler, log) as pool:
-            rows = search(asked, pool, journal, history, shown(current().bars, "trials", left))
+    journal = Journal(folder / f"{source.stem}-rows")
+    with stoppable(journal), open_pool(workers, scheduler) as pool:
+        rows = search(asked, pool, journal, shown(current().bars, "trials", asked.samples))
     best = ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
@@ -190,8 +179,7 @@ def _optimized(asked: "Sweep", source: Path, folder: Path, workers: int | None, 
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
-    result = counts | {"best": best[0].flat(), "file": str(path)}
+    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(), "file": str(path)}
     current().answer(lambda: result, lambda: [best_table(rows, asked, 5)], path)
     return best
 
@@ -231,14 +219,6 @@ def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = Tru
     result = {"checks": [asdict(check) for check in checks], "wrong": wrong}
     caller.answer(lambda: result, "\n".join(lines), code=1 if wrong else 0)
     return checks
-
-
-def sweep_of(file: Path, train: bool) -> "Sweep":
-    """The sweep of a file, with or without trained nets."""
-    from tripillar.sweep.sweep_file import read_sweep
-
-    asked = read_sweep(file)
-    return replace(asked, judging=replace(asked.judging, train=train))
 
 
 def stoppable(journal: "Journal") -> AbstractContextManager[None]:

@@ -4,14 +4,13 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
 from tripillar.face.caller import current
-from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, to_write
-from tripillar.viewer.page.opening import HTTP_PORT, LOOPBACK, PageOptions
+from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, given, to_write
 from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, show_deformed
 
 if TYPE_CHECKING:
@@ -104,17 +103,16 @@ def view(
         "camera": camera != "iso",
         "save": save is not None,
     }
-    of_page = {"host": host, "http_port": http_port, "port": port, "model": model, "calibration": calibration}
-    _require_together(shown_as, {name: value is not None for name, value in of_page.items()}, serve)
+    of_page = given(
+        host=host,
+        http_port=http_port,
+        port=port,
+        model=None if model is None else Path(model),
+        calibration=None if calibration is None else Path(calibration),
+    )
+    _require_together(shown_as, dict.fromkeys(of_page, True), serve)
     if serve:
-        options = PageOptions(
-            host=LOOPBACK if host is None else host,
-            http_port=HTTP_PORT if http_port is None else http_port,
-            port=port,
-            model=None if model is None else Path(model),
-            calibration=None if calibration is None else Path(calibration),
-        )
-        _serve(options, design if body is None else body)
+        _serve(of_page, design if body is None else body)
         return {}
     pressures, factor, file = _pressures(pressure_mpa), _factor(scale), to_write("save", save)
     require_shown(file)
@@ -122,10 +120,10 @@ def view(
     from fem.scene.scene import Scene
     from tripillar.viewer.sights import largest_mm, linear_note, read_body
 
-    given = design_of(design) if body is None else read_body(Path(body)) if isinstance(body, Path | str) else body
-    if isinstance(given, Scene) and (pressure_mpa is not None or load is not None):
+    shown = design_of(design) if body is None else read_body(Path(body)) if isinstance(body, Path | str) else body
+    if isinstance(shown, Scene) and (pressure_mpa is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave pressure_mpa= and load= out.")
-    panels, factor = show_deformed(given, file, pressures, load or "indenter", colour, factor, camera, caller.bars)
+    panels, factor = show_deformed(shown, file, pressures, load or "indenter", colour, factor, camera, caller.bars)
     moved = {
         name: {part_name: largest_mm(part.displacement_mm) for part_name, part in parts.items()}
         for name, parts in panels.items()
@@ -136,7 +134,7 @@ def view(
     for name, of_parts in moved.items():
         pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
         lines.append(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
-    warning = linear_note(given, panels)
+    warning = linear_note(shown, panels)
     if warning:
         lines.append(f"{warning}; {MEND}")
     result = {
@@ -158,7 +156,7 @@ def _require_together(of_pictures: dict[str, bool], of_page: dict[str, bool], se
         raise DesignError(f"{why}{': leave' if serve else ', or leave'} {given} out.")
 
 
-def _serve(options: PageOptions, source: "BodyLike | None") -> None:
+def _serve(of_page: dict[str, Any], source: "BodyLike | None") -> None:
     """Serve the page of a design until Ctrl-C."""
     from fem.scene.scene import Scene
     from tripillar.terminal.interrupts import leave_at_once
@@ -168,7 +166,7 @@ def _serve(options: PageOptions, source: "BodyLike | None") -> None:
     design = read_body(Path(source)) if isinstance(source, Path | str) else source
     if isinstance(design, Scene):
         raise DesignError(f"{source} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
-    open_page(options, design, current().bars, current().as_json)
+    open_page(design, current().bars, current().as_json, **of_page)
     if current().is_typed:
         leave_at_once()
 
