@@ -57,9 +57,10 @@ class DeformedPicture:
     `panels` are one picture each, its name above it: parts named matrix are translucent, pads are outlined, the rest is
     solid. Displacement is drawn `scale` times as large; all cameras but "iso" are parallel projections. Frames of films
     are smoothed less, which is quicker; pages have no text and no colour bars: they add their own, by `names`, `bars`,
-    `note` and `aspect`. `over` is what the colour bars are to hold where the picture is to show more than its panels,
-    by `load`; `columns` are panels beside each other, all by default; `warning` is said below the pictures. `before`
-    are the same bodies under smaller loads, in equal steps up to the panels', for `press` where they are not linear.
+    `note` and `aspect`; live pictures are plain and quick. `over` is what the colour bars are to hold where the picture
+    is to show more than its panels, by `load`; `columns` are panels beside each other, all by default; `warning` is
+    said below the pictures. `before` are the same bodies under smaller loads, in equal steps up to the panels', for
+    `press` where they are not linear.
     """
 
     def __init__(
@@ -99,7 +100,8 @@ class DeformedPicture:
             row, column = divmod(number, columns)
             self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
             self._draw(name, parts)
-            self.actors["beside"] = self.plotter.add_mesh(stage[name], color=INK, lighting=False)
+            if medium != "live":
+                self.plotter.add_mesh(stage[name], color=INK, lighting=False)
             look(self.plotter.camera, seen[name], camera, self.aspect)
             self.plotter.reset_camera_clipping_range()
             if not self._is_bare:
@@ -181,7 +183,11 @@ class DeformedPicture:
         return plotter
 
     def _draw(self, panel: str, parts: Parts) -> None:
+        is_live = self._medium == "live"
+        solid, glassy = ({}, {}) if is_live else (SOLID, GLASSY)
         for name, part in parts.items():
+            if is_live and name == "electrodes":
+                continue
             whole = part.grid
             whole["point"] = np.arange(len(part.points_mm))
 
@@ -207,16 +213,16 @@ class DeformedPicture:
                 continue
             skin = whole.extract_surface(algorithm="dataset_surface")
             if name == "matrix":
-                if self._medium != "live":
+                if not is_live:
                     skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
-                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **glassy)
                 # PyVista's own smooth shading would draw a copy, which stays at rest
-                self.actors[name].prop.interpolation = "flat" if self._medium == "live" else "phong"
+                self.actors[name].prop.interpolation = "flat" if is_live else "phong"
             elif name == "electrodes":
                 skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
-                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#c98a4b", **SOLID)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#c98a4b", **solid)
             else:
-                self.actors[name] = self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **SOLID)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **solid)
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest

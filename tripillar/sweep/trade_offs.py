@@ -17,7 +17,6 @@ from tripillar.sweep.variables import Variable
 SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
 AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
-HOPELESS = 100.0  #: times the least value of a metric; worse designs are drawn at the edge
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
@@ -62,9 +61,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = [row for row in rows if not row.failed]
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    whole = column(sound, sweep.least)
-    error = _clipped(whole)
-    is_clipped = error < whole
+    error = column(sound, sweep.least)
     variable = telling_variable(sound, sweep)
     shade = np.array([row.values[variable.name] for row in sound])
     norm = LogNorm() if _is_wide(shade) else Normalize()
@@ -76,12 +73,9 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
-        for marker, those in (("o", within & ~is_clipped), ("^", within & is_clipped)):
-            axes.scatter(
-                other[those], error[those], c=shade[those], s=42, marker=marker, cmap="viridis", norm=norm,
-                edgecolors="white", linewidths=0.6, zorder=3,
-            )  # fmt: skip
-        front = pareto(np.where(within & ~is_clipped, error, np.inf), -other if more else other)
+        points = {"s": 42, "cmap": "viridis", "norm": norm, "edgecolors": "white", "linewidths": 0.6, "zorder": 3}
+        axes.scatter(other[within], error[within], c=shade[within], **points)
+        front = pareto(np.where(within, error, np.inf), -other if more else other)
         order = front[np.argsort(other[front])]
         line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
         axes.step(other[order], error[order], where="pre" if more else "post", **line)
@@ -92,9 +86,8 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
     figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
-    counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int(is_clipped.sum())}
-    parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
-    figure.suptitle("; ".join(parts), fontsize=12)
+    failed = f"; {len(rows) - len(sound)} more failed" if len(sound) < len(rows) else ""
+    figure.suptitle(f"{len(sound)} designs{failed}", fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -113,24 +106,16 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
-    """The variable of the strongest rank correlation with the minimised metric, hopeless designs left out."""
+    """The variable of the strongest rank correlation with the minimised metric."""
     error = column(rows, sweep.least)
-    sane = error == _clipped(error)
-    error = error[sane]
 
     def agreement(variable: Variable) -> float:
-        values = np.array([row.values[variable.name] for row in rows])[sane]
+        values = np.array([row.values[variable.name] for row in rows])
         if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
             return 0.0
-        return abs(float(spearmanr(values, error).statistic))
+        return abs(float(spearmanr(values, error, nan_policy="omit").statistic))
 
     return max(sweep.variables, key=agreement)
-
-
-def _clipped(values: FloatArray) -> FloatArray:
-    """Values not above `HOPELESS` times the least, so that a few singular designs do not squeeze all others."""
-    least = np.nanmin(values, initial=np.inf)
-    return np.minimum(values, HOPELESS * least) if least > 0 else values
 
 
 def _is_wide(values: FloatArray) -> bool:

@@ -1,6 +1,5 @@
 """Sweeps and searches: rows are the same whoever makes them, none is lost, and what is missing alone is made."""
 
-import json
 import signal
 import subprocess
 import time
@@ -179,8 +178,8 @@ def test_designs_that_share_a_stage_come_one_after_the_others():
     assert shared(array=Array(rows=4, cols=7)) == {"mesh", "cell"}
     assert shared(pad=Pad(size_mm=10.0)) == shared(matrix_material=Material(young_mpa=3.0)) == {"mesh"}
     assert shared(array=Array(rows=4, cols=4, pitch_mm=16.0)) == set()
-    ordered = different_first(samples_of(GRID), GRID.judging)
-    assert [one.values["pad.size_mm"] for one in ordered if one.design] == [9.0, 12.0, 9.0, 12.0]
+    ordered = different_first([one for one in samples_of(GRID) if one.design], GRID.judging)
+    assert [one.values["pad.size_mm"] for one in ordered] == [9.0, 12.0, 9.0, 12.0]
 
 
 def test_arrays_of_another_size_take_the_cell_from_the_cache(monkeypatch):
@@ -223,6 +222,6 @@ def test_a_search_leans_on_what_it_found_and_is_the_same_again(tmp_path, monkeyp
         assert off_mm[-10:].mean() < 0.6 * off_mm[:START].mean()
         for path in sorted(tmp_path.glob("*.json"))[::2]:
             path.unlink()
-        assert search(asked, pool, Journal(tmp_path)) == rows
-    assert (len(first), len(made), made[40:]) == (40, 60, [pitch_mm for pitch_mm in first if pitch_mm in made[40:]])
-    assert json.loads(next(tmp_path.glob("*.json")).read_text())["metrics"]["error_n"] >= 0
+        again = search(asked, pool, Journal(tmp_path))
+    assert {row.cache_key: row for row in again} == {row.cache_key: row for row in rows}
+    assert (len(first), len(made), set(made[40:]) < set(first)) == (40, 60, True)

@@ -12,7 +12,7 @@ import pyvista as pv
 from fem.pictures.arrays import ArrayField, FieldState
 from fem.pictures.deformation import PAD_LIFT_MM, DeformedPicture, place
 from fem.pictures.parts import COARSE, ArrayParts, Part
-from fem.pictures.scenery import QUANTITIES, Bar, Colour, Quantity, unit_names
+from fem.pictures.scenery import QUANTITIES, Bar, Colour, Quantity, draw_scenery, unit_names
 from geometry.layout import FloatArray
 
 Shown = Colour | Literal["resistance"]
@@ -65,13 +65,13 @@ class ArrayScene:
         self.plotter, self.pads_bar = self._picture.plotter, self._picture.bars[-1]
         self.pillars = next(moving.mesh for moving in self._picture.moving if moving.name == "pillars")
         names = unit_names(design.array.rows, design.array.cols, design.array.pitch_mm)
-        self._letters = self._picture.actors["beside"], self.plotter.add_mesh(names, lighting=False)
+        beside = draw_scenery(np.vstack([rest["matrix"].points_mm, names.points]), "iso")
+        self._letters = self.plotter.add_mesh(pv.merge([names, beside]), lighting=False)
         around = np.arange((COARSE[2] + 1) ** 2).reshape(COARSE[2] + 1, -1)
         self._border = np.concatenate([around[0], around[1:, -1], around[-1, -2::-1], around[-2:0:-1, 0]])
         self.mark = pv.lines_from_points(rest[self._pads].points_mm[self._border], close=True)  #: of the chosen pad
         self.plotter.add_mesh(self.mark, color=CHOSEN, line_width=4)
-        beside = self._picture.actors["beside"].mapper.dataset.points
-        self.reach_mm = np.vstack([rest["matrix"].points_mm, names.points, beside])
+        self.reach_mm = np.vstack([rest["matrix"].points_mm, names.points, beside.points])
         self.camera = Camera(self.plotter.camera)
         self.look_from_the_start()
 
@@ -104,8 +104,7 @@ class ArrayScene:
         own = first + self._border
         self.mark.points = pads.points_mm[own] + scale * pads.displacement_mm[own] + (0.0, 0.0, PAD_LIFT_MM)
         self.plotter.set_background(BACKGROUND[is_dark])
-        for letters in self._letters:
-            letters.prop.color = LETTERS[is_dark]
+        self._letters.prop.color = LETTERS[is_dark]
         self._picture.actors["matrix"].prop.opacity = HAZE[is_dark]
         return bar
 
