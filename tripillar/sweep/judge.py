@@ -8,9 +8,9 @@ from time import perf_counter
 import numpy as np
 
 from dataset.measurement import ReadingError
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import largest_factors
-from dataset.simulation import displacements, forces
+from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
