@@ -235,7 +235,7 @@ class Page:
         bar = self.scene.show(drawn, reading.change.reshape(-1, 3), *looks)
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
-        shown = {
+        shown: dict[str, Any] = {
             "trouble": "",
             "legend": [legend(bar), legend(self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
