@@ -35,16 +35,9 @@ IntArray = NDArray[np.int64]
 class System(Equations):
     """The equations of a body of boxes under loads; linear elasticity is the tangent at rest.
 
-    Parameters
-    ----------
-    body : RubberBody
-        Its base z = 0 is clamped. From order 3 on the elements' insides are eliminated, at rest only.
-    loads : sequence of loads
-        Of the whole body.
-    mirrors : tuple of Mirror
-        Planes of which `body` is the part above, its lowest sides on them. Plates lie off them or across their middles.
-    parity : Parity, optional
-        Of the fields that are meant where no other is named; default: even in every plane.
+    The body's base z = 0 is clamped; from order 3 on its elements' insides are eliminated, at rest only. `loads` are
+    those of the whole body, which lies beyond the planes of `mirrors`; plates lie off them or across their middles.
+    `parity` is that of the fields meant where no other is named; default: even in every plane.
     """
 
     body: RubberBody

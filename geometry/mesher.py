@@ -19,16 +19,10 @@ PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
 def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
-    """Load and run a function in a new process, and return its result.
+    """Load and run a function, "geometry.mesher:tetrahedralize", in a new process, and return its result.
 
-    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB. `place`
-    is the function's module and name, "geometry.mesher:tetrahedralize"; what it takes and gives must be such that it
-    can be pickled.
-
-    Raises
-    ------
-    GeometryError
-        If the process crashed, or was ended for want of memory.
+    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB.
+    `GeometryError` if the process crashed, or was ended for want of memory.
     """
     asked = pickle.dumps((place, arguments, named), pickle.HIGHEST_PROTOCOL)
     command, pipe = [sys.executable, "-m", "geometry.mesher"], subprocess.PIPE

@@ -51,15 +51,9 @@ def estimated_error(history: Sequence[tuple[float, FloatArray]]) -> float:
 
 
 class AdaptedTetrahedra:
-    """A scene on Taylor-Hood tetrahedra.
+    """A scene on Taylor-Hood tetrahedra; `regions` are those that need one of their own.
 
-    Parameters
-    ----------
-    scene : Scene
-    regions : sequence of (Prism, Material)
-        Those that need a region of their own.
-    rectangles : array, shape (k, 4), optional
-        More rectangles of the top face that the mesh is to resolve, beside those of loads and probes.
+    `rectangles` (k, 4) of the top face are to be resolved beside those of loads and probes.
     """
 
     def __init__(self, scene: Scene, regions: Sequence[Region], rectangles: FloatArray = NOWHERE) -> None:
@@ -183,25 +177,11 @@ def residuals(
     tractions_mpa: FloatArray,
     plates: FloatArray,
 ) -> FloatArray:
-    """Squared residual of an answer in each element, in units of energy.
+    """Squared residual of an answer in each element, in units of energy, (m,) [N mm].
 
-    Parameters
-    ----------
-    body : TaylorHood
-    u : array, shape (n_nodes, 3)
-        Nodal displacements [mm].
-    pressure : array, shape (n_pressure,)
-        Corner pressures of the mixed form [MPa].
-    rectangles : array, shape (n, 4)
-        Of the top face, under uniform loads, which add up where they overlap.
-    tractions_mpa : array, shape (n, 3)
-        Of these loads.
-    plates : array, shape (k, 4)
-        Rectangles of the top face that follow stiff plates, whose tractions nobody knows.
-
-    Returns
-    -------
-    array, shape (m,) [N mm]
+    The answer is u (n_nodes, 3) [mm] and corner pressures (n_pressure,) [MPa], under uniform tractions (n, 3) on
+    rectangles (n, 4) of the top face, which add up where they overlap. Rectangles (k, 4) of stiff `plates` have
+    tractions that nobody knows.
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T

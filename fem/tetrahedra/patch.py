@@ -31,24 +31,9 @@ def patch_means(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
 
 
 def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
-    """Integral of every scalar shape function over rectangles of the plane top face.
+    """∫ φ dA (k, basis.N) [mm²] of every P2 shape function over rectangles x0, y0, x1, y1 (k, 4) of the plane top face.
 
-    Parameters
-    ----------
-    basis : Basis
-        Scalar P2 basis on a MeshTet whose highest points form the plane top face.
-    rectangles : array, shape (n_rectangles, 4)
-        x0, y0, x1, y1 of each [mm].
-
-    Returns
-    -------
-    csr_matrix, shape (n_rectangles, basis.N)
-        ∫ φₙ dA [mm²]; each row sums to the rectangle's area.
-
-    Raises
-    ------
-    PatchError
-        If a rectangle is not covered by the top face to a relative 1e-9 of its area.
+    Each row sums to the rectangle's area; `PatchError` if the top does not cover it to a relative 1e-9.
     """
     corners, dofs = top_triangles(basis)  # (n, 3, 2), (n, 6)
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -96,10 +81,9 @@ def _clipped_integrals(triangles: FloatArray, rectangle: tuple[float, ...]) -> F
 
 
 def _clip(polygons: FloatArray, inside: FloatArray) -> FloatArray:
-    """The parts of convex polygons (n, k, 2) where linear functions of values `inside` (n, k) there are not negative.
+    """The parts of convex polygons (n, k, 2) where linear functions of values `inside` (n, k) are not negative.
 
-    Shape (n, k + 1, 2), as a half plane adds a corner at most; corners that a polygon has not repeat its last one, and
-    a polygon wholly outside is a point.
+    Shape (n, k + 1, 2): a half plane adds a corner at most, missing ones repeat the last, outside all are one point.
     """
     n, k = inside.shape
     beyond, following = np.roll(inside, -1, axis=1), np.roll(polygons, -1, axis=1)

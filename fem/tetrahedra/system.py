@@ -22,14 +22,7 @@ from geometry.layout import FloatArray
 
 
 class TetrahedralSystem(Equations):
-    """The equations of a body of tetrahedra under loads, as `fem.system.System` has those of boxes.
-
-    Parameters
-    ----------
-    body : TaylorHood
-        Its faces follow the outlines of stiff loads.
-    loads : sequence of loads
-    """
+    """The equations of tetrahedra, whose faces follow the outlines of stiff loads, as `System` has those of boxes."""
 
     body: TaylorHood
 
