@@ -135,7 +135,8 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     plates = [load for square in pad_squares(design) for load in plate_on(square)] if design.pad.kind == "stiff" else []
     body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
     system = TetrahedralSystem(body, plates)
-    T = system.motions(system.rest().rotation)
+    T = system.motions(system.rest().rotation)[free]
+    T = sp.block_diag([T, sp.eye_array(K.shape[0] - len(free))], format="csr")
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
     x, residual = checked_solve(Factor(K), T.T @ f)
