@@ -19,7 +19,7 @@ from trimesh.util import concatenate
 from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
-from geometry.mesher import run_apart
+from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
@@ -210,7 +210,7 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
     joined = concatenate(task.surfaces)
     with scratch() as folder:
         points, cells = run_apart(
-            "geometry.mesher:tetrahedralize",
+            tetrahedralize,
             folder.absolute(),
             np.asarray(joined.vertices),
             joined.faces.astype(np.int32),

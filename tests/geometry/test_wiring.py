@@ -28,7 +28,7 @@ def test_order_of_a_1_by_2_array_is_the_hand_written_one_and_the_pages():
 
 
 @pytest.mark.parametrize("layout", [SONG2018, FOUR], ids=["paper", "four pillars"])
-@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 2), (2, 1), (3, 5), (6, 6)])
+@pytest.mark.parametrize(("rows", "cols"), [(1, 2), (3, 5)])
 def test_every_pillar_has_a_crossing_of_its_own_where_its_electrodes_wires_cross(rows, cols, layout):
     """Sent row-major; the layout read the other way gives the place of each pillar."""
     wires, n = crossings(rows, cols, layout), len(layout.pillars) * rows * cols
