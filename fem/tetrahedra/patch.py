@@ -1,8 +1,8 @@
-"""Rectangles of the top face: exact integrals over them, wherever its triangles lie, and rigid plates bonded to them.
+"""Rectangles of the top face: exact integrals over them, wherever its triangles lie.
 
 A load on a pad and the mean displacement of an electrode are the same integral ∫ φ dA of each shape function over a
 rectangle. Triangles are clipped to the rectangle and integrated exactly, so a load never misses a part of its force and
-no outline has to conform to the mesh. The rubber under a plate follows six rigid motions.
+no outline has to conform to the mesh.
 """
 
 import numpy as np
