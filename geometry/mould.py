@@ -30,12 +30,10 @@ class Mould:
 
     wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
-    clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
+    clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough", within=(0, 10))
 
     def __post_init__(self) -> None:
         require_sound(self)
-        if self.clearance_mm < 0:
-            raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
