@@ -45,7 +45,7 @@ design extra -> unexpected extra argument: extra. See 'tripillar design --help'
 design --out -> --out needs a value
 design --out dir -> dir is a folder: give the name of a file in it
 design --out small.toml/under/a/file.toml -> small.toml
-design --rows 0 -> --rows 0 must be above 0
+design --rows 0 -> --rows 0 must be from 1 to 255
 design --quiet=3 -> --quiet 3 must be
 cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
 cad --out cad --design broken.toml -> broken.toml: not valid TOML
