@@ -1,8 +1,6 @@
 """The decoder under damage: it never raises, accepts only what was sent, and resumes at the next frame.
 
-A wrong CRC-16 passes once in 65536 damaged frames, and must then also have a right type, length and range of
-values. The some ten thousand damaged frames below meet one by bad luck at most; seeds are fixed, so that luck
-never changes.
+A wrong CRC-16 passes once in 65536 damaged frames, and must then also have a right type, length and range of values.
 """
 
 from itertools import pairwise
@@ -61,66 +59,48 @@ def wires_of(n_frames, n_counts=108, first=0):
     ]
 
 
-def feed_in_pieces(decoder, stream, cuts):
+def fed_in_pieces(decoder, stream, cuts):
+    """The frames of a stream that is cut anywhere, as sent."""
     bounds = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
-    return [frame for start, end in pairwise(bounds) for frame in decoder.feed(stream[start:end])]
+    return [encode(frame) for start, end in pairwise(bounds) for frame in decoder.feed(stream[start:end])]
 
 
-def is_subsequence(some, of_all):
-    rest = iter(of_all)
-    return all(one in rest for one in some)
+CUTS = st.lists(U32, max_size=8)
 
 
 @fuzzed
-@given(st.lists(frames() | infos() | errors(), max_size=6, unique_by=encode), st.lists(U32, max_size=8))
+@given(st.lists(frames() | infos() | errors(), max_size=6, unique_by=encode), CUTS)
 def test_round_trip_in_pieces_of_any_size(sent, cuts):
-    decoder = FrameDecoder()
-    wires = [encode(frame) for frame in sent]
-    assert [encode(frame) for frame in feed_in_pieces(decoder, b"".join(wires), cuts)] == wires
+    decoder, wires = FrameDecoder(), [encode(frame) for frame in sent]
+    assert fed_in_pieces(decoder, b"".join(wires), cuts) == wires
     assert decoder.statistics.ok == sum(isinstance(frame, Frame) for frame in sent)
     assert decoder.statistics.info == sum(isinstance(frame, Info) for frame in sent)
     assert decoder.pending == 0
 
 
-@fuzzed
-@given(st.binary(max_size=2000), st.lists(U32, max_size=8))
-def test_random_bytes_give_no_frame_and_no_exception(noise, cuts):
-    decoder = FrameDecoder()
-    assert feed_in_pieces(decoder, noise, cuts) == []
-    assert len(decoder.feed(b"\0" + wires_of(1)[0])) == 1
-
-
-damages = st.lists(
-    st.tuples(st.sampled_from(["flip", "delete", "insert", "replace", "repeat"]), U32, U8),
-    min_size=1,
-    max_size=12,
-)
-
-
-def damaged(stream, damages):
+@st.composite
+def damaged(draw, stream):
+    """A stream with bytes that are flipped, left out, put in or sent twice; or only noise."""
     stream = bytearray(stream)
-    for kind, place, value in damages:
-        k = place % len(stream) if stream else 0
-        if kind == "flip":
+    for kind, place, value in draw(st.lists(st.tuples(st.integers(0, 3), U32, U8), min_size=1, max_size=12)):
+        k = place % (len(stream) + 1)
+        if kind == 0:
             stream[k : k + 1] = bytes(byte ^ 1 << value % 8 for byte in stream[k : k + 1])
-        elif kind == "delete":
+        elif kind == 1:
             del stream[k : k + 1 + value]
-        elif kind == "insert":
-            stream[k:k] = bytes([value])
-        elif kind == "replace":
-            stream[k : k + 1] = bytes([value])
+        elif kind == 2:
+            stream[k : k + value % 2] = bytes([value])
         else:
             stream[k:k] = stream[max(k - value, 0) : k]
-    return bytes(stream)
+    return bytes(stream) if draw(st.integers(0, 4)) else draw(st.binary(max_size=2000))
 
 
 @fuzzed
-@given(damages, st.lists(U32, max_size=8), st.sampled_from([3, 6, 108]))
-def test_damage_costs_only_what_it_touches(damages, cuts, n_counts):
+@given(st.data(), CUTS, st.sampled_from([3, 6, 108]))
+def test_damage_costs_only_what_it_touches(data, cuts, n_counts):
     head, tail = wires_of(6, n_counts), wires_of(3, n_counts, first=6)
-    stream = damaged(b"".join(head), damages)
-    decoder = FrameDecoder()
-    received = [encode(frame) for frame in feed_in_pieces(decoder, stream + b"".join(tail), cuts)]
+    stream = data.draw(damaged(b"".join(head)))
+    received = fed_in_pieces(FrameDecoder(), stream + b"".join(tail), cuts)
     assert set(received) <= {*head, *tail}
     if stream.endswith(b"\0") or not stream:
         assert received[-3:] == tail
@@ -128,30 +108,17 @@ def test_damage_costs_only_what_it_touches(damages, cuts, n_counts):
         assert received[-2:] == tail[1:]
 
 
-def test_bit_flips_at_one_in_ten_thousand():
-    """15,000 frames, 1 in 6 of them hit; each frame arrives unhurt or not at all, none is out of place."""
-    wires = wires_of(15_000)
-    stream = np.frombuffer(b"".join(wires), dtype=np.uint8)
-    flips = (np.random.default_rng(1).random((stream.size, 8)) < 1e-4) @ (1 << np.arange(8))
-    decoder = FrameDecoder()
-    received = [encode(frame) for frame in decoder.feed((stream ^ flips.astype(np.uint8)).tobytes())]
-    assert is_subsequence(received, wires)
-    hit = flips.reshape(15_000, 232).astype(bool)
-    unhurt = ~hit.any(axis=1) & ~np.roll(hit[:, -1], 1)  # nor the delimiter before it
-    assert is_subsequence([wire for wire, is_unhurt in zip(wires, unhurt, strict=True) if is_unhurt], received)
-    n_sent_between = wires.index(received[-1]) - wires.index(received[0]) + 1
-    assert decoder.statistics.lost == n_sent_between - len(received) > 2000
-    assert decoder.statistics.restarts == 0
-
-
-def test_each_kind_of_damage_is_counted_as_itself():
+def test_each_kind_of_damage_is_counted_as_itself_and_fills_no_memory():
     wire = encode(Frame(sequence=0, device_us=0, bits=10, counts=np.full(108, 0x101)))
     decoder = FrameDecoder()
     decoder.feed(b"\0" + b"\x05ab\0")  # COBS announces four more bytes, two come
     decoder.feed(wire[:100] + b"\x03" + wire[101:])  # one count changed
     decoder.feed(b"\x02X\0")  # too short for a CRC
+    for _ in range(100):
+        decoder.feed(b"\xff" * 10_000)  # no delimiter
+    assert decoder.pending < 132_000
     decoder.feed(b"\0\0" + wire)  # empty chunks are nothing
-    assert decoder.statistics == Statistics(ok=1, bad_cobs=1, bad_crc=2)
+    assert decoder.statistics == Statistics(ok=1, bad_cobs=1, bad_crc=2, bad_form=1)
 
 
 def test_first_partial_frame_is_ignored_but_a_whole_one_is_not():
@@ -190,14 +157,3 @@ def test_lost_and_repeated_frames_and_restarts_are_counted(wires, counted):
     received = decoder.feed(b"".join(wires))
     assert decoder.statistics == Statistics(**counted)
     assert [encode(frame) for frame in received] == list(dict.fromkeys(wires))
-
-
-def test_a_stream_without_delimiters_does_not_fill_the_memory():
-    decoder = FrameDecoder()
-    decoder.feed(b"\0")
-    for _ in range(100):
-        decoder.feed(b"\xff" * 10_000)
-    assert decoder.pending < 132_000
-    [frame] = decoder.feed(b"\0" + wires_of(1)[0])
-    assert frame.sequence == 0
-    assert decoder.statistics == Statistics(ok=1, bad_form=1)
