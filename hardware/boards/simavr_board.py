@@ -25,6 +25,8 @@ from geometry.storage import files
 FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
 PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
 MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
+CHIP_BITS = 10  #: of their converter
+FULL_SCALE = 2**CHIP_BITS - 1
 
 _TABLE_HEADER = struct.Struct("<4s7I")  # magic, version, row wires, column wires, steps, step_us, full scale, flags
 _LOOPS = 1
@@ -55,10 +57,8 @@ def _compiles(compiler: str, header: str) -> bool:
     return subprocess.run(command, input=f"#include <{header}>\n".encode(), capture_output=True).returncode == 0
 
 
-def write_table(
-    path: Path, counts: NDArray[np.integer], step_us: int, full_scale: int = 1023, loop: bool = True
-) -> None:
-    """Write what the converter reads at every crossing, over time; whole or not at all.
+def write_table(path: Path, counts: NDArray[np.integer], step_us: int) -> None:
+    """Write what the converter reads at every crossing, over time and over again; whole or not at all.
 
     Parameters
     ----------
@@ -66,13 +66,9 @@ def write_table(
         The file. A running board keeps the file that it was started with: to change its readings, write into that
         one in place, behind the header of 32 bytes, for example with `numpy.memmap`.
     counts : array of whole numbers, shape (steps, row wires, column wires)
-        From 0 to `full_scale`, crosstalk and noise included. What stands at empty crossings is never read.
+        From 0 to `FULL_SCALE`, crosstalk and noise included. What stands at empty crossings is never read.
     step_us : int
         How long a step lasts, in the board's time since its reset [µs].
-    full_scale : int
-        Of the counts; the board's converter has 1023.
-    loop : bool
-        Start again after the last step, rather than hold it.
 
     Raises
     ------
@@ -85,12 +81,12 @@ def write_table(
             f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (steps, row wires, "
             "column wires) with at least one step and 1 to 16 wires each."
         )
-    if counts.min() < 0 or counts.max() > full_scale:
-        raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {full_scale}.")
+    if counts.min() < 0 or counts.max() > FULL_SCALE:
+        raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {FULL_SCALE}.")
     if not 1 <= step_us < 2**32:
         raise SimavrError(f"step_us={step_us} must be from 1 to {2**32 - 1}.")
     steps, rows, columns = counts.shape
-    header = _TABLE_HEADER.pack(b"TPTB", 1, rows, columns, steps, step_us, full_scale, _LOOPS if loop else 0)
+    header = _TABLE_HEADER.pack(b"TPTB", 1, rows, columns, steps, step_us, FULL_SCALE, _LOOPS)
     with files.replacing(path) as temporary:
         temporary.write_bytes(header + counts.astype("<u2").tobytes())
 

@@ -3,7 +3,7 @@
 import pytest
 
 from hardware.boards.simavr_board import MCUS, SimavrBoard, find_tools, write_table
-from tests.hardware.simulated import DISTINCT, build
+from tests.hardware.boards import DISTINCT, build
 
 
 @pytest.fixture(scope="session")

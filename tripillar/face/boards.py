@@ -71,14 +71,16 @@ def info(
     if seconds is None and (model is not None or calibration is not None):
         raise DesignError("model= and calibration= are for measuring the link: add seconds= too, or leave them out.")
     if port is None:
-        from hardware.link.serial_ports import list_ports
+        from serial.tools.list_ports import comports
 
-        found = list_ports()
-        lines = [f"{each.device}  {each.description}  {each.hardware_id}" for each in found]
+        found = [
+            {"device": each.device, "description": each.description, "hardware_id": each.hwid}
+            for each in sorted(comports())
+        ]
         if not found and not caller.as_json:
             caller.say("no serial port: plug the board in, or run 'tripillar board'")
-        result: dict[str, Any] = {"ports": [asdict(each) for each in found]}
-        caller.answer(lambda: result, "\n".join(lines))
+        result: dict[str, Any] = {"ports": found}
+        caller.answer(lambda: result, "\n".join("  ".join(each.values()) for each in found))
         return result
     from hardware.readout.forces import LiveSensor
     from hardware.session import connect, measure_link
@@ -96,12 +98,11 @@ def info(
         result |= {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
         caller.answer(lambda: result, "\n".join(f"{name:11} {value}" for name, value in result.items()))
         return result
-    result = asdict(link)
-    shown = {name: value for name, value in result.items() if name not in ("latency_ms", "statistics")}
-    shown |= {f"latency_{name}_ms": value for name, value in (link.latency_ms or {}).items()}
-    tables = {"The board's link": shown, "What was met": link.statistics}
-    caller.answer(lambda: result, lambda: [plain_table(title, [row]) for title, row in tables.items()])
-    return result
+    shown = {name: value for name, value in link.items() if name not in ("latency_ms", "statistics")}
+    shown |= {f"latency_{name}_ms": value for name, value in (link["latency_ms"] or {}).items()}
+    tables = {"The board's link": shown, "What was met": link["statistics"]}
+    caller.answer(lambda: link, lambda: [plain_table(title, [row]) for title, row in tables.items()])
+    return link
 
 
 def watch(

@@ -13,11 +13,10 @@ from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, Options, SceneLike, design_of, given, to_write
+from tripillar.face.inputs import DesignLike, File, Options, design_of, given, to_write
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
-    from hardware.boards.simulated import Motion
     from hardware.link.frames import Info
 
     SensorLike = DesignLike | ArrayResponse
@@ -34,8 +33,7 @@ def board(
     *,
     chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
     link: File | None = None,
-    scene: SceneLike | None = None,
-    pressure_mpa: float | None = None,
+    pressure_mpa: float = 3.0,
     period_s: float = 6.0,
     mode: Literal["zero-potential", "grounded", "divider"] = "zero-potential",
     rate_hz: int = 150,
@@ -60,13 +58,11 @@ def board(
         Board to be: the firmware on a simulated chip, or the same frames from Python.
     link : path, optional
         Link of this name to the port, to be kept while it runs.
-    scene : Scene or path, optional
-        Scene file (TOML) of an array, pressed again and again.
-    pressure_mpa : float, optional
+    pressure_mpa : float
         Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
-        rest; default: 3.
+        rest.
     period_s : float
-        Period of the press and slide, or of the scene [s].
+        Period of the press and slide [s].
     mode : str
         Circuit that reads the array.
     rate_hz : int
@@ -109,8 +105,6 @@ def board(
         raise DesignError(f"link={kept} exists and is no link: give another name for the link to the port.")
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
-    if scene is not None and (design is not None or pressure_mpa is not None):
-        raise DesignError("a scene has its own design and loads: leave design= and pressure_mpa= out.")
     if sys.platform == "win32":
         from hardware.boards.virtual_board import NO_TERMINALS
 
@@ -118,14 +112,27 @@ def board(
     from hardware.link.serial_ports import claimed
 
     with claimed(kept):  # what follows takes seconds to load and to solve
-        from hardware.boards.simulated import counts_over_time, run_board, suited_kind, write_truth
+        from hardware.boards.simulated import (
+            PressAndSlide,
+            counts_over_time,
+            press_and_slide,
+            run_board,
+            suited_kind,
+            write_truth,
+        )
         from hardware.readout.calibration import Electronics
+        from tripillar.pipeline.run import respond
 
         told = info_of(mode, sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
         electronics = Electronics(**given(switch_ohm=switch_ohm, line_ohm=line_ohm))
         replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
         own = Imperfections(**specimen)
-        motion = _motion(design, scene, 3.0 if pressure_mpa is None else pressure_mpa, period_s)
+        script = PressAndSlide(peak_mpa=pressure_mpa, seconds=period_s)
+        if design is None or isinstance(design, SensorDesign | Path | str):
+            _, response = respond(design_of(design), caller.bars)
+        else:
+            response = design
+        motion = press_and_slide(response, script)
         rows, cols = motion.resistance_ohm.shape[1:3]
         told = replace(told, rows=rows, cols=cols)
         suited, why = suited_kind(told) if chip == "auto" else (chip, "")
@@ -147,19 +154,3 @@ def info_of(mode: str = "zero-potential", sense_ohm: int | None = None, **told: 
     scan_mode = scan_mode_named(mode)
     sense = round(SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     return Info(scan_mode=scan_mode, sense_ohm=sense, **told)
-
-
-def _motion(sensor: "SensorLike | None", scene: "SceneLike | None", peak_mpa: float, period_s: float) -> "Motion":
-    """One period of a scene, or of the press and slide."""
-    from hardware.boards.simulated import PressAndSlide, press_and_slide, scene_motion
-
-    script = PressAndSlide(peak_mpa=peak_mpa, seconds=period_s)
-    if scene is not None:
-        from fem.scene.scene_file import read_scene
-
-        return scene_motion(read_scene(Path(scene)) if isinstance(scene, Path | str) else scene, period_s)
-    from tripillar.pipeline.run import respond
-
-    if sensor is None or isinstance(sensor, SensorDesign | Path | str):
-        return press_and_slide(respond(design_of(sensor), current().bars)[1], script)
-    return press_and_slide(sensor, script)

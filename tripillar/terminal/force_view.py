@@ -179,7 +179,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 "explained": not frame.unexplained,
                 "faults": list(frame.faults),
                 "saturated": int(frame.saturated.sum()),
-                "dropped": sensor.scanner.dropped,
+                "dropped": sensor.scanner.stats.dropped,
                 **wrench_content(frame.net()),
             }
             if frame.contacts is not None:
