@@ -30,9 +30,8 @@ _MAKING = Lock()
 def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
-    It gives their tractions (m, n_units, 3) [MPa], the force on each unit's share of the top over its pad's area,
-    displacements (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on. A sample
-    depends on seed, block and number.
+    It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
+    (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
     """
 
     def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:

@@ -17,9 +17,7 @@ class Variable(NamedTuple):
 
     dims: tuple[str, ...]
     notes: dict[str, Any]  #: its attributes
-    limits: tuple[float, float] | None = (
-        None  #: beyond which no sensor gives a number; None where any finite one will do
-    )
+    limits: tuple[float, float] | None = None  #: beyond which no sensor gives a number; None: any finite one will do
 
     def shape(self, rows: int, cols: int) -> tuple[int, ...]:
         """Shape of one sample of an array."""
@@ -56,9 +54,8 @@ VARIABLES = {
     "iterations": Variable(("sample",), {"units": "1", "note": "solves of the sample, one factor for all"}),
 }
 LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
-ARRAYS = tuple(
-    name for name, variable in VARIABLES.items() if "row" in variable.dims
-)  #: those with a place on the array
+#: those with a place on the array
+ARRAYS = tuple(name for name, variable in VARIABLES.items() if "row" in variable.dims)
 
 
 def coordinates(names: Iterable[str]) -> dict[str, list[str]]:

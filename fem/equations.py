@@ -4,7 +4,7 @@ Unknowns y come in blocks of three: displacements of the free nodes, then shift 
 half the plate's width so that all are lengths. Where pressures are unknowns of the tangent, they come after these.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.factor import Factor
+from fem.mirrors import Mirror
 from fem.plates import FollowingFaces, Plates, skew, turns
 from fem.rubber.body import RubberBody
 from fem.scene.loads import Load, StiffLoad
@@ -72,6 +73,7 @@ class Equations:
     #: pressures that are unknowns of the tangent, each with a negative eigenvalue of its own
     n_mixed = 0
     pressures_shape: tuple[int, ...]  #: of one state's pressures
+    mirrors: tuple[Mirror, ...] = ()  #: planes beyond which the body lies
     #: displacements of all nodes by those of independent ones, where others hang
     constraint: sp.csr_matrix | None = None
 
@@ -90,8 +92,12 @@ class Equations:
         self.free: IntArray = np.setdiff1d(np.flatnonzero(free), plates.node)  #: nodes with unknowns of their own
         self.is_free = np.ones((self.n_blocks, 3), dtype=bool)  #: unknowns that do not vanish on mirror planes
 
-    def take(self, loads: Sequence[Load], integrals: Callable[[FloatArray], sp.csr_matrix]) -> None:
-        """Take the full loads, by ∫ φ dA (k, n_nodes) over rectangles (k, 4) of the top face."""
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        """∫ φ dA of every node's function over rectangles (k, 4) of the top of what is solved, (k, n_nodes) [mm²]."""
+        raise NotImplementedError
+
+    def take(self, loads: Sequence[Load]) -> None:
+        """Take the full loads."""
         stiff = [load for load in loads if isinstance(load, StiffLoad)]
         spread = [load for load in loads if not isinstance(load, StiffLoad)]
         tractions = np.zeros((len(spread), 3))
@@ -100,7 +106,7 @@ class Equations:
         #: nodal forces of tractions at full load, (n_nodes, 3) [N]
         self.dead = np.zeros_like(self.points_mm)
         if spread:
-            self.dead += integrals(np.array([load.rectangle for load in spread])).T @ tractions
+            self.dead += self.integrals(np.array([load.rectangle for load in spread])).T @ tractions
         self.force_n = np.array([load.force_n for load in stiff]).reshape(-1, 3)
         self.moment_nmm = np.array([load.moment_nmm for load in stiff]).reshape(-1, 3)
         self.loads = tuple(loads)
@@ -178,6 +184,15 @@ class Equations:
         out[n : n + k] += share * self.force_n
         out[n + k :] += share * self.moment_nmm / self.plates.half_mm[:, None]
         return out * self.is_free
+
+    def rest_loads(self, forces: FloatArray) -> FloatArray:
+        """Right-hand sides (n_unknowns, k) of the tangent at rest by forces (k, n_nodes, 3) on the nodes [N]."""
+        own = self.gathered(forces, self.rest().rotation).reshape(len(forces), -1).T
+        return np.vstack([own, np.zeros((self.n_mixed, len(forces)))])
+
+    def displaced(self, y: FloatArray) -> FloatArray:
+        """Linear displacements (k, n_nodes, 3) of all nodes by solutions (n_unknowns, k) of the tangent at rest."""
+        return self.nodal_change(self.rest().rotation, y[: 3 * self.n_blocks].T.reshape(-1, self.n_blocks, 3))
 
     def own_displacement(self, state: State) -> float:
         """f · u of the full loads that have a potential [mJ]."""

@@ -3,15 +3,20 @@
 With errors that fall as level^(−p), three answers a₁, a₂, a₃ show p by the ratio of their changes, and the error of the
 last is |a₃ − a₂| / ((l₃/l₂)^p − 1). The rate is taken between bounds, since coarse levels show any; with two answers it
 is the lower one. The estimate is that error times `SAFETY`.
+
+Where elements are split one by one, the error of a probe is a(u − u_h, z − z_h), z the answer to a unit load on the
+probe (Becker & Rannacher, Acta Numerica 10, 2001). Indicators bound it element by element up to a ratio that changes
+slowly from mesh to mesh, and is shown by the change of the probe over the fall of the indicators' sum η.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fem.scene.solution import relative_errors
+from fem.scene.solution import SMALLEST_SHARE, relative_errors
 from geometry.layout import FloatArray
 
 Answer = Mapping[str, FloatArray]  #: displacements of probes, or whatever else is compared by name
@@ -106,3 +111,39 @@ class Convergence:
         if len(self.answers) < 2:
             return np.inf
         return SAFETY * self.factor * self.change(self.answers[-2], self.answers[-1], self.answers[-1])
+
+
+def sizes(probes: FloatArray) -> FloatArray:
+    """Displacement that the error of each probe (n, 3) is relative to, (n,) [mm]."""
+    size = np.linalg.norm(probes, axis=1)
+    scale = np.maximum(size, SMALLEST_SHARE * size.max())
+    return np.where(scale > 0, scale, 1.0)
+
+
+def unit_loads(probes: FloatArray, most: int, sums: int) -> FloatArray:
+    """Weights (k, n_probes, 3) of the probes' components in unit loads: one over the size that errors are relative to.
+
+    Of up to `most` probes each component has its own load, in order; of more, `sums` of all with random signs, which
+    together mark the same elements.
+    """
+    n, scale = len(probes), sizes(probes)[:, None]
+    if n <= most:
+        return np.eye(3 * n).reshape(3 * n, n, 3) / scale
+    return np.random.default_rng(0).choice([-1.0, 1.0], (sums, n, 3)) / scale
+
+
+def shown_ratios(probes: FloatArray, eta: FloatArray, min_fall: float) -> FloatArray:
+    """The largest ratio of a probe's change (k, n, 3) to the fall of its η (k, n) from mesh to mesh, (n,).
+
+    Falls of less than `min_fall` of η say little and count as that.
+    """
+    changes = np.linalg.norm(np.diff(probes, axis=0), axis=2) / sizes(probes[-1])
+    falls = np.maximum(-np.diff(eta, axis=0), min_fall * eta[:-1])
+    return np.asarray((changes / np.where(falls > 0, falls, 1.0)).max(axis=0))
+
+
+def largest_contributors(indicators: FloatArray, share: float) -> NDArray[np.int64]:
+    """The fewest elements that hold a share of the sum of all indicators (n,) (Dörfler's rule)."""
+    order = np.argsort(-indicators)
+    running = np.cumsum(indicators[order])
+    return order[: int(np.searchsorted(running, share * running[-1])) + 1]

@@ -25,7 +25,7 @@ from fem.mirrors import (
 )
 from fem.plates import FollowingFaces, Plates, top_nodes
 from fem.rubber.body import RubberBody, Tangent
-from fem.scene.loads import FollowerLoad, Load, StiffLoad
+from fem.scene.loads import Load, StiffLoad, at_rest
 from fem.scene.scene import Probe
 from geometry.layout import FloatArray
 
@@ -56,8 +56,7 @@ class System(Equations):
         mirrors: tuple[Mirror, ...] = (),
         parity: Parity | None = None,
     ) -> None:
-        if body.law.is_linear:
-            loads = [load.spread[0] if isinstance(load, FollowerLoad) else load for load in loads]
+        loads = at_rest(loads) if body.law.is_linear else loads
         self.whole_loads, self.mirrors, boxes = tuple(loads), mirrors, body.boxes
         planes = {mirror.axis for mirror in mirrors}
         self.parity = parity or (int(0 in planes), int(1 in planes))
@@ -79,7 +78,10 @@ class System(Equations):
 
     def _take_parity(self, parity: Parity) -> None:
         self.parity, self.is_free = parity, self.is_free_in(parity)
-        self.take(folded_loads(self.whole_loads, self.mirrors, parity), self.body.boxes.integrals)
+        self.take(folded_loads(self.whole_loads, self.mirrors, parity))
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        return self.body.boxes.integrals(rectangles)
 
     def of_parity(self, parity: Parity) -> "System":
         """The same part of the body with another part of the loads; they share `assembly`, found before."""
@@ -251,8 +253,7 @@ class System(Equations):
         return self.assembly.matrix(data)
 
     def displaced(self, y: FloatArray) -> FloatArray:
-        """Linear displacements (k, n_nodes, 3) of all nodes by solutions (n_unknowns, k) of the tangent at rest."""
-        return self.body.filled(self.nodal_change(self.rest().rotation, y.T.reshape(-1, self.n_blocks, 3)))
+        return self.body.filled(super().displaced(y))
 
     def unit_loads(self, weights: FloatArray, probes: Sequence[Probe]) -> FloatArray:
         """Forces (n_unknowns, k) that do weights (k, n_probes, 3) times the displacements of probes as work."""
@@ -262,7 +263,7 @@ class System(Equations):
             rows, signs = self.probe_rows(probe)
             signed = np.einsum("ri,ki->rki", signs, weights[:, number]).reshape(len(signs), -1)
             forces += (rows.T @ signed).reshape(n, -1, 3).swapaxes(0, 1)
-        return self.gathered(self.body.on_surfaces(forces), self.rest().rotation).reshape(len(weights), -1).T
+        return self.rest_loads(self.body.on_surfaces(forces))
 
     def probe_rows(self, probe: Probe) -> tuple[sp.csr_matrix, FloatArray]:
         """Rows (r, n_nodes) and signs (r, 3): u of a probe is Σ_r signs · (rows @ u), anywhere on the whole body."""

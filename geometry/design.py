@@ -3,49 +3,75 @@
 Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
 """
 
+import reprlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
-from geometry.errors import DesignError
+import numpy as np
+
+from geometry.errors import DesignError, TriPillarError
 from geometry.layout import SONG2018, Layout, footprint, min_span
 
 
-def quantity(default: Any, meaning: str, optional: bool = False, above_0: bool = False, of: Sequence[str] = ()) -> Any:
+def quantity(
+    default: Any, meaning: str, optional: bool = False, above_0: bool = False, of: Sequence[str] = (), count: int = 1
+) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A text is one `of` some. `require_sound` checks all this.
+    A text is one `of` some, a vector has `count` numbers. `require_sound` checks all this.
     """
-    return field(default=default, metadata={"meaning": meaning, "optional": optional, "above 0": above_0, "of": of})
+    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "of": of, "count": count}
+    return field(default=default, metadata=asked)
 
 
 positive = partial(quantity, above_0=True)  #: a quantity above 0
 
 
-def require_sound(values: Any) -> None:
-    """Refuse whatever is no finite number in a float field, no whole number in an int field, or none of the choices.
+LIMITS = (1e-12, 1e12)  #: of sizes; beyond, squares leave the range of numbers
 
-    What must be above 0 may also not be so large or small that squares of it leave the range of numbers.
+
+def require_sound(
+    values: Any, refusal: type[TriPillarError] = DesignError, limits_mm: tuple[float, float] = LIMITS
+) -> None:
+    """Refuse whatever is not as its `quantity` says: finite numbers, whole ones in an int field, one of the choices.
+
+    Numbers become floats, vectors tuples of them; None is taken where it is the default.
     """
     for spec in fields(values):
-        value, said, is_number = getattr(values, spec.name), "", spec.type in (int, float)
-        if is_number and (isinstance(value, bool) or not isinstance(value, int if spec.type is int else int | float)):
-            said = f"={value!r} must be a {'whole' if spec.type is int else 'finite'} number"
-        elif is_number and not abs(value) <= sys.float_info.max:  # so that NaN and endless integers are refused
-            said = f"={value!r} must be a finite number"
-        elif spec.metadata.get("above 0") and not value > 0:
-            said = f"={value:g} must be above 0"
-        elif spec.metadata.get("above 0") and not 1e-12 <= value <= 1e12:
-            said = f"={value:g} must be from 1e-12 to 1e12"
-        elif spec.metadata.get("of") and value not in spec.metadata["of"]:
-            said = f"={value!r} must be one of {', '.join(spec.metadata['of'])}"
+        value, asked, said = getattr(values, spec.name), spec.metadata, ""
+        count = asked.get("count", 1)
+        if (count == 1 and spec.type not in (int, float)) or (value is None and spec.default is None):
+            if asked.get("of") and value not in asked["of"]:
+                said = f"one of {', '.join(asked['of'])}"
+        else:
+            is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+            given = [value] if count == 1 else list(value) if is_list else []
+            kinds = (int, np.integer) if spec.type is int else (int, float, np.integer, np.floating)
+            least, largest = limits_mm if spec.name.endswith("_mm") else LIMITS
+            if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
+                one = f"a {'whole' if spec.type is int else 'finite'} number"
+                said = one if count == 1 else f"{count} finite numbers"
+            elif asked.get("above 0") and not min(given) > 0:
+                said = "above 0"
+            elif asked.get("above 0") and not least <= min(given) <= max(given) <= largest:
+                said = f"from {least:g} to {largest:g}"
+            elif spec.type is not int and max(map(abs, given)) > largest:
+                said = f"at most {largest:g} in size"
+            else:
+                made = int if spec.type is int else float
+                object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
         if said:
-            raise DesignError(f"{spec.name}{said}; {spec.metadata['meaning']}.")
-        if spec.type is float:
-            object.__setattr__(values, spec.name, float(value))
+            raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
+
+
+def is_finite(value: Any) -> bool:
+    """True of a number that is finite, and no bool."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_number and bool(abs(value) <= sys.float_info.max)  # so that NaN and endless integers are refused
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,15 +37,9 @@ def design_to_toml(design: SensorDesign) -> str:
 
 
 def _keys(values: Any) -> list[Any]:
-    """Fields of a table that files hold: those with a meaning, inherited ones last."""
-    inherited = {spec.name for kind in _kind(values).__bases__ if is_dataclass(kind) for spec in fields(kind)}
-    return sorted(
-        (spec for spec in fields(values) if "meaning" in spec.metadata), key=lambda spec: spec.name in inherited
-    )
-
-
-def _kind(values: Any) -> type:
-    return values if isinstance(values, type) else type(values)
+    """Fields of a table, or its class, that files hold: those with a meaning, inherited ones last."""
+    found = [spec for spec in fields(values) if "meaning" in spec.metadata]
+    return sorted(found, key=lambda spec: spec.name not in values.__annotations__)
 
 
 def _key_line(values: Any, spec: Any) -> str:

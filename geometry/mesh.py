@@ -34,7 +34,6 @@ REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's me
 METHOD = 2  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
-FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  #: of a tetrahedron, by its corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,13 +254,10 @@ def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sl
 
 def faces_between(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Faces of tetrahedra (k, 3), and the two cells (k, 2) of each, −1 where there is no second one."""
-    faces = np.sort(np.vstack([cells[:, corners] for corners in FACES]), axis=1)
-    order = np.lexsort(faces.T[::-1])
-    faces, owner = faces[order], order % len(cells)
-    again = np.append((faces[1:] == faces[:-1]).all(axis=1), False)
-    sides = np.column_stack([owner, np.where(again, np.roll(owner, -1), -1)])
-    first = ~np.roll(again, 1)
-    return faces[first], sides[first]
+    from skfem import MeshTet
+
+    mesh = MeshTet(np.zeros((3, int(cells.max()) + 1)), np.ascontiguousarray(cells.T))
+    return mesh.facets.T, mesh.f2t.T
 
 
 def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:

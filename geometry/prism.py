@@ -1,7 +1,7 @@
 """Straight prisms between equal horizontal rectangles: the shape of the slab, of pillars and of inclusions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,9 @@ Triple = tuple[float, float, float]
 class Prism:
     """A straight prism between two equal horizontal rectangles: the shape of every body and every inclusion."""
 
-    base_mm: Triple = field(metadata={"meaning": "centre of the lower end"})
-    top_mm: Triple = field(metadata={"meaning": "centre of the upper end"})
-    section_mm: Pair = field(metadata={"meaning": "extent of the horizontal section along x and y"})
+    base_mm: Triple  #: centre of the lower end
+    top_mm: Triple  #: centre of the upper end
+    section_mm: Pair  #: extent of the horizontal section along x and y
 
     @property
     def is_upright(self) -> bool:

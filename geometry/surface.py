@@ -4,13 +4,11 @@ A surface that leaks or faces inward makes a mesher fill the wrong side, often w
 is the gate in front of it and of every STL file.
 """
 
+from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from trimesh import Trimesh
 
 from geometry.errors import GeometryError
@@ -31,12 +29,9 @@ def surface_from_solid(solid: "Shape") -> Trimesh:
     But faces do not share their vertices: those closer than `COINCIDENT_MM` become one here.
     """
     points, corners = solid.tessellate(CHORD_MM)
-    scattered = np.array([tuple(point) for point in points])
-    pairs = cKDTree(scattered).query_pairs(COINCIDENT_MM, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(scattered), len(scattered)))
-    _, group = connected_components(links, directed=False)
-    _, first = np.unique(group, return_index=True)
-    return Trimesh(scattered[first], group[np.array(corners)], process=False)
+    surface = Trimesh([tuple(point) for point in points], corners, process=False)
+    surface.merge_vertices(digits_vertex=-round(log10(COINCIDENT_MM)))
+    return surface
 
 
 def check_surface(surface: Trimesh, expected_volume_mm3: float, name: str) -> None:

@@ -12,9 +12,9 @@ from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
 from hardware.readout.crossbar import Crossbar
 from hardware.readout.forces import ForceReader, Forces, replay
-from hardware.recording import Recorder, Recording, convert, read_recording
+from hardware.recording import Recorder, Recording, read_recording
 from hardware.session import live
-from hardware.streams.forces_file import write_forces
+from hardware.streams.files import convert, write_forces
 
 __all__ = [
     "Crossbar",

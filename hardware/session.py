@@ -21,7 +21,7 @@ from geometry.threads import one_blas_thread
 from hardware.link.frames import Statistics
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import is_claimed
+from hardware.link.serial_ports import is_beginning
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
@@ -87,7 +87,7 @@ def _await(port: str) -> None:
     """Wait for a device, or the link to one: a board that begins, or up to `APPEARS_S` for one that is plugged in."""
     is_device = sys.platform != "win32" and "://" not in port and Path(port).suffix not in RECORDED and port
     end_s = time.monotonic() + APPEARS_S * bool(is_device)
-    while not Path(port).exists() and (time.monotonic() < end_s or is_claimed(port)):
+    while not Path(port).exists() and (time.monotonic() < end_s or (is_device and is_beginning(port))):
         time.sleep(LOOK_S)
 
 

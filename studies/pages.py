@@ -24,14 +24,6 @@ SHOWN = {  #: decouplers of the table of `tripillar run`, with what the page cal
     OURS: OURS,
     "plain 17 (the paper's)": "plain 17 (the paper's); its PCA floor {floor}",
 }
-TOUCHED = {  #: of the table of touches
-    "plain 17 (the paper's)": "plain 17",
-    OURS: "ours, own response",
-    "ours, as made, identified": "ours, as made, identified",
-    "ours, as made, identified, zeroed at rest": "the same, zeroed at rest (mean of 32 readings)",
-    "limit of the readings": "limit of the readings",
-}
-TOUCHES_OF = "contact-fz"
 PAIRS = (0, 10, 200)  #: of the table of truths
 
 Numbers = Any  #: parsed JSON
@@ -50,17 +42,6 @@ def train_table(found: Numbers) -> str:
             said = said.format(floor=percent(one["plain_floor"]["rel_err"]))
             rows.append([label, said, *errors[:2], at_rest, *errors[2:]])
     return markdown(("data", "decoupler", "exact", "0.1 %, 12 bits", "at rest [N]", "as made", "identified"), rows, 2)
-
-
-def touches_table(found: Numbers) -> str:
-    """Errors of one touched pad, exact and as read."""
-    (one,) = (one for one in found["comparisons"] if one["protocol"] == TOUCHES_OF)
-    touches = {touch["decoupler"]: touch for touch in one["touches"]}
-    rows = []
-    for name, said in TOUCHED.items():
-        pairs = zip(touches[name]["exact_n"], touches[name]["read_n"], strict=True)
-        rows.append([said, *(f"{newtons(exact)} / {newtons(read)}" for exact, read in pairs)])
-    return markdown(("", "0.1 N", "1 N", "5 N", "20 N"), rows, 1)
 
 
 def truths_table(found: Numbers) -> str:
@@ -111,7 +92,6 @@ def dead_table(found: Numbers) -> str:
 #: by the name in a page: the file of its numbers, and how they are laid out
 TABLES: dict[str, tuple[str, Callable[[Numbers], str]]] = {
     "train": ("train.json", train_table),
-    "touches": ("train.json", touches_table),
     "truths": ("truths.json", truths_table),
     "readings": ("robustness.json", readings_table),
     "dead": ("robustness.json", dead_table),

@@ -36,7 +36,7 @@ ROOMS = {
     "decoupler": ["data", "inverse", "model", "training", "twin", "evaluation", "touch", "export"],
     "hardware": ["link", "recording", "readout", "streams", "virtual", "boards"],
     "tripillar": ["terminal", "pipeline", "doctor", "sweep", "viewer", "simulators", "face", "cli"],
-    "studies": ["pictures", "bench", "edge_cases", "gates", "paper", "robustness"],
+    "studies": ["pictures", "bench", "edge_cases", "paper", "robustness"],
 }
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from dataset import Samples
 from dataset.measurement import ReadingError
 from dataset.protocols import LIGHT_N
+from dataset.samples import AnySamples
 from decoupler.data.columns import Component, force_columns, readable_columns
-from decoupler.data.enough import ENOUGH, AnySamples, drawn
+from decoupler.data.enough import ENOUGH, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel

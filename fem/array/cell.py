@@ -27,7 +27,7 @@ from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
-    from fem.array.meshed import CellBody, TetCell
+    from fem.array.meshed import CellBody
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
 FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
@@ -348,7 +348,7 @@ class CellSides:
     residual: float
 
     @classmethod
-    def of(cls, body: "TetCell", rectangles: FloatArray, free: Free = ()) -> "CellSides":
+    def of(cls, body: "CellBody", rectangles: FloatArray, free: Free = ()) -> "CellSides":
         """Condense a whole cell with rectangles (k, 4) of its top face; of sides always free no nodes are kept."""
         points, parity = body.points_mm, (0, 0)
         half_mm = float(points[:, 0].max())

@@ -30,7 +30,7 @@ from fem.scene.solution import Stopwatch
 from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
 from fem.tetrahedra.mixed import Elements, TaylorHood
-from fem.tetrahedra.patch import bonded, patch_integrals
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
@@ -60,11 +60,10 @@ BOX_RATE, MESH_RATE = 2.5, {"soft": 1.1, "stiff": 0.65}
 
 
 @dataclass(frozen=True, eq=False)
-class BoxCell:
-    """A cell of boxes, or its part beyond mirrors."""
+class CellBody:
+    """A cell of boxes, or its part beyond mirrors; or a whole one of tetrahedra."""
 
-    system: System  #: at rest; its loads are plates without force
-    definite: bool = True  #: whether its matrices are
+    system: System | TetrahedralSystem  #: at rest; its loads are plates without force
 
     @classmethod
     def of(
@@ -74,7 +73,7 @@ class BoxCell:
         plate: FloatArray | None = None,
         mirrors: tuple[Mirror, ...] = (),
         shares: FloatArray | None = None,
-    ) -> "BoxCell":
+    ) -> "CellBody":
         """Boxes between lines, with a plate bonded to a rectangle (4,) of the whole cell.
 
         Boxes hold shares (n_rubbers, nx, ny, nz) of the rubbers, evenly mixed: stiffer than truth where rubbers meet
@@ -82,13 +81,18 @@ class BoxCell:
         """
         boxes = Boxes.between(lines)
         every = np.ones((1, len(boxes.nodes), 1)) if shares is None else shares.reshape(len(rubbers), -1, 1)
-        loads = []
-        if plate is not None:
-            x0, y0, x1, y1 = plate.tolist()
-            middle = ((x0 + x1) / 2, (y0 + y1) / 2)
-            loads.append(StiffLoad(center_mm=middle, size_mm=(x1 - x0, y1 - y0), force_n=(0.0, 0.0, 0.0)))
         body = RubberBody(boxes, LAWS["linear"].of(rubbers[: len(every)], every))
-        return cls(System(body, loads, mirrors))
+        return cls(System(body, plate_on(plate), mirrors))
+
+    @classmethod
+    def of_tetrahedra(cls, body: TaylorHood, plate: FloatArray | None = None) -> "CellBody":
+        """A whole cell of Taylor-Hood tetrahedra, with a plate as of `of`."""
+        return cls(TetrahedralSystem(body, plate_on(plate)))
+
+    @property
+    def definite(self) -> bool:
+        """True if its matrices are."""
+        return not self.system.n_mixed
 
     @property
     def mirrors(self) -> tuple[Mirror, ...]:
@@ -98,7 +102,7 @@ class BoxCell:
     @property
     def points_mm(self) -> FloatArray:
         """Positions of the nodes, (n, 3)."""
-        return self.system.body.boxes.points_mm
+        return self.system.points_mm
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
@@ -110,6 +114,8 @@ class BoxCell:
     @property
     def is_square(self) -> bool:
         """True if the body stays the same when x and y are exchanged."""
+        if isinstance(self.system, TetrahedralSystem):
+            return False
         boxes, law = self.system.body.boxes, self.system.body.law
         moduli = [part.reshape(boxes.shape) for part in (law.lame_mpa, law.mu_mpa)]
         plates = [load.size_mm[0] == load.size_mm[1] for load in self.system.whole_loads]
@@ -117,7 +123,7 @@ class BoxCell:
         return same and all(np.array_equal(part, part.swapaxes(0, 1)) for part in moduli)
 
     @cached_property
-    def _tangent(self) -> FloatArray:
+    def _tangent(self) -> Any:
         return self.system.rest_tangent()
 
     def matrix(self, parity: Parity) -> SparseMatrix:
@@ -126,61 +132,15 @@ class BoxCell:
 
     def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
         """∫ φ dA of every node's function over what the part has of rectangles (k, 4) of the top face, (k, n) [mm²]."""
-        return self.system.body.boxes.integrals(rectangles)
+        return self.system.integrals(rectangles)
 
     def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
         """Forces (m, k) on the unknowns of forces (k, n, 3) on the nodes [N]."""
-        return self.system.of_parity(parity).gathered(forces, self.system.rest().rotation).reshape(len(forces), -1).T
+        return self.system.of_parity(parity).rest_loads(forces)
 
     def displacements(self, solution: FloatArray) -> FloatArray:
         """Displacements (k, n, 3) of the nodes by unknowns (m, k) [mm]."""
         return self.system.displaced(solution)
-
-
-@dataclass(frozen=True, eq=False)
-class TetCell:
-    """A whole cell of Taylor-Hood tetrahedra; what it offers is as of `BoxCell`."""
-
-    body: TaylorHood
-    plate: FloatArray | None = None  #: rectangle (4,) of its top that a plate is bonded to
-    mirrors: tuple[Mirror, ...] = ()
-    definite: bool = False
-    is_square: bool = False
-
-    @property
-    def points_mm(self) -> FloatArray:
-        return self.body.basis.doflocs.T
-
-    @cached_property
-    def _tied(self) -> sp.csr_matrix:
-        """Unknowns of the body from those that are left, and the motions of the plate."""
-        plates = np.empty((0, 4)) if self.plate is None else self.plate[None]
-        return bonded(self.body.n_unknowns, self.body.free, self.points_mm, plates)
-
-    @cached_property
-    def numbers(self) -> NDArray[np.int64]:
-        found = np.full((len(self.points_mm), 3), -1)
-        first = self._tied[: len(self.body.free)].tocsr()
-        alone = np.diff(first.indptr) == 1
-        found.ravel()[self.body.free[alone]] = first.indices[first.indptr[:-1][alone]]
-        return found
-
-    def matrix(self, parity: Parity) -> SparseMatrix:
-        if self.plate is None:
-            return self.body.upper
-        return sp.triu(self._tied.T @ self.body.matrix @ self._tied, format="csr")
-
-    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
-        return patch_integrals(self.body.basis, rectangles)
-
-    def gathered(self, forces: FloatArray, parity: Parity) -> FloatArray:
-        return self._tied.T @ self.body.loads(forces.reshape(len(forces), -1).T)
-
-    def displacements(self, solution: FloatArray) -> FloatArray:
-        return self.body.displacements(self._tied @ solution).T.reshape(solution.shape[1], -1, 3)
-
-
-CellBody = BoxCell | TetCell
 
 
 def lone_unit(design: SensorDesign) -> SensorDesign:
@@ -272,8 +232,8 @@ class DesignCell:
         if self.design.is_homogeneous:
             mirrors = cell_mirrors(self.design)
             lines = cell_lines(self.design, level, mirrors)
-            return BoxCell.of(lines, [self.design.matrix_material], self.plate, mirrors)
-        return TetCell(self.tetrahedra(level), self.plate)
+            return CellBody.of(lines, [self.design.matrix_material], self.plate, mirrors)
+        return CellBody.of_tetrahedra(self.tetrahedra(level), self.plate)
 
     def tetrahedra(self, level: int) -> TaylorHood:
         """The cell's body on the mesh of a level."""
@@ -303,7 +263,7 @@ class DesignCell:
             return condense(self.body(level), ports, self.rectangles)
         never_shared = tuple(side for side in free if all(side in other for other in self._places))
         if (level, never_shared) not in self._sides:
-            body = TetCell(self.tetrahedra(level), self.plate)
+            body = CellBody.of_tetrahedra(self.tetrahedra(level), self.plate)
             self._sides[level, never_shared] = CellSides.of(body, self.rectangles, never_shared)
         return self._sides[level, never_shared].cell(degree, free)
 
@@ -322,6 +282,11 @@ class DesignCell:
             return richardson_factor(coarse, fine, BOX_RATE)
         one, other = (self._bodies[level].n_unknowns for level in (coarse, fine))
         return richardson_factor(one, other, MESH_RATE[self.design.pad.kind])
+
+
+def plate_on(plate: FloatArray | None) -> list[Load]:
+    """A plate on a rectangle (4,), as a load without force; none if there is none."""
+    return [] if plate is None else [StiffLoad(**_sides(plate), force_n=(0.0, 0.0, 0.0))]
 
 
 def _sides(rectangle: FloatArray) -> dict[str, Any]:
@@ -360,17 +325,16 @@ def design_interior(
         Called with the name of each step as it begins.
     """
     material = [design.matrix_material, design.pillar_material]
-    body: CellBody
     elements: Boxes | Elements
     if design.is_homogeneous:
         progress("cell")
-        body, degree = BoxCell.of(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
-        elements = body.system.body.boxes
+        lines = cell_lines(design, GRID_LEVEL)
+        body, degree, elements = CellBody.of(lines, material[:1], plate), GRID_DEGREE, Boxes.between(lines)
     else:
         progress("mesh")
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)
         progress("cell")
-        body, degree = TetCell(tetrahedra, plate), MESH_DEGREE
+        body, degree = CellBody.of_tetrahedra(tetrahedra, plate), MESH_DEGREE
         elements = tetrahedra.elements
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []

@@ -16,7 +16,7 @@ import numpy as np
 
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import BoxCell, cell_lines, cell_mirrors, functionals, pad_plate
+from fem.array.meshed import CellBody, cell_lines, cell_mirrors, functionals, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
@@ -183,4 +183,4 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
     shares = None if side.is_homogeneous else pillar_shares(side.unit, *lines)
     shares = None if shares is None else np.stack([1 - shares, shares])
     rubbers = [side.matrix_material, side.pillar_material]
-    return condense(BoxCell.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
+    return condense(CellBody.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)

@@ -14,11 +14,13 @@ import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.helpers import ddot, div, sym_grad
 
-from fem.array.meshed import lone_unit
+from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
 from fem.factor import Factor, checked_solve
-from fem.tetrahedra.patch import bonded, patch_means
+from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.patch import patch_means
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -130,8 +132,10 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     # one component of the displacement, for means over rectangles: component i of its node n is unknown n·3 + i
     component = Basis(tets, ElementTetP2(), intorder=2)
     pads, electrodes = (patch_means(component, squares(design)) for squares in (pad_squares, electrode_squares))
-    plates = pad_squares(design) if design.pad.kind == "stiff" else np.empty((0, 4))
-    T = bonded(K.shape[0], free, component.doflocs.T, plates)
+    plates = [load for square in pad_squares(design) for load in plate_on(square)] if design.pad.kind == "stiff" else []
+    body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
+    system = TetrahedralSystem(body, plates)
+    T = system.motions(system.rest().rotation)
     f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
     K = (T.T @ K @ T).tocsr()
     x, residual = checked_solve(Factor(K), T.T @ f)

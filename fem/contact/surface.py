@@ -19,7 +19,7 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, DesignCell, TetCell, lone_unit
+from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, CellBody, DesignCell, lone_unit
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.errors import DesignError
@@ -181,7 +181,7 @@ def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCe
     source = DesignCell(design, rectangles)
     own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
     matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return own, CellSides.of(TetCell(matrix), rectangles).cell(MESH_DEGREE)
+    return own, CellSides.of(CellBody.of_tetrahedra(matrix), rectangles).cell(MESH_DEGREE)
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:

@@ -19,9 +19,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from fem.equations import Misfit, State
 from fem.factor import Factor, FactorMemoryError, SolverError
-from fem.finite.tetrahedra import TetrahedralSystem
 from fem.scene.loads import FollowerLoad, StiffLoad
 from fem.system import System
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray
 
 RESIDUAL = 1e-9  #: of the loads, of an equilibrium

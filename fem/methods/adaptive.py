@@ -8,11 +8,11 @@ import psutil
 
 from fem.factor import FactorMemoryError, SolverError
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
-from fem.finite.tetrahedra import TetrahedralSystem
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import FiniteSolution, MeshAnswer, Solution, Stopwatch
 from fem.tetrahedra.adapted import AdaptedTetrahedra, probe_rows
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual

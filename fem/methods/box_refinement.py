@@ -4,10 +4,9 @@ The first mesh has a line at every edge of body, regions and loads, and little e
 errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
 neither moduli far apart nor ν near 0.5 cost more than anything else.
 
-The error of a probe is a(u − u_h, z − z_h), where z answers a unit load on the probe (Becker & Rannacher, Acta
-Numerica 10, 2001). What the highest degree along an axis adds to u_h and z_h in a box stands for both factors: the sum
-of their products over all boxes and axes is the probe's indicator η. Over 730 meshes of 111 scenes the error was 0.05
-to 0.92 times η in nine of ten (median 0.31, at most 2), a ratio that changes slowly from mesh to mesh of one scene.
+What the highest degree along an axis adds to an answer u_h and to z_h of `fem.levels` in a box stands for both their
+errors there: the sum of the products over all boxes and axes is the probe's indicator η. Over 730 meshes of 111 scenes
+the error was 0.05 to 0.92 times η in nine of ten (median 0.31, at most 2).
 """
 
 from collections.abc import Sequence
@@ -22,13 +21,14 @@ from fem.boxes.boxes import Boxes, lobatto_points
 from fem.boxes.splitting import AxisTree, BoxMesh
 from fem.factor import Factor, checked_solve
 from fem.field import Field, unfolded
+from fem.levels import largest_contributors, shown_ratios, unit_loads
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
 from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
 from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import SMALLEST_SHARE, MeshAnswer, Solution, Stopwatch
+from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from fem.system import System
 from geometry.layout import FloatArray
 
@@ -88,7 +88,7 @@ class SplitBoxes:
         y, residual = checked_solve(factor, forces)
         u = system.displaced(y)[0]
         probes = np.array([system.seen(probe, u) for probe in scene.probes])
-        weights = unit_loads(probes)
+        weights = unit_loads(probes, MAX_PROBES, N_SUMS)
         duals, _ = checked_solve(factor, system.unit_loads(weights, scene.probes))
         found = surplus(body, u, system.displaced(duals))
         self.history.append(Indicated(probes, indicators_of_probes(found, len(probes)), len(boxes.nodes)))
@@ -137,10 +137,8 @@ def marked(indicators: FloatArray, share: float) -> np.ndarray:
 
     Fewer where that would make more than `MAX_GROWTH` times as many boxes.
     """
-    order = np.argsort(-indicators, axis=None)
-    running = np.cumsum(indicators.ravel()[order])
     marks = np.zeros(indicators.shape, dtype=bool)
-    for place in order[: int(np.searchsorted(running, share * running[-1])) + 1]:
+    for place in largest_contributors(indicators.ravel(), share):
         marks.flat[place] = True
         if (2.0 ** marks.sum(axis=1)).sum() > MAX_GROWTH * len(indicators):
             break
@@ -296,17 +294,6 @@ class Indicated(NamedTuple):
     n_boxes: int
 
 
-def unit_loads(probes: FloatArray) -> FloatArray:
-    """Weights (k, n_probes, 3) of the probes' components in unit loads: one over the size that errors are relative to.
-
-    Of up to `MAX_PROBES` probes each component has its own load, in order; of more, sums of all with random signs.
-    """
-    n, scale = len(probes), _scale(probes)
-    if n <= MAX_PROBES:
-        return np.eye(3 * n).reshape(3 * n, n, 3) / scale[:, None]
-    return np.random.default_rng(0).choice([-1.0, 1.0], (N_SUMS, n, 3)) / scale[:, None]
-
-
 def indicators_of_probes(surplus: FloatArray, n_probes: int) -> FloatArray:
     """η of each probe, (n_probes,), from the `surplus` of the `unit_loads`; of sums, one bound for all."""
     if n_probes <= MAX_PROBES:
@@ -325,14 +312,10 @@ def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
     of 771, 1.5 leaves 21 of 807.
     """
     probes, eta = (np.array([mesh[k] for mesh in history[-4:]]) for k in (0, 1))
-    ratio = np.full(eta.shape[1], MAX_RATIO)
-    if len(history) > 1:
-        changes = np.linalg.norm(np.diff(probes, axis=0), axis=2) / _scale(probes[-1])
-        falls = np.maximum(-np.diff(eta, axis=0), MIN_FALL * eta[:-1])
-        shown = changes / np.where(falls > 0, falls, 1.0)
-        least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else MIN_RATIO
-        ratio = np.clip(SAFETY * shown.max(axis=0), least, MAX_RATIO)
-    return ratio * eta[-1]
+    if len(history) == 1:
+        return MAX_RATIO * eta[-1]
+    least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else MIN_RATIO
+    return np.clip(SAFETY * shown_ratios(probes, eta, MIN_FALL), least, MAX_RATIO) * eta[-1]
 
 
 def surplus(body: RubberBody, u: FloatArray, duals: FloatArray) -> FloatArray:
@@ -363,10 +346,3 @@ def surplus(body: RubberBody, u: FloatArray, duals: FloatArray) -> FloatArray:
     toward = highest / highest.sum(axis=1, keepdims=True).clip(1)
     of_pressures = np.einsum("ek,cek,kd->edc", divergence[0], divergence[1:], toward, optimize=True)
     return found + (PRESSURE_WEIGHT * lame**2 / mu * body.jacobian)[:, None, None] * of_pressures
-
-
-def _scale(probes: FloatArray) -> FloatArray:
-    """Displacement that the error of each probe (n, 3) is relative to, (n,) [mm]."""
-    size = np.linalg.norm(probes, axis=1)
-    scale = np.maximum(size, SMALLEST_SHARE * size.max())
-    return np.where(scale > 0, scale, 1.0)

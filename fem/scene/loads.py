@@ -1,76 +1,33 @@
 """Loads of a scene, each on a rectangle of the top face at rest: dead, following and stiff.
 
 Directions are the axes' and do not turn, but for the pressure of a `FollowerLoad`. All grow from 0 in proportion.
-What a scene consists of declares its quantities by `numbers`, and `Checked` refuses all else.
 """
 
-import reprlib
-import sys
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
-from typing import Any, Self
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
+from geometry.design import quantity, require_sound
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Triple
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
-LENGTHS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
-LARGEST_MPA = 1e12  #: of a traction; energies go with its square
+LIMITS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
 
 
 class SceneError(TriPillarError, ValueError):
     """A scene that cannot be built or makes no sense."""
 
 
-def shown(value: Any) -> str:
-    """A value for a message: one line, cut where it is long."""
-    return f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
-
-
-def is_finite(value: Any) -> bool:
-    """True of a number that is finite, and no bool."""
-    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return is_number and bool(abs(value) <= sys.float_info.max)  # so that NaN and endless integers are refused
-
-
-def numbers(
-    count: int, meaning: str, default: Any = MISSING, above_0: bool = False, largest: float = LENGTHS_MM[1]
-) -> Any:
-    """A dataclass field of one number, or a vector of `count`, none of them larger than `largest`."""
-    metadata = {"meaning": meaning, "count": count, "above 0": above_0, "largest": largest}
-    return field(default=default, metadata=metadata)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A part of a scene: its fields of `numbers` become floats or tuples of floats, or are refused by name."""
+    """A part of a scene, whose quantities are refused by name where they make no sense."""
 
     def __post_init__(self) -> None:
-        for spec in fields(self):
-            value = getattr(self, spec.name)
-            if "count" in spec.metadata and not (value is None and spec.default is None):
-                object.__setattr__(self, spec.name, _sound(value, spec.name, **spec.metadata))
-
-
-def _sound(value: Any, name: str, **asked: Any) -> float | tuple[float, ...]:
-    count, largest = asked["count"], asked["largest"]
-    listed = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
-    given = [value] if count == 1 else listed
-    said = ""
-    if len(given) != count or not all(map(is_finite, given)):
-        said = "a finite number" if count == 1 else f"{count} finite numbers"
-    elif max(map(abs, given)) > largest:
-        said = f"at most {largest:g} in size"
-    elif asked["above 0"] and not min(given) > 0:
-        said = "above 0 along every axis"
-    elif asked["above 0"] and not min(given) >= LENGTHS_MM[0]:
-        said = f"from {LENGTHS_MM[0]:g} to {largest:g}"
-    if said:
-        raise SceneError(f"{name}={shown(value)} must be {said}; {asked['meaning']}.")
-    return float(value) if count == 1 else tuple(map(float, given))
+        require_sound(self, SceneError, LIMITS_MM)
 
 
 def rectangle_of(center_mm: Pair, size_mm: Pair) -> Rectangle:
@@ -83,8 +40,8 @@ def rectangle_of(center_mm: Pair, size_mm: Pair) -> Rectangle:
 class _OnRectangle(Checked):
     """A load on a rectangle of the top face."""
 
-    center_mm: Pair = numbers(2, "centre of the loaded rectangle: x, y, in mm")
-    size_mm: Pair = numbers(2, "extent of the loaded rectangle along x and y, in mm", above_0=True)
+    center_mm: Pair = quantity(MISSING, "centre of the loaded rectangle: x, y, in mm", count=2)
+    size_mm: Pair = quantity(MISSING, "extent of the loaded rectangle along x and y, in mm", count=2, above_0=True)
 
     @property
     def rectangle(self) -> Rectangle:
@@ -129,7 +86,7 @@ class DeadLoad(_OnRectangle):
     """
 
     kind = "dead"
-    traction_mpa: Triple = numbers(3, "traction along x, y, z, in MPa; z negative pushes down", largest=LARGEST_MPA)
+    traction_mpa: Triple = quantity(MISSING, "traction along x, y, z, in MPa; z negative pushes down", count=3)
 
     @property
     def components(self) -> tuple[float, ...]:
@@ -145,8 +102,8 @@ class FollowerLoad(_OnRectangle):
     """
 
     kind = "follower"
-    pressure_mpa: float = numbers(1, "pressure, in MPa; above 0 it pushes", largest=LARGEST_MPA)
-    traction_mpa: Pair = numbers(2, "traction along x and y, in MPa at rest", (0.0, 0.0), largest=LARGEST_MPA)
+    pressure_mpa: float = quantity(MISSING, "pressure, in MPa; above 0 it pushes")
+    traction_mpa: Pair = quantity((0.0, 0.0), "traction along x and y, in MPa at rest", count=2)
 
     @property
     def components(self) -> tuple[float, ...]:
@@ -161,8 +118,8 @@ class StiffLoad(_OnRectangle):
     """A rigid plate bonded to a rectangle, loaded at the middle of its underside."""
 
     kind = "stiff"
-    force_n: Triple = numbers(3, "force along x, y, z, in N; z negative pushes down", largest=LARGEST_MPA)
-    moment_nmm: Triple = numbers(3, "moment about x, y, z, in N mm", (0.0, 0.0, 0.0), largest=LARGEST_MPA)
+    force_n: Triple = quantity(MISSING, "force along x, y, z, in N; z negative pushes down", count=3)
+    moment_nmm: Triple = quantity((0.0, 0.0, 0.0), "moment about x, y, z, in N mm", count=3)
 
     def _signs(self, signs: FloatArray, axial: FloatArray) -> list[tuple[str, FloatArray]]:
         return [("force_n", signs), ("moment_nmm", axial)]
@@ -191,4 +148,11 @@ class StiffLoad(_OnRectangle):
 
 
 Load = DeadLoad | FollowerLoad | StiffLoad
+
+
+def at_rest(loads: Sequence[Load]) -> list[Load]:
+    """Loads as linear elasticity sees them: pressures push along −z."""
+    return [load.spread[0] if isinstance(load, FollowerLoad) else load for load in loads]
+
+
 LOAD_KINDS: dict[str, type[Load]] = {load.kind: load for load in (DeadLoad, FollowerLoad, StiffLoad)}

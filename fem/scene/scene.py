@@ -5,8 +5,9 @@ Coordinates: a block extends from the origin corner, a pillar stands where its e
 on the origin as their design says.
 """
 
+import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -14,19 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.scene.loads import (
-    LENGTHS_MM,
+    LIMITS_MM,
     Checked,
     DeadLoad,
     Load,
     Rectangle,
     SceneError,
     StiffLoad,
-    is_finite,
-    numbers,
     rectangle_of,
-    shown,
 )
-from geometry.design import Material, SensorDesign
+from geometry.design import Material, SensorDesign, is_finite, quantity
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
 
@@ -44,7 +42,9 @@ def regions_at(points_mm: FloatArray, regions: Sequence[Region]) -> NDArray[np.i
 class Block(Checked):
     """A box from the origin corner."""
 
-    size_mm: Triple = numbers(3, "extent of the block along x, y and z from the origin corner, in mm", above_0=True)
+    size_mm: Triple = quantity(
+        MISSING, "extent of the block along x, y and z from the origin corner, in mm", count=3, above_0=True
+    )
 
     @property
     def outline(self) -> Prism:
@@ -56,13 +56,13 @@ class Block(Checked):
 class _Straight(Prism, Checked):
     """A straight prism, upright or oblique, of constant horizontal section."""
 
-    base_mm: Triple = numbers(3, "centre of the lower end: x, y, z, in mm")
-    top_mm: Triple = numbers(3, "centre of the upper end: x, y, z, in mm")
-    section_mm: Pair = numbers(2, "extent of the horizontal section along x and y, in mm", above_0=True)
+    base_mm: Triple = quantity(MISSING, "centre of the lower end: x, y, z, in mm", count=3)
+    top_mm: Triple = quantity(MISSING, "centre of the upper end: x, y, z, in mm", count=3)
+    section_mm: Pair = quantity(MISSING, "extent of the horizontal section along x and y, in mm", count=2, above_0=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.height_mm >= LENGTHS_MM[0]:
+        if not self.height_mm >= LIMITS_MM[0]:
             raise SceneError(
                 f"top_mm={list(self.top_mm)} must lie above base_mm={list(self.base_mm)}: its height would be "
                 f"{self.height_mm:g} mm; swap or part them."
@@ -99,7 +99,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if self.kind not in ("unit", "array"):
-            raise SceneError(f"kind={shown(self.kind)} must be 'unit' or 'array'.")
+            raise SceneError(f"kind={reprlib.repr(self.kind)} must be 'unit' or 'array'.")
         if self.kind == "unit":
             alone = replace(self.design, array=replace(self.design.array, rows=1, cols=1))
             object.__setattr__(self, "design", alone)
@@ -123,15 +123,15 @@ class Probe(Checked):
 
     name: str
     kind: Literal["mean", "point"]
-    center_mm: Pair | None = numbers(2, "centre of a mean probe's rectangle: x, y, in mm", None)
-    size_mm: Pair | None = numbers(2, "extent of a mean probe's rectangle along x and y, in mm", None, above_0=True)
-    position_mm: Triple | None = numbers(3, "position of a point probe: x, y, z, in mm", None)
+    center_mm: Pair | None = quantity(None, "centre of a mean probe's rectangle: x, y, in mm", count=2)
+    size_mm: Pair | None = quantity(None, "extent of a mean probe's rectangle: x, y, in mm", count=2, above_0=True)
+    position_mm: Triple | None = quantity(None, "position of a point probe: x, y, z, in mm", count=3)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
-            raise SceneError(f"name={shown(self.name)} must be a word by which the probe is reported.")
+            raise SceneError(f"name={reprlib.repr(self.name)} must be a word by which the probe is reported.")
         if not isinstance(self.kind, str) or self.kind not in PROBE_KEYS:
-            raise SceneError(f"kind={shown(self.kind)} must be 'mean' or 'point'.")
+            raise SceneError(f"kind={reprlib.repr(self.kind)} must be 'mean' or 'point'.")
         needed = PROBE_KEYS[self.kind]
         for key in sum(PROBE_KEYS.values(), ()):
             if (getattr(self, key) is not None) != (key in needed):
@@ -168,8 +168,8 @@ class Scene:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if not is_finite(self.tolerance) or not 0 < self.tolerance < 1:
             raise SceneError(
-                f"tolerance={shown(self.tolerance)} must be a number above 0 and below 1: the relative error wanted "
-                "on the probes; write 1e-3."
+                f"tolerance={reprlib.repr(self.tolerance)} must be a number above 0 and below 1: the relative error "
+                "wanted on the probes; write 1e-3."
             )
         object.__setattr__(self, "tolerance", float(self.tolerance))
         if isinstance(self.body, Sensor) and self.material != self.body.design.matrix_material:
@@ -201,7 +201,7 @@ class Scene:
         names = [probe.name for probe in self.probes]
         for name in names:
             if names.count(name) > 1:
-                raise SceneError(f"two probes have the name {shown(name)}: give each a name of its own.")
+                raise SceneError(f"two probes have the name {reprlib.repr(name)}: give each a name of its own.")
         for number, load in enumerate(self.loads, start=1):
             self._require_on_top(f"load {number}", load.rectangle)
         self._check_plates()

@@ -1,10 +1,11 @@
 """Scene files: TOML read into a `Scene`, unknown keys and nonsense refused in one line that names the place."""
 
+import reprlib
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from fem.scene.loads import LOAD_KINDS, Load, SceneError, shown
+from fem.scene.loads import LOAD_KINDS, Load, SceneError
 from fem.scene.scene import Block, Body, Inclusion, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
 from geometry.design_file import design_from_dict
@@ -91,7 +92,7 @@ def keys_of(made: type[Any], optional: bool = False) -> tuple[str, ...]:
 
 def _known(kind: Any, kinds: dict[str, Any], place: str) -> str:
     if not isinstance(kind, str) or kind not in kinds:
-        raise SceneError(f"{place}: kind={shown(kind)} is unknown; it must be one of {', '.join(kinds)}.")
+        raise SceneError(f"{place}: kind={reprlib.repr(kind)} is unknown; it must be one of {', '.join(kinds)}.")
     return kind
 
 

@@ -6,8 +6,7 @@ mesh only and the answers of successive meshes differ by their errors alone.
 Indicators say how far an answer u misses equilibrium in each element. Its residual is what the stress leaves
 unbalanced: div σ inside the elements, jumps of the traction σ·n across their faces, traction missing on the surface,
 and div u − p/λ in the mixed form. The error of a probe is at most a constant times the sum over the elements of the
-product of two such residuals: of the answer, and of the answer to a unit load on the probe (Becker and Rannacher, Acta
-Numerica 10, 2001).
+product of two such residuals: of the answer, and of the answer to a unit load on the probe (`fem.levels`).
 """
 
 from collections.abc import Sequence
@@ -18,12 +17,14 @@ from skfem import Basis, MeshTet
 
 from fem.factor import Factor, checked_solve
 from fem.field import Field
-from fem.levels import SAFETY
+from fem.levels import SAFETY, largest_contributors, shown_ratios, unit_loads
+from fem.scene.loads import at_rest
 from fem.scene.scene import Region, Scene
-from fem.scene.solution import SMALLEST_SHARE, MeshAnswer, Stopwatch, relative_errors
+from fem.scene.solution import MeshAnswer, Stopwatch
 from fem.tetrahedra.mixed import Elements, IntArray, TaylorHood, taylor_hood
-from fem.tetrahedra.patch import bonded, patch_integrals
+from fem.tetrahedra.patch import patch_integrals
 from fem.tetrahedra.scene_mesh import bisected, cell_sizes, mesh_scene, prism_of_cells
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
@@ -32,33 +33,21 @@ LAST_SHARE = 0.65  #: the same, where little is missing
 MIN_MARKED = 0.12  #: of all elements: few hold the share where rubbers differ 100 times, and the mesh would hardly grow
 MIN_MESHES = 4  #: before an estimate is believed; with 3 it was half the error where rubbers differ 1000 times
 EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
-MAX_DUALS = 12  #: unit loads on probes solved for each mesh; with more probes, random sums of them
+MAX_PROBES, N_SUMS = 4, 12  #: probes that have unit loads of their own; of more, sums with random signs
+MIN_FALL = 0.05  #: of η from mesh to mesh: over less, changes say little
 SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
 NOWHERE = np.empty((0, 4))
 
 
-def errors_by_indicators(names: Sequence[str], history: Sequence[tuple[float, FloatArray]]) -> dict[str, float]:
-    """Relative error of each probe on the last of several adapted meshes, infinite with fewer than `MIN_MESHES`.
+def estimated_error(history: Sequence[tuple[float, FloatArray]]) -> float:
+    """Largest relative error of the probes on the last of several meshes, infinite with fewer than `MIN_MESHES`.
 
     `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
-
-    Notes
-    -----
-    The error of a probe is close to proportional to the sum η of its indicators: J(η) = J₀ + C η, with C unknown but
-    changing little from mesh to mesh. The line through the last two meshes and the one fitted to the last three each
-    give |C| η; the larger is taken, times `SAFETY`.
     """
     if len(history) < MIN_MESHES:
-        return dict.fromkeys(names, np.inf)
-    eta = np.array([indicated for indicated, _ in history[-3:]])
-    J = np.array([probes for _, probes in history[-3:]])  # (3, n_probes, 3)
-    if eta[-1] == 0.0:
-        return dict.fromkeys(names, 0.0)
-    fitted = np.tensordot(eta - eta.mean(), J, axes=1) / ((eta - eta.mean()) ** 2).sum()
-    between = (J[-1] - J[-2]) / (eta[-1] - eta[-2])
-    answer = dict(zip(names, J[-1], strict=True))
-    estimates = [relative_errors(dict(zip(names, slope * eta[-1], strict=True)), answer) for slope in (fitted, between)]
-    return {name: SAFETY * max(estimate[name] for estimate in estimates) for name in names}
+        return np.inf
+    eta, probes = (np.array(part) for part in zip(*history[-3:], strict=True))
+    return float(SAFETY * shown_ratios(probes, eta[:, None], MIN_FALL).max() * eta[-1])
 
 
 class AdaptedTetrahedra:
@@ -89,8 +78,7 @@ class AdaptedTetrahedra:
         return f"{self.mesh.nelements} tetrahedra"
 
     def error(self) -> float:
-        names = [probe.name for probe in self.scene.probes]
-        return max(errors_by_indicators(names, self.history).values())
+        return estimated_error(self.history)
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
@@ -111,47 +99,44 @@ class AdaptedTetrahedra:
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, body = self.scene, self.body
-        no_loads = sp.csr_matrix((0, body.basis.N))
-        loads = patch_integrals(body.basis, scene.load_rectangles_mm) if scene.dead_loads else no_loads
-        forces = np.asarray(loads.T @ scene.tractions_mpa).reshape(-1, 1)
+        system = TetrahedralSystem(body, at_rest(scene.loads))
         rows = probe_rows(scene, body.basis)
-        plates = scene.plate_rectangles_mm
-        motions = bonded(body.n_unknowns, body.free, body.points_mm, plates)
-        matrix = sp.triu(motions.T @ body.matrix @ motions, format="csr") if len(plates) else body.upper
+        matrix = system.rest_tangent()
         watch.spent("assemble")
         factor = Factor(matrix, upper=True)
         watch.spent("factor")
 
-        pushing = motions.T @ body.loads(forces)
-        reduced, residual = checked_solve(factor, pushing)
-        x = motions @ reduced
-        u = body.displacements(x)
-        probes = np.asarray(rows @ u.reshape(-1, 3))
-        duals, scales, shapes = _dual_loads(scene, rows, probes)
-        y, dual_residual = checked_solve(factor, motions.T @ body.loads(duals))
-        y = motions @ y
-        z = body.displacements(y)
+        forces = np.zeros((system.n_unknowns, 1))
+        forces[: 3 * system.n_blocks, 0] = system.loads_on(system.rest()).ravel()
+        x, residual = checked_solve(factor, forces)
+        u = system.displaced(x)[0]
+        probes = np.asarray(rows @ u)
+        weights = unit_loads(probes, MAX_PROBES, N_SUMS)
+        y, dual_residual = checked_solve(factor, system.rest_loads(np.stack([rows.T @ weight for weight in weights])))
+        z = system.displaced(y)
         watch.spent("solve")
 
-        n = len(body.free)
+        n, plates = body.n_pressure, scene.plate_rectangles_mm
         loaded, seen = scene.load_rectangles_mm, scene.probe_rectangles_mm
-        of_answer = residuals(body, u[:, 0], x[n:, 0], loaded, scene.tractions_mpa, plates)
+        areas_mm2 = (seen[:, 2:] - seen[:, :2]).prod(axis=1)[:, None]
+        shapes = weights[:, [probe.kind == "mean" for probe in scene.probes]] / areas_mm2
+        of_answer = residuals(body, u, x[-n:, 0], loaded, scene.tractions_mpa, plates)
         of_duals = [
             residuals(body, own, pressure, seen, tractions, plates)
-            for own, pressure, tractions in zip(z.T, y[n:].T, shapes, strict=True)
+            for own, pressure, tractions in zip(z, y[-n:].T, shapes, strict=True)
         ]
         watch.spent("assemble")
-        indicators = probe_indicators(of_answer, of_duals, scales)
+        indicators = np.sqrt(of_answer * of_duals).sum(axis=0)
         self.history.append((float(indicators.sum()), probes))
         return MeshAnswer(
             probes=probes,
-            energy_mj=0.5 * float(pushing[:, 0] @ reduced[:, 0]),
+            energy_mj=0.5 * float(forces[:, 0] @ x[:, 0]),
             residual=max(residual, dual_residual),
             unknowns=matrix.shape[0],
             indicators=indicators,
             field=lambda: Field(
                 mesh=body.elements,
-                displacement_mm=u.reshape(-1, 3),
+                displacement_mm=u,
                 material=self.materials,
             ),
         )
@@ -190,18 +175,6 @@ def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
     return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
 
 
-def _dual_loads(
-    scene: Scene, rows: sp.csr_matrix, probes: FloatArray
-) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Unit loads on the probes: nodal forces (n_displacement, k), their scales, and tractions (n_means, 3) of each."""
-    weights, scales = dual_weights(probes)
-    rectangles = scene.probe_rectangles_mm
-    areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
-    is_mean = np.array([probe.kind == "mean" for probe in scene.probes])
-    forces = np.stack([np.asarray(rows.T @ weight).ravel() for weight in weights], axis=1)
-    return forces, scales, [weight[is_mean] / areas for weight in weights]
-
-
 def residuals(
     body: TaylorHood,
     u: FloatArray,
@@ -215,7 +188,7 @@ def residuals(
     Parameters
     ----------
     body : TaylorHood
-    u : array, shape (n_displacement,)
+    u : array, shape (n_nodes, 3)
         Nodal displacements [mm].
     pressure : array, shape (n_pressure,)
         Corner pressures of the mixed form [MPa].
@@ -233,7 +206,7 @@ def residuals(
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
     elements = body.elements
-    gradient = elements.corner_gradients(u.reshape(-1, 3))
+    gradient = elements.corner_gradients(u)
     divergence = np.trace(gradient, axis1=2, axis2=3)
     p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
@@ -281,50 +254,6 @@ def residuals(
     for x0, y0, x1, y1 in plates:
         misfit[top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
     return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
-
-
-def probe_indicators(of_answer: FloatArray, of_duals: list[FloatArray], scales: FloatArray) -> FloatArray:
-    """Share of each element in the relative errors of the probes, up to a constant, shape (m,).
-
-    `of_answer` and `of_duals` are `residuals`; `scales` are the sizes of the probes' displacements.
-    """
-    return sum(
-        (np.sqrt(of_answer * dual) / scale for dual, scale in zip(of_duals, scales, strict=True)),
-        start=np.zeros_like(of_answer),
-    )
-
-
-def dual_weights(probes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit loads on probes by whose answers their errors are traced to elements.
-
-    One for each probe and axis; of more than `MAX_DUALS`, as many sums of all with random signs, which together mark
-    the same elements.
-
-    Parameters
-    ----------
-    probes : array, shape (n_probes, 3)
-        Displacements of the probes [mm].
-
-    Returns
-    -------
-    array, shape (k, n_probes, 3): the weight of each probe's components in each load
-    array, shape (k,): the displacement that each load's error is relative to [mm]
-    """
-    size = np.linalg.norm(probes, axis=1)
-    scale = np.maximum(size, SMALLEST_SHARE * size.max())
-    scale[scale == 0.0] = 1.0
-    n = len(probes)
-    if 3 * n > MAX_DUALS:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_DUALS, n, 3))
-        return signs / scale[:, None], np.ones(MAX_DUALS)
-    return np.eye(3 * n).reshape(3 * n, n, 3), np.repeat(scale, 3)
-
-
-def largest_contributors(indicators: FloatArray, share: float) -> IntArray:
-    """The fewest elements that hold a share of the sum of all indicators (Dörfler's rule)."""
-    order = np.argsort(-indicators)
-    running = np.cumsum(indicators[order])
-    return order[: int(np.searchsorted(running, share * running[-1])) + 1]
 
 
 def _tractions_at(points: FloatArray, rectangles: FloatArray, tractions_mpa: FloatArray) -> FloatArray:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementTetP1, ElementTetP2, MeshTet
 
-from fem.factor import whole
 from fem.rubber.law import LAWS, Law, Strain
 from geometry.design import Material
 from geometry.layout import FloatArray
@@ -199,11 +198,6 @@ class TaylorHood:
     def n_pressure(self) -> int:
         return int(self.corners.max()) + 1
 
-    @property
-    def n_displacement(self) -> int:
-        """Number of displacement degrees of freedom, clamped ones included."""
-        return 3 * self.n_nodes
-
     @cached_property
     def _free_nodes(self) -> IntArray:
         return np.flatnonzero(self.basis.doflocs[2] != 0.0)
@@ -216,16 +210,6 @@ class TaylorHood:
     @property
     def n_unknowns(self) -> int:
         return len(self.free) + self.n_pressure
-
-    def loads(self, forces: FloatArray) -> FloatArray:
-        """Right-hand sides (n_unknowns, k) of nodal forces (n_displacement, k) [N]."""
-        return np.vstack([forces[self.free], np.zeros((self.n_pressure, forces.shape[1]))])
-
-    def displacements(self, solution: FloatArray) -> FloatArray:
-        """Nodal displacements (n_displacement, k) [mm] of solutions (n_unknowns, k)."""
-        u = np.zeros((self.n_displacement, solution.shape[1]))
-        u[self.free] = solution[: len(self.free)]
-        return u
 
     # elements
 
@@ -333,11 +317,6 @@ class TaylorHood:
     def upper(self) -> sp.csr_matrix:
         """Upper triangle of the equations at rest: linear elasticity."""
         return self.tangent(np.zeros((self.n_nodes, 3)), np.zeros(self.n_pressure))
-
-    @cached_property
-    def matrix(self) -> sp.csr_matrix:
-        """The equations at rest, both triangles."""
-        return whole(self.upper)
 
 
 def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> TaylorHood:

@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -198,17 +197,6 @@ def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e7 else f"{n_bytes / 1e3:.0f} kB"
 
 
-class _HeldBack:
-    """A handler of signals that only notes that one came."""
-
-    def __init__(self, before: Any) -> None:
-        self.before = before  #: the handler that it stands in for
-        self.came = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.came = True
-
-
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back until the block is done, then let it come.
@@ -219,13 +207,13 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held = _HeldBack(signal.getsignal(signal.SIGINT))
-    signal.signal(signal.SIGINT, held)
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, held.before)
-    if held.came:
+        signal.signal(signal.SIGINT, before)
+    if came:
         signal.raise_signal(signal.SIGINT)  # to the handler of before
 
 

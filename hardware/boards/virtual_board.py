@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
-from hardware.link.serial_ports import PortError, link_to, unlink
+from hardware.link.serial_ports import PortError, link_to
 
 _RATES_HZ = range(1, 1001)  # that it can hold
 _TURN_S = 0.05  # longest wait for the host
@@ -143,8 +143,8 @@ class VirtualBoard:
             return
         self._closing.set()
         self._thread.join()
-        if self._link:
-            unlink(self._link, self._terminal)
+        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._terminal:  # not another board's
+            self._link.unlink()
         for end in (self._end, self._host_end):
             os.close(end)
 

@@ -6,10 +6,8 @@ A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one,
 
 import contextlib
 import errno
-import os
 import socket
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,7 +33,6 @@ PORT_FAULTS = (
     TypeError,  # of a port whose file descriptor has become None
     ValueError,  # of one whose file descriptor has become -1; of a setting that the port does not know
 )  #: everything a port is known to raise, wherever it fails
-BEGINS = "board-that-begins-"  #: target of a link whose board is on its way, with the process behind it
 _TIMEOUT_S = 0.1  # of a read, which bounds how long closing takes
 _WRITE_TIMEOUT_S = 0.05  # a board that does not listen must not hold up the reading
 _SOCKET = "socket://"
@@ -128,28 +125,13 @@ def link_to(link: Path, target: str) -> None:
     beside.replace(link)
 
 
-def unlink(link: Path, target: str) -> None:
-    """Remove a link to a port, unless it points to another one by now."""
-    if link.is_symlink() and os.readlink(link) == target:
-        link.unlink()
-
-
-@contextlib.contextmanager
-def claimed(link: Path | None) -> Iterator[None]:
-    """Keep a free link's name for a board of this process that takes seconds to begin: see `is_claimed`."""
-    if link is None or link.exists():
-        yield
-        return
-    target = f"{BEGINS}{os.getpid()}"
-    link_to(link, target)
-    try:
-        yield
-    finally:
-        unlink(link, target)
-
-
-def is_claimed(port: str) -> bool:
-    """True for a link whose board has yet to begin, in a process that runs."""
-    target = os.readlink(port) if os.path.islink(port) else ""
-    number = target.removeprefix(BEGINS)
-    return number != target and number.isdecimal() and psutil.pid_exists(int(number))
+def is_beginning(port: str) -> bool:
+    """True while a process runs that was started as a simulated board with a link of this name."""
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            words = " ".join(process.cmdline()).replace("=", " ").split(" ")
+            if "board" in words and "--link" in words[:-1]:
+                link = Path(process.cwd(), words[words.index("--link") + 1])
+                if link == Path(port).absolute():
+                    return True
+    return False

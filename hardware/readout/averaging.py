@@ -20,19 +20,10 @@ MAX_FOR_NOISE = 200  #: largest number of scans from which the noise is estimate
 
 
 def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:
-    """Mean resistances of counts (n, n_crossings), and their noise.
+    """Mean resistances (rows, cols, 3) [Ω] of counts (n, n_crossings), NaN where a count is 0, open; and their noise.
 
-    Returns
-    -------
-    resistance_ohm : array, shape (rows, cols, 3)
-        As the crossbar gives them [Ω]; NaN where a count is 0, open.
-    noise : float
-        Relative standard deviation of these: the median over pillars of scatter and converter's steps together.
-
-    Raises
-    ------
-    FileFormatError
-        If a pillar reads full scale: it lies below what the converter can tell.
+    The noise is their relative standard deviation: the median over pillars of scatter and converter's steps together.
+    A pillar at full scale lies below what the converter can tell: `FileFormatError`.
     """
     readings, is_bound = crossbar.fractions(counts)
     is_open = crossbar.as_pillars(np.any(counts == 0, axis=0, keepdims=True))[0]
@@ -56,13 +47,7 @@ def min_scans(rate_hz: float) -> int:
 
 
 def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seconds: float) -> None:
-    """Refuse to average over motion, or over too few scans to find it; arguments as of `movement`.
-
-    Raises
-    ------
-    FileFormatError
-        If `movement` finds one, or scans are too few for it.
-    """
+    """Refuse to average over motion that `movement` finds, or over too few scans to find it: `FileFormatError`."""
     if len(counts) < min_scans(rate_hz):
         raise FileFormatError(
             f"{len(counts)} scans within {seconds:g} s are too few to tell a sensor at rest from one that moves: give "
@@ -78,17 +63,8 @@ def require_still(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float, seco
 def movement(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float) -> str | None:
     """Name the pillar that moved most and by how much; None where noise explains all, or scans are too few to tell.
 
-    Parameters
-    ----------
-    counts : array, shape (n, n_crossings)
-        Of scans that follow one another.
-    crossbar : Crossbar
-        That was read.
-    rate_hz : float
-        Scans a second.
+    Counts (n, n_crossings) are of scans that follow one another, `rate_hz` a second.
 
-    Notes
-    -----
     An analysis of variance of each crossing: means over up to `MAX_GROUPS` stretches of time must not scatter more
     than the scatter within them explains, at a level of `FALSE_ALARMS` over the number of crossings (Bonferroni), which
     holds for noise that is correlated between crossings, too. A pillar must also have changed by more than one count

@@ -104,17 +104,8 @@ class SensorCalibration:
 
     def to_json(self) -> str:
         """The JSON text of calibration files and of recordings."""
-        plain = {
-            "kind": KIND,
-            "version": VERSION,
-            "serial": self.serial,
-            "electronics": asdict(self.electronics),
-            "gain": self.gain.tolist(),
-            "offset_ohm": self.offset_ohm.tolist(),
-            "rest_ohm": None if self.rest_ohm is None else self.rest_ohm.tolist(),
-            "made_from": self.made_from,
-        }
-        return sealed_json(plain)
+        plain = {name: each.tolist() if isinstance(each, np.ndarray) else each for name, each in vars(self).items()}
+        return sealed_json({"kind": KIND, "version": VERSION} | plain | {"electronics": asdict(self.electronics)})
 
     @classmethod
     def from_json(cls, text: str, source: str = "the calibration") -> "SensorCalibration":
@@ -131,12 +122,11 @@ class SensorCalibration:
                 raise ValueError(f"kind {plain.get('kind')!r}, version {plain.get('version')!r}")
             gain, offset = (np.array(plain[name], dtype=np.float64) for name in ("gain", "offset_ohm"))
             rest = None if plain["rest_ohm"] is None else np.array(plain["rest_ohm"], dtype=np.float64)
-            if gain.ndim != 3 or gain.shape[2] != len(PILLARS) or offset.shape != gain.shape:
-                raise ValueError(f"gain of shape {gain.shape} and offset_ohm of {offset.shape}")
-            if not (np.isfinite(gain) & (gain > 0)).all() or not np.isfinite(offset).all():
-                raise ValueError("a gain that is not above 0 or an offset that is not finite")
-            if rest is not None and (rest.shape != gain.shape or not (rest > 0).all()):
-                raise ValueError("a resistance at rest that is missing or not above 0")
+            at_rest = gain if rest is None else rest
+            if gain.ndim != 3 or {gain.shape, offset.shape, at_rest.shape} != {(*gain.shape[:2], len(PILLARS))}:
+                raise ValueError(f"gain of shape {gain.shape}, offset_ohm of {offset.shape}, rest of {at_rest.shape}")
+            if not (np.isfinite(gain + offset).all() and (gain > 0).all() and (at_rest > 0).all()):
+                raise ValueError("a gain or a resistance at rest that is not above 0, or an offset that is not finite")
             if not isinstance(plain["serial"], int | None):
                 raise ValueError(f"serial {plain['serial']!r}")
             return cls(

@@ -36,6 +36,17 @@ SUITED_SENSE_OHM = {
     ScanMode.GROUNDED: 1_000.0,
     ScanMode.ZERO_POTENTIAL: 4_700.0,
 }  #: best for 10 kΩ
+BOUNDS = {
+    "rows": (1, 255),
+    "cols": (1, 255),
+    "sense_ohm": (1, 1e9),
+    "switch_ohm": (0, 1e6),
+    "line_ohm": (0, 1e6),
+    "amplifier_gain": (1, 1e12),
+    "bits": (8, 16),
+    "noise": (0, 0.1),
+    "shunt_siemens": (0, 1),
+}  #: of the fields of `Crossbar`
 
 
 Array = Any  #: a NumPy array of float64, or a torch tensor of floats
@@ -89,21 +100,10 @@ class Crossbar:
     shunt_siemens: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), "shunts of a unit", optional=True)
 
     def __post_init__(self) -> None:
-        if not (1 <= self.rows <= 255 and 1 <= self.cols <= 255):
-            raise DesignError(f"rows={self.rows}, cols={self.cols} must each be from 1 to 255.")
-        for name, low, high in (
-            ("sense_ohm", 1.0, 1e9),
-            ("switch_ohm", 0.0, 1e6),
-            ("line_ohm", 0.0, 1e6),
-            ("amplifier_gain", 1.0, 1e12),
-            ("noise", 0.0, 0.1),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise DesignError(f"{name}={getattr(self, name):g} must be from {low:g} to {high:g}.")
-        if self.bits is not None and not (isinstance(self.bits, int) and 8 <= self.bits <= 16):
-            raise DesignError(f"bits={self.bits!r} must be from 8 to 16; leave it out for exact readings.")
-        if not all(0.0 <= shunt <= 1.0 for shunt in self.shunt_siemens):
-            raise DesignError(f"shunt_siemens={self.shunt_siemens} must each be from 0 to 1 S.")
+        for name, (low, high) in BOUNDS.items():
+            value = getattr(self, name)
+            if value is not None and not all(low <= each <= high for each in np.atleast_1d(value)):
+                raise DesignError(f"{name}={value!r} must be from {low:g} to {high:g}.")
 
     @classmethod
     def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
@@ -161,20 +161,11 @@ class Crossbar:
         return np.asarray(((row[:, None] == wires) | (column[:, None] == wires)) * lossy_ohm)
 
     def readings(self, resistance_ohm: Array) -> Array:
-        """Share of full scale at every crossing, without noise or converter.
+        """Share of full scale at every crossing, without noise or converter, (n, rows·cols·3).
 
-        Parameters
-        ----------
-        resistance_ohm : array, shape (n, rows, cols, 3)
-            Pillars z, x, y [Ω]; a broken one is anything large, such as `dataset.imperfections.OPEN_OHM`.
+        In the order of `geometry.wiring.crossings`, of pillars (n, rows, cols, 3) [Ω]; a broken one is anything large,
+        such as `dataset.imperfections.OPEN_OHM`. Above 1 the converter will be saturated.
 
-        Returns
-        -------
-        array, shape (n, rows·cols·3)
-            In the order of `geometry.wiring.crossings`; above 1 where the converter will be saturated.
-
-        Examples
-        --------
         >>> ideal = Crossbar(rows=1, cols=1, sense_ohm=5e3, switch_ohm=0.0, amplifier_gain=1e12)
         >>> ideal.readings(np.full((1, 1, 1, 3), 10e3)).round(6).tolist()
         [[0.5, 0.5, 0.5]]
@@ -199,22 +190,25 @@ class Crossbar:
 
         Noise is drawn from `generator`; without one there is none.
         """
-        if self.full_scale is None:
-            raise DesignError("bits=None reads exactly and has no counts: give the converter's bits.")
+        full_scale = self._required_full_scale()
         x = self.readings(resistance_ohm)
         if generator is not None and self.noise:
             x = x + self.noise * generator.standard_normal(x.shape)
-        return np.clip(np.rint(self.full_scale * x), 0, self.full_scale).astype(np.int64)
+        return np.clip(np.rint(full_scale * x), 0, full_scale).astype(np.int64)
 
     def fractions(self, counts: NDArray[np.integer]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Shares of full scale that counts stand for, and where they are only bounds: at 0 or full scale.
 
         Such a count is taken as the nearest one inside, 1 or full scale − 1; any shape.
         """
+        full_scale = self._required_full_scale()
+        inside = np.minimum(np.maximum(counts, 1), full_scale - 1)
+        return inside / full_scale, inside != counts
+
+    def _required_full_scale(self) -> int:
         if self.full_scale is None:
             raise DesignError("bits=None reads exactly and has no counts: give the converter's bits.")
-        inside = np.minimum(np.maximum(counts, 1), self.full_scale - 1)
-        return inside / self.full_scale, inside != counts
+        return self.full_scale
 
     def uncorrected(self, readings: Array) -> Array:
         """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
@@ -255,7 +249,7 @@ class Crossbar:
 
     def apparent_of(self, conductance: Array) -> Array:
         """y of pillars' conductances: the nodal analysis."""
-        return self._shown(*self._solved(self._laplacian(conductance)))
+        return self._shown(*self._solved(conductance))
 
     def apparent_and_derivatives(self, conductance: Array) -> tuple[Array, Array]:
         """y and dy/dg, (n, n_crossings, n_crossings), of pillars' conductances.
@@ -266,7 +260,7 @@ class Crossbar:
         and dP = −P d dᵀ P dg.
         """
         row, column = (_like(end, conductance) for end in self.ends)
-        inverse, N = self._solved(self._laplacian(conductance))
+        inverse, N = self._solved(conductance)
         y = self._shown(inverse, N)
         if N is None:
             U = inverse[:, :, row] - inverse[:, :, column]  # P d of every pillar, (n, n_wires, n_crossings)
@@ -290,19 +284,19 @@ class Crossbar:
         xp, n_wires = namespace(conductance), 2 * (self.rows + self.cols)
         with_none = xp.concatenate([conductance, 0.0 * conductance[:, :1]], axis=1)
         G = with_none[:, _like(self._between, conductance)].reshape(-1, n_wires, n_wires)
-        if self.has_shunts:
+        if any(self.shunt_siemens):
             G = G + _like(self.shunt_matrix, conductance)
         return G.sum(axis=2)[:, :, None] * _like(np.eye(n_wires), conductance) - G
 
-    def _solved(self, L: Array) -> tuple[Array, Array | None]:
+    def _solved(self, conductance: Array) -> tuple[Array, Array | None]:
         """K = (1 + R L)⁻¹ and N = L K; where idle wires float P, and no N.
 
         P is L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows.
         """
-        xp, one = namespace(L), _like(np.eye(L.shape[1]), L)
+        xp, L = namespace(conductance), self._laplacian(conductance)
         if self.scan_mode == ScanMode.DIVIDER:
             return xp.linalg.inv(L + (xp.einsum("nii->n", L) / L.shape[1] ** 2)[:, None, None]), None
-        K = xp.linalg.inv(one + _like(self.series_ohm[:, None], L) * L)
+        K = xp.linalg.inv(_like(np.eye(L.shape[1]), L) + _like(self.series_ohm[:, None], L) * L)
         return K, L @ K
 
     def _shown(self, inverse: Array, N: Array | None) -> Array:
@@ -313,10 +307,6 @@ class Crossbar:
             return 1.0 / (P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column])
         y = -N[:, column, row]
         return y / (1.0 + self.sense_ohm * N[:, column, column]) if self.scan_mode == ScanMode.GROUNDED else y
-
-    @property
-    def has_shunts(self) -> bool:
-        return any(self.shunt_siemens)
 
     @cached_property
     def shunt_matrix(self) -> FloatArray:
@@ -347,17 +337,9 @@ class Corrector:
         self._tangent = np.linalg.inv(jacobian[0]).T
 
     def correct(self, readings: Array) -> Array:
-        """Resistances that would give these readings.
+        """Resistances (n, rows, cols, 3) [Ω] that would give readings (n, rows·cols·3), finite and above 0.
 
-        Parameters
-        ----------
-        readings : array, shape (n, rows·cols·3)
-            Shares of full scale, above 0 and, with a divider, below 1.
-
-        Returns
-        -------
-        array, shape (n, rows, cols, 3)
-            Pillars z, x, y [Ω], finite and above 0 whatever the readings.
+        Readings are shares of full scale, above 0 and, with a divider, below 1.
         """
         xp, apparent = namespace(readings), self.crossbar.apparent_conductances(readings)
         if not len(apparent):
@@ -395,7 +377,7 @@ class Corrector:
         lost = (apparent @ _like(crossbar.loss_by_wire, apparent)).clip(None, MAX_LOST)
         left = 1.0 - lost  # a, of every wire
         guess = apparent / (left[:, row] * left[:, column])
-        if crossbar.has_shunts:
+        if any(crossbar.shunt_siemens):
             return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
             return guess, xp.zeros_like(unknown) if crossbar.series_ohm[0] == 0.0 else unknown

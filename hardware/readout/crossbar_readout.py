@@ -40,10 +40,7 @@ class CrossbarReadout:
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
 
-        Raises
-        ------
-        DesignError
-            If a count is 0 or full scale, which stands for no resistance, where the pillar is not broken.
+        A count of 0 or full scale stands for no resistance: `DesignError` where the pillar is not broken.
         """
         crossbar = self.crossbar
         if crossbar.bits is None:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from hardware.link.scanner import Scanner
 from hardware.readout.calibration import SensorCalibration
 from hardware.readout.crossbar import Corrector
 from hardware.readout.description import SensorDescription, describe
-from hardware.readout.wrench import Wrench, net_values, net_wrench, wrench_weights
+from hardware.readout.wrench import NET, Wrench, net_wrench, wrench_weights
 from hardware.recording import Recording
 
 if TYPE_CHECKING:
@@ -60,30 +60,15 @@ class Forces:
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     def __getitem__(self, which: int | slice) -> "Forces":
-        """Forces of some scans; what is known of deviations goes along."""
-        given: dict[str, Any] = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
+        """Forces of some scans; what is known of deviations and net load goes along."""
+        given = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
         known = vars(self).get("deviations", self.stated)
-        if known is not None:
-            half_n, covariance = (None if each is None else each[which] for each in known)
-            given["stated"] = half_n, covariance
-        return replace(self, **given)
-
-    def followed_by(self, others: "Sequence[Forces]") -> "Forces":
-        """These forces, and those of the scans that follow."""
-        parts = (self, *others)
-        joined: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in BY_SCAN
-            if isinstance(getattr(self, name), np.ndarray)
-        }
-        if self.contacts is not None:
-            joined["contacts"] = [each for part in parts for each in part.contacts]
-        if self.stated is not None:
-            half_n, covariance = (
-                np.concatenate(each) for each in zip(*(part.deviations for part in parts), strict=True)
-            )
-            joined["stated"] = half_n, covariance
-        return replace(self, **joined)
+        stated: Any = known and tuple(None if each is None else each[which] for each in known)
+        some = replace(self, **given, stated=stated)
+        if "wrench" in vars(self):
+            found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
+            vars(some)["wrench"] = Wrench(**found)
+        return some
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:
@@ -129,7 +114,8 @@ class Forces:
 
     def net(self) -> dict[str, FloatArray]:
         """Values of the wrench by their names in files and streams; unknown deviations are left out."""
-        return {name: values for name, (values, _) in net_values(self.wrench).items()}
+        named = {name: getattr(self.wrench, attribute) for name, (attribute, _) in NET.items()}
+        return {name: values for name, values in named.items() if values is not None}
 
     def to_xarray(self) -> "xr.Dataset":
         """The forces of a recording with their deviations, net wrench and χ², as they are written to NetCDF."""
@@ -149,9 +135,9 @@ class Forces:
         if self.chi2 is not None:
             meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
             variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
-        for name, (values, unit) in net_values(self.wrench).items():
+        for name, values in self.net().items():
             place = "place" if "centre" in name else "direction"
-            variables[name] = (("frame", place), values, {"units": unit})
+            variables[name] = (("frame", place), values, {"units": NET[name][1]})
         axes = {"axis": list(self.description.axes), "direction": list(AXES), "place": list(AXES[:2])}
         return xr.Dataset(
             variables,
@@ -161,27 +147,14 @@ class Forces:
 
 
 class ForceReader:
-    """Turns counts of one board into the forces on its sensor.
+    """Turns counts of one board into the forces on its sensor, in one thread.
 
     A model mixes the pillars of all units, so one that is saturated makes the forces of its whole scan an
-    extrapolation. They are given all the same, finite, and `Forces.saturated` says so. Not for several threads at once.
+    extrapolation. They are given all the same, finite, and `Forces.saturated` says so.
 
-    Parameters
-    ----------
-    info : Info
-        Of the board.
-    model : Decoupler or TouchDecoder
-        Trained for this array; its design says what the sensor shows at rest.
-    calibration : SensorCalibration, optional
-        Of this very sensor; without one it is taken to be as designed.
-    crosstalk : bool
-        True takes the crossbar's crosstalk out. False takes each crossing as read alone.
-
-    Raises
-    ------
-    FileFormatError
-        If model or calibration are of another array or design, if both know gains, or if there is a state at rest and
-        the model states no design.
+    Without a calibration the sensor is taken to be as designed; without `crosstalk` each crossing is taken as read
+    alone. `FileFormatError` if model or calibration are of another array or design, if both know gains, or if there is
+    a state at rest and the model states no design.
     """
 
     def __init__(
@@ -197,7 +170,17 @@ class ForceReader:
         self.calibration.require_for(info)
         self.crossbar = self.calibration.electronics.crossbar(info)
         self._invert = Corrector(self.crossbar).correct if crosstalk else self.crossbar.uncorrected
-        self._require_fit()
+        made_for = self.calibration.made_from.get("design_hash")
+        if made_for and model.design_hash and made_for != model.design_hash:
+            raise FileFormatError(
+                f"the calibration is for a sensor of design {made_for}, the model for one of {model.design_hash}: "
+                "take a model of that design, or calibrate by the model's."
+            )
+        if model.is_identified and not self.calibration.is_tare_only:
+            raise FileFormatError(
+                "the model is identified from this sensor's pairs, and the calibration knows its gains too: give a "
+                "calibration that only holds a tare, or a model of the sensor as designed."
+            )
         rest_ohm = model.rest_resistances()
         if self.calibration.rest_ohm is not None and rest_ohm is None:
             raise FileFormatError(
@@ -223,20 +206,6 @@ class ForceReader:
 
         return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
 
-    def _require_fit(self) -> None:
-        calibration, model = self.calibration, self.model
-        made_for = calibration.made_from.get("design_hash")
-        if made_for and model.design_hash and made_for != model.design_hash:
-            raise FileFormatError(
-                f"the calibration is for a sensor of design {made_for}, the model for one of {model.design_hash}: "
-                "take a model of that design, or calibrate by the model's."
-            )
-        if model.is_identified and not calibration.is_tare_only:
-            raise FileFormatError(
-                "the model is identified from this sensor's pairs, and the calibration knows its gains too: give a "
-                "calibration that only holds a tare, or a model of the sensor as designed."
-            )
-
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, 3) [Ω] that counts (n, rows·cols·3) stand for, and which are saturated."""
         readings, saturated = self.crossbar.fractions(counts)
@@ -244,53 +213,42 @@ class ForceReader:
 
     def forces(self, counts: NDArray[Any]) -> Forces:
         """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
-        measured_ohm, saturated = self.measured(counts)
+        parts = [self.measured(counts[k : k + CHUNK]) for k in range(0, len(counts), CHUNK)]
+        measured_ohm, saturated = (np.concatenate(each) for each in zip(*parts, strict=True))
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
-        known: dict[str, Any] = {
-            "resistance_ohm": resistance_ohm,
-            "saturated": saturated,
-            "model": self._uncertain,
-            "weights": self._weights,
-            "description": self.description,
-        }
         if self.model.knows_touch:
-            return self._touched(resistance_ohm, known)
-        return Forces(force_n=self.model.forces(resistance_ohm), **known)
+            decoded = self._touched(resistance_ohm)
+        else:
+            decoded = {"force_n": self.model.forces(resistance_ohm)}
+        return Forces(
+            resistance_ohm=resistance_ohm,
+            saturated=saturated,
+            model=self._uncertain,
+            weights=self._weights,
+            description=self.description,
+            **decoded,
+        )
 
-    def _touched(self, resistance_ohm: FloatArray, known: dict[str, Any]) -> Forces:
-        """Forces by touches, which know their deviations."""
+    def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:
+        """Forces by touches, with their deviations."""
         assert self._uncertain is not None
         assert self._uncertain.knows_touch
-        touches = self._uncertain.touches(resistance_ohm)
-        shape = resistance_ohm.shape[:-1]
+        touches, shape = self._uncertain.touches(resistance_ohm), resistance_ohm.shape[:-1]
         load = np.stack([each.load for each in touches]).reshape(*shape, -1)
         sums = [self._weights.T @ each.factors for each in touches]
         half_n = np.stack([each.half_widths_n[0] for each in touches]).reshape(*shape, 3)
-        return Forces(
-            force_n=load[..., :3],
-            moment_nmm=load[..., 3:],
-            contacts=[each.contacts for each in touches],
-            stated=(half_n, np.stack([each @ each.T for each in sums])),
-            **known,
-        )
+        return {
+            "force_n": load[..., :3],
+            "moment_nmm": load[..., 3:],
+            "contacts": [each.contacts for each in touches],
+            "stated": (half_n, np.stack([each @ each.T for each in sums])),
+        }
 
 
 class LiveSensor:
     """A sensor whose scans become forces; iterate over it for those of one scan after another.
 
-    Parameters
-    ----------
-    scanner : Scanner
-        Entered.
-    model : Decoupler or TouchDecoder
-        Trained for this array.
-    calibration : SensorCalibration
-        Of this sensor.
-
-    Raises
-    ------
-    FileFormatError
-        If board, model and calibration do not belong together.
+    The scanner is entered; model, calibration and what is refused are as of `ForceReader`.
     """
 
     def __init__(self, scanner: Scanner, model: "AnyDecoder", calibration: SensorCalibration) -> None:
@@ -300,11 +258,7 @@ class LiveSensor:
         self._faults: dict[str, int] = {}
         self._look_s = -math.inf  # when the next window begins
         self._known: tuple[float, Forces] | None = None  # when deviations were last computed, and of what
-
-    @property
-    def description(self) -> SensorDescription:
-        """Where the pads are, and what does not change from scan to scan."""
-        return self._reader.description
+        self.description = self._reader.description  #: where the pads are, and what does not change from scan to scan
 
     def __iter__(self) -> Iterator[Forces]:
         """Forces of each scan as it comes; ends with a recording. A board that falls silent is waited for."""
@@ -347,26 +301,12 @@ def replay(
 ) -> Forces:
     """Forces of every frame of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    model : Decoupler or TouchDecoder
-        Trained for this array.
-    calibration : SensorCalibration, optional
-        Used instead of the one that the recording holds.
-    crosstalk : bool
-        True takes the crossbar's crosstalk out.
-
-    Raises
-    ------
-    FileFormatError
-        As `ForceReader` does, and if the recording's calibration makes no sense.
+    A calibration is used instead of the one that the recording holds; all else is as of `ForceReader`.
     """
     if calibration is None and recording.calibration:
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model.follower(), calibration, crosstalk)
-    parts = [reader.forces(recording.counts[k : k + CHUNK]) for k in range(0, len(recording.counts), CHUNK)]
-    found = parts[0].followed_by(parts[1:])
+    found = reader.forces(recording.counts)
     return replace(
         found,
         time_s=recording.time_s,

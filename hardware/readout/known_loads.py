@@ -65,14 +65,10 @@ def calibrated(
     The posterior of a twin whose design is known exactly, so that the gains suit models of the sensor as designed;
     loads are believed as far as their stated errors allow.
     """
-    everything = component_named("all")
-    forward = SensorModel.of(response, everything)
-    forces = force_columns(pairs.force_n, everything)
-    modelled = forward.resistances(forces).reshape(pairs.resistance_ohm.shape)
+    forward, modelled = _modelled(pairs, response)
     noise = pairs.noise if noise is None else noise
     readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(PILLARS))])
-    expected = Expectation.of(response, None, everything)
-    own = infer(expected, readings, draws=1).sensor
+    own = infer(Expectation.of(response, None, component_named("all")), readings, draws=1).sensor
     gain = own.ohm_per_mm2 / forward.ohm_per_mm2  # resistivity is a gain of all pillars
     found = SensorCalibration(
         gain=gain.reshape(modelled.shape[1:]),
@@ -83,7 +79,7 @@ def calibrated(
     )
     missed = (found.gain * modelled + found.offset_ohm) / pairs.resistance_ohm - 1.0
     residual = float(np.sqrt(np.nanmean(missed**2)))
-    doubt = _few_loads(pairs) or _strange_size(pairs, modelled) or _strange_changes(pairs, modelled)
+    doubt = _few_loads(pairs) or _doubt(pairs, modelled)
     if not doubt and not residual < MAX_MISSED:
         doubt = (
             f"these loads do not explain what the sensor shows, resistances are missed by {100 * residual:.3g} %: "
@@ -96,17 +92,26 @@ def calibrated(
 
 def doubt_about(pairs: Pairs, response: "ArrayResponse") -> str | None:
     """Say why the loads of pairs cannot have acted as stated on a sensor of this response; None if they may have."""
+    return _doubt(pairs, _modelled(pairs, response)[1])
+
+
+def _modelled(pairs: Pairs, response: "ArrayResponse") -> tuple[SensorModel, FloatArray]:
+    """The sensor as designed, and its resistances under the loads, of the shape of those measured [Ω]."""
     everything = component_named("all")
-    forces = force_columns(pairs.force_n, everything)
-    modelled = SensorModel.of(response, everything).resistances(forces).reshape(pairs.resistance_ohm.shape)
-    doubt = _strange_size(pairs, modelled)
-    if doubt or not (pairs.force_n != pairs.force_n[0]).any():
-        return doubt
-    return _strange_changes(pairs, modelled)
+    forward = SensorModel.of(response, everything)
+    return forward, forward.resistances(force_columns(pairs.force_n, everything)).reshape(pairs.resistance_ohm.shape)
+
+
+def _doubt(pairs: Pairs, modelled_ohm: FloatArray) -> str | None:
+    return _strange_size(pairs, modelled_ohm) or (_strange_changes(pairs, modelled_ohm) if _differ(pairs) else None)
+
+
+def _differ(pairs: Pairs) -> bool:
+    return bool((pairs.force_n != pairs.force_n[0]).any())
 
 
 def _few_loads(pairs: Pairs) -> str | None:
-    if (pairs.force_n != pairs.force_n[0]).any():
+    if _differ(pairs):
         return None
     return (
         f"{len(pairs)} measured, all of the same forces, which cannot tell a pillar's gain from its offset: "

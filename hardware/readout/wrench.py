@@ -4,7 +4,7 @@ All are in the frame of the touched surface: its origin is the middle of the arr
 columns, y along the rows, z out of the sensor.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,15 +17,15 @@ SIGNS = (1.0, 1.0, -1.0)  #: of forces along x, y, z as reported: times these th
 NEEDED = ({"x"}, {"y"}, {"z"}, {"z"}, {"z"}, {"x", "y"})  #: components that Fx, Fy, Fz, Mx, My, Mz are made of
 
 
-def pad_positions(design: SensorDesign) -> FloatArray:
-    """Centre of every pad in the frame of the touched surface, (rows, cols, 3) [mm]; z is 0.
+def pad_positions(design: SensorDesign, of_units: bool = False) -> FloatArray:
+    """Centre of every pad, or unit, in the frame of the touched surface, (rows, cols, 3) [mm]; z is 0.
 
     >>> pad_positions(SensorDesign())[0, 5].tolist()
     [37.5, -37.5, 0.0]
     """
-    x, y = unit_centres(design).T
-    pads = np.stack([x + design.pad.offset_x_mm, y + design.pad.offset_y_mm, np.zeros_like(x)], axis=1)
-    return pads.reshape(design.array.rows, design.array.cols, 3)
+    offset_mm = [0.0, 0.0] if of_units else [design.pad.offset_x_mm, design.pad.offset_y_mm]
+    places = np.pad(unit_centres(design) + offset_mm, ((0, 0), (0, 1)))
+    return places.reshape(design.array.rows, design.array.cols, 3)
 
 
 #: of moments (∫ x p, ∫ y p) of a unit's pressure p about its place, in Fx, Fy, Fz, Mx, My, Mz
@@ -35,17 +35,9 @@ OF_MOMENTS = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0, 0.0
 def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool = False) -> FloatArray:
     """Weights of the loads in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
 
-    Parameters
-    ----------
-    position_mm : array, shape (rows, cols, 3)
-        Of the pads; NaN leaves the moment unknown.
-    axes : k names
-        Components of each force, as a model gives them.
-    moments : bool
-        Whether each force is followed by the moments of its pressure; k counts these two, too.
+    Positions (rows, cols, 3) are those of the pads; NaN leaves the moment unknown. Axes are the components of each
+    force, as a model gives them; with `moments` the two moments of its pressure follow, and k counts these, too.
 
-    Notes
-    -----
     Columns are Fx, Fy, Fz as reported (Fz positive in compression) [N] and M = Σ r × f [N mm], with f the vector on the
     sensor, (Fx, Fy, -Fz).
 
@@ -59,6 +51,17 @@ def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool
     if moments:
         weights = np.concatenate([weights, np.broadcast_to(OF_MOMENTS, (len(points), 2, 6))], axis=1)
     return weights.reshape(-1, 6) + 0.0  # no -0
+
+
+#: values of a wrench as recordings and streams name them: the field of `Wrench`, and the unit
+NET = {
+    "net_force_n": ("force_n", "N"),
+    "net_force_deviation_n": ("force_deviation_n", "N"),
+    "net_moment_nmm": ("moment_nmm", "N mm"),
+    "net_moment_deviation_nmm": ("moment_deviation_nmm", "N mm"),
+    "centre_of_pressure_mm": ("centre_mm", "mm"),
+    "centre_of_pressure_deviation_mm": ("centre_deviation_mm", "mm"),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,10 +91,7 @@ class Wrench:
 def net_wrench(load: FloatArray, weights: FloatArray, covariance: FloatArray | None = None) -> Wrench:
     """Net load of loads (n, rows, cols, k) [N, N mm], or of one scan's, by `wrench_weights` (rows·cols·k, 6).
 
-    Parameters
-    ----------
-    covariance : array, shape (n, 6, 6) or (1, 6, 6), optional
-        Of the six sums, as `Decoupler.deviations` gives it.
+    The covariance of the six sums, (n, 6, 6) or (1, 6, 6), is as `Decoupler.deviations` gives it.
 
     Examples
     --------
@@ -102,36 +102,19 @@ def net_wrench(load: FloatArray, weights: FloatArray, covariance: FloatArray | N
     ([0.0, 0.0, 4.0], [20.0, -20.0, 0.0], [-5.0, -5.0])
     """
     sums = load.reshape(*load.shape[:-3], -1) @ weights
-    variance = None if covariance is None else np.diagonal(covariance, axis1=-2, axis2=-1) + 0.0 * sums
-    normal = sums[..., 2]
-    known = normal >= MIN_NORMAL_N
-    if variance is not None:
-        known &= normal >= MIN_DEVIATIONS * np.sqrt(variance[..., 2])
-    normal = np.where(known, normal, np.nan)
+    variance = 0.0 * sums + (0.0 if covariance is None else np.diagonal(covariance, axis1=-2, axis2=-1))
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    is_pressed = sums[..., 2] >= np.maximum(MIN_NORMAL_N, MIN_DEVIATIONS * deviation[..., 2])
+    normal = np.where(is_pressed, sums[..., 2], np.nan)
     centre = np.stack([sums[..., 4], -sums[..., 3]], axis=-1) / normal[..., None]
-    if covariance is None or variance is None:
-        return Wrench(force_n=sums[..., :3], moment_nmm=sums[..., 3:], centre_mm=centre)
+    found = Wrench(force_n=sums[..., :3], moment_nmm=sums[..., 3:], centre_mm=centre)
+    if covariance is None:
+        return found
     by_moment = np.array([1.0, -1.0]) * covariance[..., [4, 3], 2]  # covariance of r Fz with Fz
     centre_variance = variance[..., [4, 3]] - 2.0 * centre * by_moment + centre**2 * variance[..., 2:3]
-    deviation = np.sqrt(np.maximum(variance, 0.0))
-    return Wrench(
-        force_n=sums[..., :3],
-        moment_nmm=sums[..., 3:],
-        centre_mm=centre,
+    return replace(
+        found,
         force_deviation_n=deviation[..., :3],
         moment_deviation_nmm=deviation[..., 3:],
         centre_deviation_mm=np.sqrt(np.maximum(centre_variance, 0.0)) / normal[..., None],
     )
-
-
-def net_values(wrench: Wrench) -> dict[str, tuple[FloatArray, str]]:
-    """The values of a wrench as recordings and streams name them, each with its unit; unknown deviations left out."""
-    named = {
-        "net_force_n": (wrench.force_n, "N"),
-        "net_force_deviation_n": (wrench.force_deviation_n, "N"),
-        "net_moment_nmm": (wrench.moment_nmm, "N mm"),
-        "net_moment_deviation_nmm": (wrench.moment_deviation_nmm, "N mm"),
-        "centre_of_pressure_mm": (wrench.centre_mm, "mm"),
-        "centre_of_pressure_deviation_mm": (wrench.centre_deviation_mm, "mm"),
-    }
-    return {name: (values, unit) for name, (values, unit) in named.items() if values is not None}

@@ -11,12 +11,11 @@ import struct
 import time
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 import numpy as np
@@ -24,26 +23,20 @@ from cobs import cobs
 
 from geometry.errors import FileFormatError, TriPillarError
 from geometry.storage.files import FULL, require_file, uninterrupted
-from hardware.link.frames import (
-    PROTOCOL,
-    Frame,
-    Info,
-    Statistics,
-    missing_between,
-    pack,
-    packed_dtype,
-    unpack,
-)
-from hardware.recording.recorded import Header, Recording, assemble, read_header, require_same_board
+from geometry.storage.text_file import why_unreadable
+from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, missing_between, pack, packed_dtype, unpack
+from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
 _BOARD_FRAME, _BOARD_INFO, _BOARD_ERRORS = b"D", b"I", b"E"
 _CUT = b"..."  # bytes at the end that no zero byte ends: a record that was begun
+_EXPORTS = (b"CDF", b"\x89HDF\r\n\x1a\n", b"\x89MCAP0\r\n")  # files that an export made begin with these
 _PIECE_BYTES = 2**20  # read at a time
 _MAX_RECORD_BYTES = 2**26  # longer ones are damaged
 _MAX_UNIX_S = 1e10  # beyond, nanoseconds do not fit the 64 bits that MCAP has for them
 _TIME = struct.Struct("<d")
 _NO_TIME = _TIME.pack(np.nan)
+_AROUND = packed_dtype(0).itemsize  # bytes of a packed frame beside its counts
 _FROM_THE_RECEIVER = ("bad_cobs", "bad_crc", "bad_form", "repeated", "foreign")
 
 
@@ -52,30 +45,13 @@ class RecordingError(TriPillarError, OSError):
 
 
 class Recorder:
-    """Appends frames to a file of one board, one thread at a time.
+    """Appends frames to a file of one board, one thread at a time; missing folders are made.
 
-    Parameters
-    ----------
-    path : Path
-        File to make; missing folders are made.
-    info : Info
-        Of the board. Frames of another are refused.
-    calibration : str
-        JSON text, kept as it is.
-    made_from : mapping
-        ``model_recipe`` and ``design_hash``, either or both.
-    append : bool
-        Continue `path` if it exists. It must have the same info, calibration and made_from.
+    With `append` it continues the file if there is one, of the same info, calibration and made_from.
 
-    Raises
-    ------
-    FileFormatError
-        If the file exists (without `append`), or is another board's or no recording (with it).
-    RecordingError
-        If the file cannot be made or written; then it is not there, or as it was.
+    `FileFormatError` if the file exists (without `append`), or is another board's or no recording (with it);
+    `RecordingError` if it cannot be made or written: then it is not there, or as it was.
 
-    Notes
-    -----
     A process that is killed loses the frame that it was writing. A computer that loses its power may lose what the
     system had not yet written to the disk, 30 s on a usual Linux. On any failure the file ends with its last whole
     frame.
@@ -122,36 +98,27 @@ class Recorder:
             is_made = self._file >= 0 and not is_there
             self._close()
             if is_made:
-                with suppress(OSError):
-                    self.path.unlink()
+                self.path.unlink(missing_ok=True)
             kept = "; the recording is as it was" if is_there else ""
             raise RecordingError(
                 f"{path}: {_reason(error)}{kept}: give a file on a disk that has room and can be written."
             ) from None
 
-    def append(self, frames: Frame | Iterable[Frame], received_s: float | Sequence[float]) -> None:
-        """Add frames, one, several or none.
-
-        Parameters
-        ----------
-        frames : Frame or several
-            As decoded.
-        received_s : float, or one a frame
-            Host's Unix time of arrival [s].
-        """
-        batch = [frames] if isinstance(frames, Frame) else list(frames)
-        arrivals = [received_s] * len(batch) if isinstance(received_s, int | float) else list(received_s)
+    def append(self, frame: Frame, received_s: float) -> None:
+        """Add a frame, with the host's Unix time of its arrival [s]."""
         if self._file < 0:
             raise RecordingError(f"{self.path}: the recorder is closed: make a new one, with append to continue.")
-        for frame, arrival in zip(batch, arrivals, strict=True):
-            require_same_board(frame, self.header.info, str(self.path))
-            if not 0 <= arrival < _MAX_UNIX_S:
-                raise ValueError(
-                    f"received_s={arrival!r} must be a Unix time [s], 0 to {_MAX_UNIX_S:g}: give time.time()."
-                )
-        for frame, arrival in zip(batch, arrivals, strict=True):
-            self._write_or_end(_record(_FRAME, _TIME.pack(arrival) + pack(frame)))
-            self._count(frame)
+        if not 0 <= received_s < _MAX_UNIX_S:
+            raise ValueError(
+                f"received_s={received_s!r} must be a Unix time [s], 0 to {_MAX_UNIX_S:g}: give time.time()."
+            )
+        _require_same_board(self.header.info, frame.counts.size, frame.bits, frame.flags, str(self.path))
+        self._write_or_end(_record(_FRAME, _TIME.pack(received_s) + pack(frame)))
+        self.frames += 1
+        missing = missing_between(self._previous, frame) if self._previous else 0
+        self.restarts += missing is None
+        self.lost += missing or 0
+        self._previous = frame
 
     def begin_run(self, because: str) -> None:
         """Say that nothing is lost between the last frame and the next one, and why: "restart" or "reconnect"."""
@@ -169,17 +136,8 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
-
-    def _count(self, frame: Frame) -> None:
-        self.frames += 1
-        missing = missing_between(self._previous, frame) if self._previous else 0
-        self.restarts += missing is None
-        self.lost += missing or 0
-        self._previous = frame
 
     def _session(self, because: str) -> bytes:
         self._runs += 1
@@ -215,7 +173,11 @@ class Recorder:
             self._file = -1
 
     def _require_same_header(self) -> None:
-        there = _header_of(self.path)
+        with self.path.open("rb") as file:
+            stated = next((_json(content) for _, kind, content in _records_in(file) if kind == _SESSION), None)
+        if stated is None:
+            raise FileFormatError(f"{self.path}: not made by a recorder: record to a new file.")
+        there = read_header(stated, str(self.path))
         for name, new in vars(self.header).items():
             if (old := getattr(there, name)) != new:
                 raise FileFormatError(
@@ -228,22 +190,14 @@ def _reason(error: OSError) -> str:
     return f"the disk is full ({error.strerror})" if error.errno in FULL else str(error.strerror)
 
 
-def parse_recording(stream: bytes, source: str = "recording") -> Recording:
-    """Read a recording from bytes: a recorder's file, or what a board sent; `source` names them in messages.
-
-    Time is unwrapped under the assumption that no pause between two frames reaches 2³² µs (71.6 min), and goes on by
-    the host's clock where a run ends.
-    """
-    return read_frames(BytesIO(stream), source)
-
-
-def _header_of(path: Path) -> Header:
-    """The first header in a recorder's file; anything else is a FileFormatError."""
-    with path.open("rb") as file:
-        for _, kind, content in _records_in(file):
-            if kind == _SESSION:
-                return read_header(_json(content), str(path))
-    raise FileFormatError(f"{path}: not made by a recorder: record to a new file.")
+def _require_same_board(info: Info, n_counts: float, bits: int, flags: int, source: str) -> None:
+    """Refuse a frame that a board with this INFO does not send."""
+    if (n_counts, bits, flags >> 1) != (info.n_crossings, info.bits, info.scan_mode):
+        raise FileFormatError(
+            f"{source}: a data frame has {n_counts:g} counts of {bits} bits in scan mode {flags >> 1}, but its INFO "
+            f"frame says {info.rows} × {info.cols} units, which make {info.n_crossings} of {info.bits} bits in "
+            f"{info.scan_mode.name}: keep one board with one setting to a recording."
+        )
 
 
 def _json(content: bytes) -> dict[str, Any]:
@@ -254,15 +208,38 @@ def _json(content: bytes) -> dict[str, Any]:
     return plain if isinstance(plain, dict) else {}
 
 
-def read_frames(file: IO[bytes], source: str) -> Recording:
-    """Read a recording from an open file, as `parse_recording` does."""
+def read_recording(path: Path) -> Recording:
+    """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent.
+
+    Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
+    recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
+    boards.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            if file.read(8).startswith(_EXPORTS):
+                raise FileFormatError(
+                    f"{path}: an export for other programs, which is not read back: give the recording (.frames)."
+                )
+            file.seek(0)
+            return _read(file, str(path))
+    except OSError as error:
+        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a recording.") from error
+
+
+def parse_recording(stream: bytes, source: str = "recording") -> Recording:
+    """Read a recording from bytes, as `read_recording` does; `source` names them in messages."""
+    return _read(BytesIO(stream), source)
+
+
+def _read(file: IO[bytes], source: str) -> Recording:
     stated: list[Header] = []
     session = frame = b""  # the last ones: a session stands twice, a frame should not
     rows, runs, run = bytearray(), bytearray(), 0
-    sizes: dict[int, int] = {}  # bytes of a frame: the first one that has them
+    shapes: set[tuple[float, int, int]] = set()  # of frames: number of counts, bits, scan mode
     counted: Counter[str] = Counter()
     damaged_at: list[int] = []
-    n = truncated_bytes = 0
+    truncated_bytes = 0
     for at, kind, content in _records_in(file):
         if kind in (_FRAME, _BOARD_FRAME):
             row = content if kind == _FRAME else _NO_TIME + content
@@ -270,10 +247,10 @@ def read_frames(file: IO[bytes], source: str) -> Recording:
                 counted["repeated"] += 1
                 continue
             frame = row[8:]
-            sizes.setdefault(len(row), n)
             rows += row
             runs += run.to_bytes(4, "little")
-            n += 1
+            counted["ok"] += 1
+            shapes.add(((len(frame) - _AROUND) / 2, frame[10], frame[1] & ~1))
         elif kind == _SESSION and content != session:
             session, plain = content, _json(content)
             stated.append(read_header(plain, source))
@@ -281,7 +258,6 @@ def read_frames(file: IO[bytes], source: str) -> Recording:
             run += 1
         elif kind == _BOARD_INFO and isinstance(info := unpack(content), Info):
             stated.append(Header(info=info))
-            counted["info"] += 1
         elif kind == _END:
             counted.update({name: int(_json(content).get(name, 0)) for name in _FROM_THE_RECEIVER})
         elif kind == _CUT:
@@ -289,38 +265,41 @@ def read_frames(file: IO[bytes], source: str) -> Recording:
         elif not kind:
             counted[content.decode()] += 1
             damaged_at.append(at)
-    header = _common_header(stated, n, file.tell(), source)
+    header = _common_header(stated, counted["ok"], file.tell(), source)
+    for n_counts, bits, flags in sorted(shapes):
+        _require_same_board(header.info, n_counts, bits, flags, source)
     dtype = np.dtype([("received_s", "<f8"), *packed_dtype(header.info.n_crossings).descr])
-    for row_bytes, k in sizes.items():
-        if row_bytes != dtype.itemsize:
-            n_counts = (row_bytes - dtype.itemsize) // 2 + header.info.n_crossings
-            raise FileFormatError(
-                f"{source}: data frame {k} has {n_counts} counts, but the INFO frame's {header.info.rows} × "
-                f"{header.info.cols} units make {header.info.n_crossings}: keep one board to a recording."
-            )
     columns = np.frombuffer(rows, dtype)
-    return assemble(
-        header,
-        {name: columns[name] for name in dtype.names or ()} | {"run": np.frombuffer(runs, "<u4")},
-        source,
-        counted,
-        damaged_at=tuple(damaged_at),
+    arrivals = columns["received_s"].astype(np.float64)
+    received_s = None if np.isnan(arrivals).any() else arrivals
+    sequence, device_us, began = columns["sequence"], columns["device_us"], np.frombuffer(runs, "<u4")
+    restart = is_restart(sequence, device_us) & (np.diff(began) == 0)
+    in_run = np.concatenate([[0], np.cumsum(restart | (np.diff(began) != 0))]).astype(np.uint32)
+    missing = (np.diff(sequence) - np.uint16(1))[np.diff(in_run) == 0]
+    counted.update({"restarts": int(restart.sum()), "lost": int(missing.sum()), "info": 1})
+    return Recording(
+        **vars(header),
+        counts=columns["counts"].astype(np.uint16),
+        sequence=sequence.astype(np.uint16),
+        device_us=device_us.astype(np.uint32),
+        flags=columns["flags"].astype(np.uint8),
+        overruns=columns["overruns"].astype(np.uint8),
+        run=in_run,
+        received_s=received_s,
+        time_s=unwrapped_s(device_us, in_run, received_s),
+        statistics=Statistics(**counted),
         truncated_bytes=truncated_bytes,
+        damaged_at=tuple(damaged_at),
     )
 
 
 def _common_header(stated: list[Header], n: int, size: int, source: str) -> Header:
     """The header that all sessions and INFO frames agree on."""
-    if not size:
-        raise FileFormatError(f"{source}: the file is empty: record again.")
-    if not n and not stated:
-        raise FileFormatError(
-            f"{source}: no valid frame in {size} bytes: give a recording, made at the right baud rate."
-        )
     if not stated:
+        found = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
         raise FileFormatError(
-            f"{source}: {n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean: "
-            "record again, with the answer to '?' first."
+            f"{source}: {found if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
+            "rate, with the answer to '?' first."
         )
     if not n:
         raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")

@@ -7,25 +7,13 @@ import numpy as np
 from geometry.errors import DesignError
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import encode
-from hardware.recording.recorded import Recording, frames_of, is_restart
+from hardware.recording.recorded import Recording, is_restart
 
 
 class PlaybackPort(BoardPort):
     """Plays a recording: its frames by the board's clock, and the INFO frame when asked by ``?``.
 
-    Parameters
-    ----------
-    recording : Recording
-        To play.
-    speed : float
-        1 plays in real time, 10 ten times as fast, `math.inf` as fast as it is read.
-    **clock
-        As of `BoardPort`.
-
-    Raises
-    ------
-    DesignError
-        If speed is not above 0.
+    A `speed` of 1 plays in real time, `math.inf` as fast as it is read; `clock` is as of `BoardPort`.
 
     Examples
     --------
@@ -46,7 +34,7 @@ class PlaybackPort(BoardPort):
         steps_s = np.diff(recording.time_s, prepend=recording.time_s[:1])
         steps_s[1:][is_restart(recording.sequence, recording.device_us)] = 1 / recording.info.rate_hz
         self._info = encode(recording.info)
-        self._frames = frames_of(recording)
+        self._frames = recording.frames()
         self._dues_s = iter([*(np.cumsum(steps_s) / speed).tolist(), None])
         self.due_s = next(self._dues_s)
 

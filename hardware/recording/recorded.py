@@ -1,4 +1,4 @@
-"""A recording as arrays, the same for every kind of file."""
+"""A recording as arrays."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -11,13 +11,21 @@ from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
 from hardware.link.reception import DeviceClock, Stamps
-from hardware.recording.topics import COLUMNS
 
 if TYPE_CHECKING:
     import xarray as xr
 
 FORMAT, VERSION = "tripillar recording", 2
 MADE_FROM = ("model_recipe", "design_hash")  #: hashes of the model and the design that a recording may state
+COLUMNS = {  #: by frame, as NetCDF and MCAP have them
+    "counts": "in the order of the wires, docs/frames.md",
+    "sequence": "frames sent since the board's start, modulo 2^16",
+    "device_us": "board's clock at the start of the scan [us], modulo 2^32",
+    "flags": "bit 0: saturation; bits 1 and 2: scan mode",
+    "overruns": "scans skipped since the board's start, 255 stands for more",
+    "run": "counts up where the board or the recorder began anew; nothing is lost from one to the next",
+    "received_s": "arrival at the host",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +33,7 @@ class Header:
     """Facts about a whole recording; one file may hold several sessions with the same header."""
 
     info: Info
-    calibration: str = ""  #: JSON text
+    calibration: str = ""  #: JSON text, as given to the recorder
     made_from: Mapping[str, str] = field(default_factory=dict)  #: some of `MADE_FROM`
 
     def __post_init__(self) -> None:
@@ -48,22 +56,16 @@ class Header:
 
 def read_header(plain: Mapping[str, Any], source: str) -> Header:
     """Read back what `Header.plain` gave; other entries are passed over, anything else is a FileFormatError."""
-    if plain.get("format") != FORMAT:
-        raise FileFormatError(f"{source}: not a recording of TriPillar: give a file made by a recorder.")
+    if (plain.get("format"), plain.get("version")) != (FORMAT, VERSION):
+        raise FileFormatError(
+            f"{source}: not a recording of TriPillar, version {VERSION}: give a file made by this program's recorder."
+        )
     try:
-        if int(plain["version"]) != VERSION:
-            raise FileFormatError(
-                f"{source}: a recording of version {plain['version']}, this program reads {VERSION}: "
-                "take the program that made it."
-            )
         values: dict[str, Any] = {each.name: plain[each.name] for each in fields(Info)}
-        mode, firmware = ScanMode[values.pop("scan_mode")], tuple(map(int, values.pop("firmware").split(".")))
-        numbers = {name: int(value) for name, value in values.items()}
+        values["scan_mode"] = ScanMode[values["scan_mode"]]
+        values["firmware"] = tuple(map(int, values["firmware"].split(".")))
         made_from = {name: str(plain[name]) for name in MADE_FROM if plain.get(name)}
-        info = Info(**numbers, scan_mode=mode, firmware=firmware)  # type: ignore[arg-type]  # it checks their number
-        return Header(info=info, calibration=str(plain["calibration"]), made_from=made_from)
-    except FileFormatError:
-        raise
+        return Header(info=Info(**values), calibration=str(plain["calibration"]), made_from=made_from)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FileFormatError(
             f"{source}: its header is damaged ({type(error).__name__}: {error}): give a file made by a recorder."
@@ -71,24 +73,20 @@ def read_header(plain: Mapping[str, Any], source: str) -> Header:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class Recording(Header):
     """The frames of a recording in the order received; n of them."""
 
-    info: Info
     counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     device_us: NDArray[np.uint32]  #: (n,), the board's clock as sent [µs], modulo 2³²
-    run: NDArray[np.int64]  #: (n,), counts up where board or recorder began anew; nothing counts as lost between
-    time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone; between runs the host's
     flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode
-    overrun_counts: NDArray[np.uint8]  #: (n,), the board's counter as sent
-    overruns: int  #: scans the board skipped between the first and the last frame
+    overruns: NDArray[np.uint8]  #: (n,), the board's counter as sent
+    run: NDArray[np.uint32]  #: (n,), counts up where board or recorder began anew; nothing counts as lost between
+    received_s: FloatArray | None  #: (n,), host's Unix time of arrival [s]; a stream of bytes has none
+    time_s: FloatArray  #: (n,), the board's clock with its rollover every 2³² µs undone; between runs the host's
     statistics: Statistics
-    truncated_bytes: int  #: of an unfinished end, as a killed recorder leaves it
+    truncated_bytes: int = 0  #: of an unfinished end, as a killed recorder leaves it
     damaged_at: tuple[int, ...] = ()  #: bytes before each piece of the file that is damaged and left out
-    received_s: FloatArray | None = None  #: (n,), host's Unix time of arrival [s]; a stream of bytes has none
-    calibration: str = ""  #: JSON text, as given to the recorder
-    made_from: Mapping[str, str] = field(default_factory=dict)  #: hashes of what the recorder worked with
 
     def stamps_ns(self) -> NDArray[np.int64]:
         """Start of every scan on the host's Unix clock [ns], (n,), by the board's clock as it is fitted while live.
@@ -107,120 +105,39 @@ class Recording:
             found.append(stamps.after(first_s + clock.host_time(device_us)))
         return np.array(found)
 
-    @property
-    def header(self) -> Header:
-        return Header(info=self.info, calibration=self.calibration, made_from=self.made_from)
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """`COLUMNS` as they were received; unknown times of arrival are NaN."""
+        unknown_s = np.full(len(self.counts), np.nan)
+        found = {name: getattr(self, name) for name in COLUMNS}
+        return found | {"received_s": unknown_s if self.received_s is None else self.received_s}
 
     def to_xarray(self) -> "xr.Dataset":
         """The recording as it is written to NetCDF: its `columns` by frame, header and statistics as attributes."""
         import xarray as xr
 
         variables = {
-            name: (frame_dims(name), values, {"long_name": COLUMNS[name].partition(" ")[2]})
+            name: (("frame", "crossing")[: values.ndim], values, {"long_name": COLUMNS[name]})
             for name, values in self.columns().items()
         }
         variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"
-        return xr.Dataset(variables, attrs=self.header.plain() | asdict(self.statistics))
+        return xr.Dataset(variables, attrs=self.plain() | asdict(self.statistics))
 
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns of `assemble`, as they were received; unknown times of arrival are NaN."""
-        n = len(self.counts)
-        return {
-            "counts": self.counts,
-            "sequence": self.sequence,
-            "device_us": self.device_us,
-            "flags": self.flags,
-            "overruns": self.overrun_counts,
-            "received_s": np.full(n, np.nan) if self.received_s is None else self.received_s,
-            "run": self.run.astype(np.uint32),
-        }
-
-
-def frame_dims(column: str) -> tuple[str, ...]:
-    """Dimensions of a column in NetCDF."""
-    return ("frame", "crossing") if column == "counts" else ("frame",)
+    def frames(self) -> Iterator[Frame]:
+        """The frames as the board sent them."""
+        for k in range(len(self.counts)):
+            yield Frame(
+                sequence=int(self.sequence[k]),
+                device_us=int(self.device_us[k]),
+                bits=self.info.bits,
+                counts=self.counts[k],
+                saturated=bool(self.flags[k] & 1),
+                scan_mode=self.info.scan_mode,
+                overruns=int(self.overruns[k]),
+            )
 
 
-def assemble(
-    header: Header,
-    columns: Mapping[str, NDArray[Any]],
-    source: str,
-    counted: Mapping[str, int],
-    damaged_at: tuple[int, ...] = (),
-    truncated_bytes: int = 0,
-) -> Recording:
-    """A recording from the columns of a file, with what follows from them.
-
-    Parameters
-    ----------
-    header : Header
-        Of the board and what else was stated once.
-    columns : mapping
-        ``counts``, ``sequence``, ``device_us``, ``flags``, ``overruns``, ``received_s`` (NaN: unknown) and ``run``,
-        n rows each.
-    source : str
-        Named in the message of a refusal.
-    counted : mapping
-        Fields of `Statistics` that do not follow from the columns: damage, and restarts between two runs.
-    damaged_at, truncated_bytes
-        As in `Recording`.
-
-    Raises
-    ------
-    FileFormatError
-        If there is no frame, or a column holds what no frame of this board does.
-    """
-    info = header.info
-    n = len(columns["sequence"])
-    if not n:
-        raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")
-    counts, flags = columns["counts"].astype(np.uint16), columns["flags"].astype(np.uint8)
-    if counts.shape != (n, info.n_crossings):
-        raise FileFormatError(
-            f"{source}: counts has shape {counts.shape}, but {n} frames of {info.rows} × {info.cols} units make "
-            f"{(n, info.n_crossings)}: keep one board to a recording."
-        )
-    bits = columns.get("bits", np.full(n, info.bits))
-    foreign = (flags >> 1 != info.scan_mode) | (bits != info.bits) | (counts >> info.bits).any(axis=1)
-    if foreign.any():
-        k = int(foreign.argmax())
-        mode = next((mode.name for mode in ScanMode if mode == flags[k] >> 1), "unknown")
-        raise FileFormatError(
-            f"{source}: data frame {k} has counts up to {counts[k].max()}, {bits[k]} bits in scan mode {mode}, the "
-            f"INFO frame {info.bits} bits in {info.scan_mode.name}: keep one setting to a recording."
-        )
-    sequence, device_us = columns["sequence"].astype(np.uint16), columns["device_us"].astype(np.uint32)
-    received_s: FloatArray | None = columns["received_s"].astype(np.float64)
-    if received_s is not None and np.isnan(received_s).any():
-        received_s = None
-    restart = is_restart(sequence, device_us) & (np.diff(columns["run"]) == 0)
-    run = columns["run"].astype(np.int64)
-    run = np.concatenate([[0], np.cumsum(restart | (np.diff(run) != 0))])
-    missing = (np.diff(sequence) - np.uint16(1))[np.diff(run) == 0]
-    overrun_counts = columns["overruns"].astype(np.uint8)
-    statistics = {"info": 1} | dict(counted)
-    statistics["restarts"] = statistics.get("restarts", 0) + int(restart.sum())
-    return Recording(
-        info=info,
-        counts=counts,
-        sequence=sequence,
-        device_us=device_us,
-        run=run,
-        time_s=unwrapped_s(device_us, run, received_s),
-        flags=flags,
-        overrun_counts=overrun_counts,
-        overruns=int(np.diff(overrun_counts)[np.diff(run) == 0].sum()),  # u8 differences wrap as the counter does
-        statistics=Statistics(ok=n, lost=int(missing.sum()), **statistics),
-        damaged_at=damaged_at,
-        truncated_bytes=truncated_bytes,
-        received_s=received_s,
-        calibration=header.calibration,
-        made_from=header.made_from,
-    )
-
-
-def unwrapped_s(device_us: NDArray[np.uint32], run: NDArray[np.int64], received_s: FloatArray | None) -> FloatArray:
-    """The board's clock [s] with its rollover undone, under the assumption that no pause reaches 2³² µs.
+def unwrapped_s(device_us: NDArray[np.uint32], run: NDArray[np.uint32], received_s: FloatArray | None) -> FloatArray:
+    """The board's clock [s] with its rollover undone, under the assumption that no pause reaches 2³² µs (71.6 min).
 
     From one run to the next it goes on by the host's clock where that is known.
 
@@ -237,32 +154,3 @@ def unwrapped_s(device_us: NDArray[np.uint32], run: NDArray[np.int64], received_
 def is_restart(sequence: NDArray[np.uint16], device_us: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Mark frames at which the board stepped back from the one before, shape (n - 1,); as `FrameDecoder` does."""
     return (np.diff(sequence) - np.uint16(1) >= 2**15) | (np.diff(device_us) >= 2**31)
-
-
-def frames_of(recording: Recording) -> Iterator[Frame]:
-    """The frames of a recording as the board sent them."""
-    info = recording.info
-    for k in range(len(recording.counts)):
-        yield Frame(
-            sequence=int(recording.sequence[k]),
-            device_us=int(recording.device_us[k]),
-            bits=info.bits,
-            counts=recording.counts[k],
-            saturated=bool(recording.flags[k] & 1),
-            scan_mode=info.scan_mode,
-            overruns=int(recording.overrun_counts[k]),
-        )
-
-
-def require_same_board(frame: Frame, info: Info, source: str, name: str = "a data frame") -> None:
-    """Refuse a frame that a board with this INFO does not send."""
-    if frame.counts.size != info.n_crossings:
-        raise FileFormatError(
-            f"{source}: {name} has {frame.counts.size} counts, but the INFO frame's "
-            f"{info.rows} × {info.cols} units make {info.n_crossings}: keep one board to a recording."
-        )
-    if frame.bits != info.bits or frame.scan_mode != info.scan_mode:
-        raise FileFormatError(
-            f"{source}: {name} has {frame.bits} bits in scan mode {frame.scan_mode.name}, the "
-            f"INFO frame {info.bits} bits in {info.scan_mode.name}: keep one setting to a recording."
-        )

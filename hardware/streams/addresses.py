@@ -5,6 +5,7 @@ import sys
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Protocol
+from urllib.parse import urlsplit
 
 from geometry.errors import DesignError, TriPillarError
 from geometry.storage.files import require_file
@@ -15,7 +16,13 @@ ROOM_BYTES = 2**22  #: kept free of a stream's file, for its index and what stil
 
 
 class Stream(Protocol):
-    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts."""
+    """A viewer or a file that takes the forces of one scan after another, as long as its with block lasts.
+
+    Those here serve viewers on an address of this machine (`host` None: there is no server) and write a file, which
+    must not exist. Raised are `MissingPackageError`; `DesignError` if nobody knows where the pads are; `StreamError` on
+    entering, if the port cannot be had or the file be made, and later if the disk is full: the file is ended then and
+    can be read.
+    """
 
     def add(self, scan: Forces) -> None:
         """Take those of one scan."""
@@ -26,24 +33,18 @@ class StreamError(TriPillarError, RuntimeError):
 
 
 def host_and_port(text: str, port: int) -> tuple[str, int]:
-    """Host and port of HOST:PORT, or of HOST with the usual port.
+    """Host and port of HOST:PORT, or of HOST with the usual port; `DesignError` for what is none.
 
-    Raises
-    ------
-    DesignError
-        If the port is no number from 0 to 65535, or there is no host.
-
-    Examples
-    --------
     >>> host_and_port("0.0.0.0:9000", 8765), host_and_port("[::1]", 8765)
     (('0.0.0.0', 9000), ('::1', 8765))
     """
-    host, colon, number = text.rpartition(":") if text[-1:] != "]" else (text, "", "")
-    if not colon:
-        host, number = text, str(port)
-    if not host or not number.isdecimal() or not int(number) < 2**16:
-        raise DesignError(f"{text!r} is no address: give HOST:PORT, such as {LOOPBACK}:{port}.")
-    return host.strip("[]"), int(number)
+    try:
+        found = urlsplit(f"//{text}")
+        if not found.hostname or found.netloc != text or text.endswith(":"):
+            raise ValueError(text)
+        return found.hostname, port if found.port is None else found.port
+    except ValueError:
+        raise DesignError(f"{text!r} is no address: give HOST:PORT, such as {LOOPBACK}:{port}.") from None
 
 
 def reachable(host: str) -> str:
@@ -52,16 +53,11 @@ def reachable(host: str) -> str:
     >>> reachable("127.0.0.1")
     'this machine alone'
     """
-    is_here = is_loopback(host)
-    return "this machine alone" if is_here else "everybody who can reach this address can read it, unencrypted"
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a name or an address is that of this machine alone."""
     try:
-        return ip_address(host).is_loopback
+        is_here = ip_address(host).is_loopback
     except ValueError:
-        return host == "localhost"
+        is_here = host == "localhost"
+    return "this machine alone" if is_here else "everybody who can reach this address can read it, unencrypted"
 
 
 def require_new(path: Path | None) -> None:
@@ -73,13 +69,7 @@ def require_new(path: Path | None) -> None:
 
 
 def make_file(path: Path) -> None:
-    """Make a stream's empty file, with its folder.
-
-    Raises
-    ------
-    StreamError
-        If it exists or cannot be made, or there is no room for it.
-    """
+    """Make a stream's empty file, with its folder; `StreamError` if it exists, or there is no room for it."""
     require_new(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,17 +4,16 @@ import json
 import os
 import socket
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
 from geometry.errors import needing
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, PILLARS
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
 from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
-from hardware.streams.scene import ARROW_COLOUR, CONTACT_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, Painter
+from hardware.streams.scene import ARROW_COLOUR, CONTACT_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, scene_of
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps
@@ -26,27 +25,7 @@ class RerunStream:
     """Sends frames to all who are connected, and into a file, as long as the with block lasts.
 
     Entities are ``sensor`` (description, pads in colours, forces and net force as arrows), ``net`` and ``force_n`` and
-    ``resistance_ohm`` (numbers over time).
-
-    Parameters
-    ----------
-    sensor : SensorDescription
-    host : str, optional
-        Address of this machine to listen on; None: there is no server.
-    port : int
-        To listen on.
-    rrd : Path, optional
-        File to write; it must not exist.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package is not installed.
-    DesignError
-        If nobody knows where the pads are.
-    StreamError
-        On entering: if the port is taken, or the file exists or cannot be made. Later: if the disk is full; the file
-        is ended then and can be read.
+    ``resistance_ohm`` (numbers over time). All else is as of `Stream`.
     """
 
     def __init__(
@@ -55,8 +34,8 @@ class RerunStream:
         with needing("Rerun", "rerun"):
             import rerun
         self._rerun: Any = rerun
-        self._painter = Painter(sensor)
-        self._host, self._port, self._rrd = host, port, rrd
+        sensor.require_positions()
+        self._sensor, self._host, self._port, self._rrd = sensor, host, port, rrd
 
     def __enter__(self) -> Self:
         rr, sinks = self._rerun, []
@@ -69,12 +48,10 @@ class RerunStream:
         batches = rr.ChunkBatcherConfig(flush_tick=FILED_S if self._host is None else SERVED_S)
         self._recording = rr.RecordingStream("tripillar", batcher_config=batches)
         self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
-        self._state_sensor()
+        self._is_first = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._recording.flush()
         self._recording.disconnect()
 
@@ -82,55 +59,47 @@ class RerunStream:
         """Send the forces of one scan."""
         if self._rrd is not None:
             require_room(self._rrd)  # the sink tells nobody when it fails
-        rr, log, scene = self._rerun, self._recording.log, self._painter.scene(scan)
+        if self._is_first:
+            self._is_first = False
+            self._state_sensor(scan)
+        rr, log, scene = self._rerun, self._recording.log, scene_of(scan)
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(int(scan.stamp_ns), "ns"))
         log("sensor/pads", rr.Boxes3D.from_fields(colors=scene.pad_colours))
-        log("sensor/forces", rr.Arrows3D(vectors=scene.arrows_m, origins=self._painter.places_m - scene.arrows_m))
-        if scene.net_arrow_m is None or scene.net_tip_m is None:
-            log("sensor/net", rr.Clear(recursive=False))
-        else:
-            log("sensor/net", rr.Arrows3D(vectors=[scene.net_arrow_m], origins=[scene.net_tip_m - scene.net_arrow_m]))
+        log("sensor/forces", rr.Arrows3D(vectors=scene.arrows_m, origins=scene.places_m - scene.arrows_m))
+        log("sensor/net", rr.Arrows3D(vectors=scene.net_arrow_m, origins=scene.net_tip_m - scene.net_arrow_m))
         if scan.contacts is not None:
             log("sensor/contacts", rr.Ellipsoids3D(centers=scene.contact_centres_m, half_sizes=scene.contact_halves_m))
-        wrench = scan.wrench
-        for name, values in self._plots(scan.force_n, scan.resistance_ohm):
+        for name, (_, values) in self._plots(scan).items():
             log(name, rr.Scalars(values))
-        log("net/force_n", rr.Scalars(wrench.force_n))
-        log("net/moment_nmm", rr.Scalars(wrench.moment_nmm))
-        log("net/centre_of_pressure_mm", rr.Scalars(wrench.centre_mm))
 
-    def _plots(self, force_n: FloatArray, resistance_ohm: FloatArray) -> list[tuple[str, FloatArray]]:
-        """Names of entities, and the values of all units, row by row."""
-        found = [(f"force_n/{axis}", force_n[..., k].reshape(-1)) for k, axis in enumerate(self._painter.sensor.axes)]
-        return found + [
-            (f"resistance_ohm/{pillar}", resistance_ohm[..., k].reshape(-1)) for k, pillar in enumerate(PILLARS)
-        ]
-
-    def _state_sensor(self) -> None:
-        """Log what does not change."""
-        rr, painter = self._rerun, self._painter
-        sensor, side = painter.sensor, painter.pad_m
-        height = PAD_HEIGHT * side
+    def _plots(self, scan: Forces) -> dict[str, tuple[list[str], Any]]:
+        """Names of entities with those of their lines and the values: of all units row by row, or of the net load."""
+        wrench, sensor = scan.wrench, self._sensor
         units = [f"row {i}, col {j}" for i, j in np.ndindex(sensor.rows, sensor.cols)]
-        shape = (sensor.rows, sensor.cols)
-        named = {
-            **{name: units for name, _ in self._plots(np.zeros((*shape, 3)), np.zeros((*shape, 3)))},
-            "net/force_n": [f"F{axis}" for axis in AXES],
-            "net/moment_nmm": [f"M{axis}" for axis in AXES],
-            "net/centre_of_pressure_mm": list(AXES[:2]),
+        forces = {f"force_n/{axis}": scan.force_n[..., k] for k, axis in enumerate(sensor.axes)}
+        ohms = {f"resistance_ohm/{pillar}": scan.resistance_ohm[..., k] for k, pillar in enumerate(PILLARS)}
+        return {name: (units, values.reshape(-1)) for name, values in (forces | ohms).items()} | {
+            "net/force_n": ([f"F{axis}" for axis in AXES], wrench.force_n),
+            "net/moment_nmm": ([f"M{axis}" for axis in AXES], wrench.moment_nmm),
+            "net/centre_of_pressure_mm": (list(AXES[:2]), wrench.centre_mm),
         }
+
+    def _state_sensor(self, scan: Forces) -> None:
+        """Log what does not change."""
+        rr, scene = self._rerun, scene_of(scan)
+        side, height = scene.pad_m, PAD_HEIGHT * scene.pad_m
         static = {
             "sensor": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
-            "sensor/description": rr.TextDocument(json.dumps(sensor.plain(), indent=1)),
+            "sensor/description": rr.TextDocument(json.dumps(self._sensor.plain(), indent=1)),
             "sensor/pads": rr.Boxes3D(
-                centers=painter.places_m - [0.0, 0.0, height / 2],
-                half_sizes=np.tile([side / 2, side / 2, height / 2], (len(units), 1)),
+                centers=scene.places_m - [0.0, 0.0, height / 2],
+                half_sizes=np.tile([side / 2, side / 2, height / 2], (len(scene.places_m), 1)),
                 fill_mode="solid",
             ),
             "sensor/forces": rr.Arrows3D.from_fields(colors=ARROW_COLOUR, radii=THICK * side / 2),
             "sensor/contacts": rr.Ellipsoids3D.from_fields(colors=CONTACT_COLOUR),
             "sensor/net": rr.Arrows3D.from_fields(colors=NET_COLOUR, radii=THICK * side),
-            **{name: rr.SeriesLines(names=lines) for name, lines in named.items()},
+            **{name: rr.SeriesLines(names=lines) for name, (lines, _) in self._plots(scan).items()},
         }
         for name, content in static.items():
             self._recording.log(name, content, static=True)

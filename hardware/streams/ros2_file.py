@@ -11,11 +11,10 @@ import numpy as np
 
 from geometry.errors import needing
 from geometry.layout import AXES, FloatArray
-from hardware.readout.description import FRAME, SensorDescription
+from hardware.readout.description import FRAME, NORMAL, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
-from hardware.recording import Recording
-from hardware.recording.mcap_file import Channel, Message
+from hardware.streams.files import Channel, Message
 
 PACKAGE = "tripillar_msgs"
 SHAPE, FRAMES = "/tactile/shape", "/tactile/frame"  #: topics
@@ -43,13 +42,7 @@ def definition(name: str) -> str:
 
 
 def ros2_channels() -> dict[str, Channel]:
-    """The topics of `ros2_messages`.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package is not installed.
-    """
+    """The topics of `ros2_messages`; `MissingPackageError` without the package."""
     with needing("ROS 2", "mcap"):
         from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
 
@@ -61,48 +54,44 @@ def ros2_channels() -> dict[str, Channel]:
     return {SHAPE: channel("TactileShape", offered_qos_profiles=LATCHED), FRAMES: channel("TactileFrame")}
 
 
-def ros2_messages(recording: Recording, forces: Forces) -> Iterator[Message]:
+def ros2_messages(forces: Forces) -> Iterator[Message]:
     """The description of the sensor, and then a message a scan, at the stamps of the board's clock."""
-    _ = forces.deviations  # of all at once, before they are taken one by one
-    for k, stamp_ns in enumerate(recording.stamps_ns().tolist()):
+    for k, stamp_ns in enumerate(forces.stamp_ns.tolist()):
         if k == 0:
-            shape = shape_message(forces.description, stamp_ns)
-            yield Message(topic=SHAPE, content=shape, log_ns=stamp_ns, publish_ns=stamp_ns)
-        content = frame_message(forces[k], stamp_ns)
-        yield Message(topic=FRAMES, content=content, log_ns=stamp_ns, publish_ns=stamp_ns, sequence=content["sequence"])
+            yield Message(SHAPE, shape_message(forces.description, stamp_ns), stamp_ns, stamp_ns)
+        content = frame_message(forces[k])
+        yield Message(FRAMES, content, stamp_ns, stamp_ns, content["sequence"])
 
 
 def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
     """The description as a TactileShape."""
-    low, high = np.moveaxis(sensor.range_n, -1, 0)
-    low, high = _on_sensor(low, sensor.axes), _on_sensor(high, sensor.axes)
+    low, high = (_on_sensor(each, sensor.axes) for each in np.moveaxis(sensor.range_n, -1, 0))
     return {
         "header": _header(stamp_ns),
         "rows": sensor.rows,
         "cols": sensor.cols,
         "axes": list(sensor.axes),
-        "positions": _vectors(sensor.position_m),
-        "normals": _vectors(sensor.normal),
+        "positions": _vectors(1e-3 * sensor.position_mm),
+        "normals": _vectors(np.broadcast_to(NORMAL, sensor.position_mm.shape)),
         "pad_size": 1e-3 * sensor.pad_mm,
         "force_low": _vectors(np.minimum(low, high)),
         "force_high": _vectors(np.maximum(low, high)),
         "rest_resistance": sensor.rest_ohm.reshape(-1).tolist(),
         "dead": sensor.dead.reshape(-1).tolist(),
-        "twin_deviation": [] if sensor.twin_deviation is None else sensor.twin_deviation.reshape(-1).tolist(),
         "design_hash": sensor.design_hash,
         "model_hash": sensor.model_hash,
         "board_serial": sensor.board.get("serial", 0),
     }
 
 
-def frame_message(scan: Forces, stamp_ns: int) -> dict[str, Any]:
+def frame_message(scan: Forces) -> dict[str, Any]:
     """The forces of one scan as a TactileFrame."""
     wrench, axes = scan.wrench, scan.description.axes
     deviation_n = np.full(scan.force_n.shape, np.nan) if scan.deviation_n is None else scan.deviation_n
     deviations = (wrench.force_deviation_n, wrench.moment_deviation_nmm, wrench.centre_deviation_mm)
     force_n, moment_nmm, centre_mm = (np.full(3, np.nan) if each is None else each for each in deviations)
     return {
-        "header": _header(stamp_ns),
+        "header": _header(int(scan.stamp_ns)),
         "sequence": int(scan.sequence),
         "device_us": int(scan.device_us),
         "forces": _vectors(_on_sensor(scan.force_n, axes)),
@@ -130,10 +119,10 @@ def _on_sensor(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     return found * SIGNS
 
 
-def _vectors(values: FloatArray) -> list[dict[str, float]]:
-    """(rows, cols, 3) row by row."""
-    return [dict(zip(AXES, each, strict=True)) for each in values.reshape(-1, 3).tolist()]
-
-
 def _vector(values: FloatArray) -> dict[str, float]:
     return dict(zip(AXES, values.tolist(), strict=True))
+
+
+def _vectors(values: FloatArray) -> list[dict[str, float]]:
+    """(rows, cols, 3) row by row."""
+    return [_vector(each) for each in values.reshape(-1, 3)]

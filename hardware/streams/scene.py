@@ -1,4 +1,4 @@
-"""The picture that viewers draw of a frame: pads in colours, forces as arrows, in metres, on the touched surface."""
+"""The picture that viewers draw of a scan: pads in colours, forces as arrows, in metres, on the touched surface."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import AXES, FloatArray
-from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
 
@@ -32,54 +31,50 @@ def colours(shares: FloatArray) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Pads and arrows of one frame; n pads."""
+    """Pads and arrows of one scan; n pads, c contacts."""
 
+    pad_m: float  #: side of a pad
+    places_m: FloatArray  #: (n, 3): the pads' centres, which are the arrows' tips
     pad_colours: NDArray[np.uint8]  #: (n, 3): by Fz, or by shear where the model gives no Fz
-    arrows_m: FloatArray  #: (n, 3): forces on the sensor; their tips are at the pads' centres
-    net_arrow_m: FloatArray | None  #: (3,): net force; a newton is 1/√n of one on a pad
-    net_tip_m: FloatArray | None  #: (3,): centre of pressure; None, as the arrow, where there is none
+    arrows_m: FloatArray  #: (n, 3): forces on the sensor
+    net_arrow_m: FloatArray  #: (1, 3), or (0, 3) where nothing presses: net force; a newton is 1/√n of one on a pad
+    net_tip_m: FloatArray  #: of the same shape: centre of pressure
     contact_centres_m: FloatArray  #: (c, 3): of flat ellipsoids where a decoder of touch finds contacts
     contact_halves_m: FloatArray  #: (c, 3): their half axes
 
 
-class Painter:
-    """Draws frames of one sensor.
+def scene_of(scan: Forces) -> Scene:
+    """The picture of one scan of a sensor whose pads' places are known."""
+    sensor = scan.description
+    pad_m, places_m = 1e-3 * sensor.pad_mm, 1e-3 * sensor.position_mm.reshape(-1, 3)
+    vectors = np.zeros((len(places_m), 3))
+    vectors[:, [AXES.index(axis) for axis in sensor.axes]] = scan.force_n.reshape(len(vectors), -1)
+    shown = vectors[:, 2] if "z" in sensor.axes else np.linalg.norm(vectors[:, :2], axis=1)
+    vectors *= SIGNS
+    per_newton_m = LONGEST * pad_m / sensor.full_scale_n
+    net = [] if np.isnan(scan.wrench.centre_mm).any() else [np.nan_to_num(scan.wrench.vector_n)]
+    tips = [np.append(1e-3 * scan.wrench.centre_mm, 0.0)] * len(net)
+    flat_m, found = PAD_HEIGHT * pad_m, scan.contacts or ()
+    return Scene(
+        pad_m=pad_m,
+        places_m=places_m,
+        pad_colours=colours(np.abs(shown) / sensor.full_scale_n),
+        arrows_m=vectors * per_newton_m,
+        net_arrow_m=np.reshape(net, (-1, 3)) * per_newton_m / math.sqrt(len(vectors)),
+        net_tip_m=np.reshape(tips, (-1, 3)),
+        contact_centres_m=np.reshape([[*1e-3 * each.centre_mm, 0.0] for each in found], (-1, 3)),
+        contact_halves_m=np.reshape([[*1e-3 * each.half_mm, flat_m] for each in found], (-1, 3)),
+    )
 
-    Raises
-    ------
-    DesignError
-        If nobody knows where the pads are.
+
+def turns_from_x(vectors: FloatArray) -> FloatArray:
+    """Unit quaternions x, y, z, w that turn the x axis onto vectors, (n, 3) -> (n, 4).
+
+    >>> turns_from_x(np.array([[2.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])).tolist()
+    [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
     """
-
-    def __init__(self, sensor: SensorDescription) -> None:
-        sensor.require_positions()
-        self.sensor = sensor
-        self.pad_m = 1e-3 * sensor.pad_mm
-        self.places_m = sensor.position_m.reshape(-1, 3)
-        self.full_scale_n = max(float(np.abs(sensor.range_n).max()), 1.0)
-        self._given = [AXES.index(axis) for axis in sensor.axes]
-
-    def scene(self, scan: Forces) -> Scene:
-        """The picture of one scan."""
-        vectors = np.zeros((len(self.places_m), 3))
-        vectors[:, self._given] = scan.force_n.reshape(len(vectors), -1)
-        shown = vectors[:, 2] if "z" in self.sensor.axes else np.linalg.norm(vectors[:, :2], axis=1)
-        vectors *= SIGNS
-        per_newton_m = LONGEST * self.pad_m / self.full_scale_n
-        net_arrow_m = net_tip_m = None
-        if not np.isnan(scan.wrench.centre_mm).any():
-            net_arrow_m = np.nan_to_num(scan.wrench.vector_n) * per_newton_m / math.sqrt(len(vectors))
-            net_tip_m = np.append(1e-3 * scan.wrench.centre_mm, 0.0)
-        found = scan.contacts or ()
-        centres_m = np.zeros((len(found), 3))
-        halves_m = np.full((len(found), 3), PAD_HEIGHT * self.pad_m)
-        for place, contact in enumerate(found):
-            centres_m[place, :2], halves_m[place, :2] = 1e-3 * contact.centre_mm, 1e-3 * contact.half_mm
-        return Scene(
-            pad_colours=colours(np.abs(shown) / self.full_scale_n),
-            arrows_m=vectors * per_newton_m,
-            net_arrow_m=net_arrow_m,
-            net_tip_m=net_tip_m,
-            contact_centres_m=centres_m,
-            contact_halves_m=halves_m,
-        )
+    length = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    x, y, z = (vectors / length).T
+    found = np.stack([np.zeros_like(x), -z, y, 1.0 + x], axis=1)  # half way between the x axis and the vector
+    found[1.0 + x < 1e-9] = [0.0, 0.0, 1.0, 0.0]  # straight back
+    return found / np.linalg.norm(found, axis=1, keepdims=True) + 0.0

@@ -373,7 +373,7 @@ class VirtualSensor:
                     contacts.append(contact)
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
                     box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
-                    moved[number] += grid.moved_mm(box_mm, contact.cell_force_n).reshape(-1, 2, 3)
+                    moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, 2, 3)
         unit = self.design.unit
         exact = pillar_resistances(pillar_lengths(moved, unit), pillar_volumes(unit), self.design.resistivity_ohm_mm)
         sizes = (self.environments, *self.shape, 3)

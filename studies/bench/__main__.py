@@ -20,7 +20,7 @@ SCENES = {  #: with what the picture's title calls each: a symmetric scene, one 
     **{name: f"{name.replace('-', ' ')}, rubbers or shapes at the edge" for name in hard_scenes()},
     FINITE: "a patch on a block at finite strain",
 }
-PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "felupe", "pytetwild")
+PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve", "pytetwild")
 GOALS = (5e-2, 1e-2, 3e-3, 1e-3)  #: errors at which families are compared
 
 

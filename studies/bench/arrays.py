@@ -7,19 +7,16 @@ response, the error against them is given for the loaded unit and its first neig
 from functools import partial
 from operator import eq
 from pathlib import Path
-from time import perf_counter
 from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
 
-from fem.array.meshed import BoxCell, cell_lines
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
-from fem.factor import Factor, checked_solve
 from geometry.design import Array, Material, SensorDesign
-from geometry.layout import ELECTRODES, FloatArray, electrode_squares, pad_squares
+from geometry.layout import FloatArray
 from geometry.mesh import sensor_mesh, suited_settings
 from studies.bench.harness import Contender, Found, Settings, run_contenders
 from studies.bench.reference import stored_references
@@ -71,47 +68,11 @@ def by_mesh(design: SensorDesign) -> ArrayResponse:
     return meshed_response(design, sensor_mesh(design, suited_settings(design))[0])
 
 
-def by_whole_grid(design: SensorDesign, level: int) -> ArrayResponse:
-    """The contrast to condensing one cell: copies of its grid side by side, factored as one body."""
-    start = perf_counter()
-    x, y, z = cell_lines(design, level)
-    rows, cols = design.array.rows, design.array.cols
-    body, whole = BoxCell.of([_tiled(x, cols), _tiled(y, rows), z], [design.matrix_material]), (0, 0)
-    pads, electrodes = (
-        (body.integrals(some) / ((some[:, 2:] - some[:, :2]).prod(axis=1)[:, None])).tocsr()
-        for some in (pad_squares(design), electrode_squares(design))
-    )
-    forces = np.einsum("kn,ij->kinj", pads.toarray(), np.eye(3)).reshape(-1, pads.shape[1], 3)
-    matrix, loads = body.matrix(whole), body.gathered(forces, whole)
-    assembled = perf_counter()
-    factor = Factor(matrix, definite=True, upper=True)
-    factored = perf_counter()
-    solution, residual = checked_solve(factor, loads)
-    moved = body.displacements(solution)  # (k, n, 3)
-    influence = (electrodes @ moved.transpose(1, 2, 0).reshape(pads.shape[1], -1)).reshape(-1, len(moved))
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=influence.reshape(rows, cols, len(ELECTRODES), 3, rows, cols, 3),
-        residual=residual,
-        unknowns=matrix.shape[0],
-        seconds={"assemble": assembled - start, "factor": factored - assembled, "solve": perf_counter() - factored},
-        method="whole grid",
-    )
-
-
-def _tiled(line: FloatArray, count: int) -> FloatArray:
-    """Lines of so many cells side by side, centred, from those of a cell."""
-    steps = np.tile(np.diff(line), count)
-    return np.concatenate([[0.0], np.cumsum(steps)]) - count * line[-1]
-
-
 CONTENDERS = [
     Contender(name=name, family="TriPillar", solve=solve, settings=units, covers=partial(eq, matrix))
     for matrix, name, solve, units in (
         (SAME, "cells", partial(by_settings, tolerance=1e-3), (2, 6, 12, 24, 48)),
         (SAME, "cells, 1e-2", partial(by_settings, tolerance=1e-2), (6,)),
-        (SAME, "whole array, same hexahedra, level 1", partial(by_whole_grid, level=1), (2, 6)),
-        (SAME, "whole array, same hexahedra, level 2", partial(by_whole_grid, level=2), (6,)),
         (SAME, "whole array, Taylor-Hood", by_mesh, (2, 6)),
         (SAME, "layer", partial(by_settings, method="layer"), (6,)),
         (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),

@@ -1,7 +1,6 @@
 """A training problem with a trace of its error, and other optimisers on it, full batch, set as an expert would."""
 
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from itertools import pairwise
 from statistics import median
 from time import process_time
@@ -18,7 +17,6 @@ from decoupler.training.network import Network
 from fem.array.response import ArrayResponse
 
 LBFGS_ROUND = 10  #: iterations between two looks at the error
-LM_BATCH = 250  #: samples whose Jacobian torch-levenberg-marquardt holds at a time; the fastest of 20, 50, 250 and 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,23 +135,3 @@ def lbfgs(scaled: Scaled, trace: Trace) -> str:
         trace.record(done, scaled.mse())
         optimizer.step(closure)
     return "no step"
-
-
-def torch_lm_missing() -> str:
-    """Packages of torch-levenberg-marquardt that are not installed."""
-    needed = ("torch_levenberg_marquardt", "pytorch_lightning", "torchmetrics")
-    absent = [name for name in needed if not find_spec(name)]
-    return f"{', '.join(absent)} not installed (pip install 'tripillar[bench]')" if absent else ""
-
-
-def torch_lm(scaled: Scaled, trace: Trace) -> str:
-    """torch-levenberg-marquardt: Jacobian by vmap in slices, Cholesky, its own damping."""
-    from torch_levenberg_marquardt.training import LevenbergMarquardtModule
-
-    module = LevenbergMarquardtModule(scaled.model, solve_method="cholesky", max_batch_size=LM_BATCH)
-    step, stopped = 0, False
-    while not stopped:
-        trace.record(step, scaled.mse())
-        *_, stopped, _ = module.training_step(scaled.x, scaled.t)
-        step += 1
-    return "largest damping"

@@ -7,15 +7,12 @@ from time import perf_counter
 import numpy as np
 
 from fem.array.closed_forms import layer_mean_compliance, mean_compliance
-from fem.finite.solving import finite_boxes
 from fem.methods.solving import solve_scene
-from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
-from fem.system import System
 from geometry.layout import FloatArray
 from studies.bench.harness import Contender, Found
-from studies.bench.peers import felupe_peer, ngsolve_peer
+from studies.bench.peers import ngsolve_peer
 from studies.bench.reference import reference_probes
 from studies.bench.savings import solved_without
 from studies.bench.scenes import FINITE, Solved, all_scenes, finite_scene, is_homogeneous_block, is_linear
@@ -45,16 +42,6 @@ def solve_to_tolerance(scene: Scene, tolerance: float, without: str = "") -> Sol
     seconds = dict(solution.seconds)
     seconds["other"] = perf_counter() - start - sum(seconds.values())
     return Solved(solution.probes, solution.unknowns, seconds)
-
-
-def by_felupe(scene: Scene, level: float) -> Solved:
-    """FElupe's Newton's method on one of our grids, the whole body."""
-    start = perf_counter()
-    body = RubberBody.of(finite_boxes(scene, int(level)), [scene.material])
-    system = System(body, scene.loads)
-    u = felupe_peer.felupe_displacements(body, list(scene.loads), system.rest(), steps=1)
-    probes = {probe.name: system.seen(probe, u) for probe in scene.probes}
-    return Solved(probes, system.n_unknowns, {"solve": perf_counter() - start})
 
 
 def solve_in_closed_form(scene: Scene, compliance: Callable[[FloatArray, FloatArray], FloatArray]) -> Solved:
@@ -87,10 +74,6 @@ CONTENDERS = [
     *(
         Contender(name=name, family="closed form", solve=solve, settings=(0,), covers=is_homogeneous_block)
         for name, solve in (("half-space, closed form", as_halfspace), ("layer, closed form", as_layer))
-    ),
-    Contender(
-        name="FElupe on our first grid", family="FElupe", solve=by_felupe, settings=(1,), missing=felupe_peer.missing,
-        covers=lambda scene: not is_linear(scene), imports=("felupe",),
     ),
     *ngsolve_peer.CONTENDERS,
 ]  # fmt: skip

@@ -12,9 +12,8 @@ from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
-from studies.bench import optimisers
 from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
-from studies.bench.optimisers import Ended, Problem, Scaled, Trace
+from studies.bench.optimisers import Ended, Problem, Scaled, Trace, lbfgs
 from studies.tables import measured_on, report
 from tripillar.sweep.memory import peak_mib
 from tripillar.terminal.entry import run_alone
@@ -24,7 +23,7 @@ ENOUGH = 10**9  #: iterations: time or goal comes first
 WARM_UP = 8  #: samples of the training that warms a contender up
 TEST_SAMPLES = 200
 MSE = "mean squared error of the scaled training outputs"
-PACKAGES = ("numpy", "torch", "torch-levenberg-marquardt")
+PACKAGES = ("numpy", "torch")
 GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
 SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that cannot be interrupted, a busy machine
 Train = Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
@@ -117,14 +116,13 @@ def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:
 
 KNOWN = "VarPro, skip net from the response"
 CONTENDERS = [
-    Contender(name=name, family=name, solve=solve, missing=missing)
-    for name, solve, missing in (
-        (KNOWN, by_ours("varpro", known=True), str),  # str() is nothing missing
-        ("VarPro", by_ours("varpro"), str),
-        ("structured LM", by_ours("lm"), str),
-        ("momentum (eq. 15)", by_ours("momentum"), str),
-        ("torch LBFGS", by_peer(optimisers.lbfgs), str),
-        ("torch-levenberg-marquardt", by_peer(optimisers.torch_lm), optimisers.torch_lm_missing),
+    Contender(name=name, family=name, solve=solve)
+    for name, solve in (
+        (KNOWN, by_ours("varpro", known=True)),
+        ("VarPro", by_ours("varpro")),
+        ("structured LM", by_ours("lm")),
+        ("momentum (eq. 15)", by_ours("momentum")),
+        ("torch LBFGS", by_peer(lbfgs)),
     )
 ]
 

@@ -11,7 +11,7 @@ from fem.array.response import ArrayResponse
 from fem.pictures.arrays import uniform_pressure
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
-from tripillar.pipeline.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA
+from studies.paper.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA
 
 CAP = max(MEAN_OVER_WIDTHS)  #: largest strain of the paper's experiments
 SAMPLE = DatasetSettings(protocol="contact", samples=1, seed=1, cap=CAP)  #: of figure 8: pressed and dragged at once

@@ -22,9 +22,9 @@ from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 from geometry.pool import in_parallel
 from geometry.storage.files import digest
+from studies.paper.printed import MEAN_OVER_WIDTHS
+from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import DataSet, Result, ResultKey, Results, ShownForces
-from tripillar.pipeline.printed import MEAN_OVER_WIDTHS
-from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 from tripillar.terminal.progress import Bars
 
 VERSION = 2  #: raise when the same settings give other trials

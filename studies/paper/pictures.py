@@ -18,9 +18,9 @@ from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, finish, new_figur
 from studies.paper import spacing
 from studies.paper.deformation import one_pad
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
+from studies.paper.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA, SPACING_MM
+from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import Results
-from tripillar.pipeline.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA, SPACING_MM
-from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,12 +19,11 @@ from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
 from geometry.layout import rest_lengths
 from geometry.storage.files import digest
-from studies.paper import experiments
+from studies.paper import experiments, printed
 from studies.paper.deformation import CAP, Deformation, middle_unit
 from studies.paper.results import Results
 from studies.paper.spacing import LOADS, PRESSED_N, RINGS, Spacing
 from studies.tables import measured_on
-from tripillar.pipeline import printed
 
 PACKAGES = ("tripillar", "numpy", "scipy", "scikit-fem", "torch", "pyvista", "matplotlib")
 ALIKE = 2.0  #: ratio up to which two errors count as of one size

@@ -1,6 +1,7 @@
 """``python -m studies.robustness``: the tables, the JSON files and the pictures, all or in parts."""
 
 import json
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,12 +12,13 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.storage.files import write_json
 from studies.robustness.identified import COUNTS, merged, rows_of
-from studies.robustness.noise_charts import draw_dead, draw_pairs, draw_readings
+from studies.robustness.noise_charts import draw_pairs, draw_readings
 from studies.robustness.study import (
+    BAR,
     BITS,
     NETS,
     NOISES,
-    Findings,
+    ErrorRow,
     Sizes,
     dead_cases,
     sensor_under_load,
@@ -60,11 +62,7 @@ def assess_nets(out: Path, sizes: Sizes) -> None:
         advance(1, "")
         trained = bars.begin("networks", total=CASES * len(NETS))
         found = study_sensors(sensor, lambda case: trained(1, case))
-    show(
-        table_of("Three-axis nets on ever worse sensors: errors in % of full scale", [row.cells for row in found.rows])
-    )
-    outputs = "Outputs whose error rose more than threefold by a dead pillar or wire, and those that the model names"
-    show(table_of(outputs, [{"case": one.case, "net": one.net, **one.counts} for one in found.named]))
+    show(table_of("Three-axis nets on ever worse sensors: errors in % of full scale", [row.cells for row in found]))
     wrote(write(found, out))
 
 
@@ -84,15 +82,12 @@ def identify_truths(out: Path, truths: list[str], protocols: list[str]) -> None:
     wrote([kept, picture])
 
 
-def write(found: Findings, folder: Path) -> list[Path]:
-    """JSON and pictures of the nets; returns the files."""
+def write(rows: list[ErrorRow], folder: Path) -> list[Path]:
+    """JSON and picture of the nets; returns the files."""
     plain, readings = (folder / f"robustness{part}" for part in (".json", "-readings.png"))
-    write_json(found.as_plain(), plain)
-    draw_readings(found.rows, readings)
-    dead = {net: folder / f"robustness-dead-{net}.png" for net in NETS}
-    for net, path in dead.items():
-        draw_dead([one for one in found.named if one.net == net], path)
-    return [plain, readings, *dead.values()]
+    write_json({"bar": BAR, "rows": [asdict(row) | {"ratio": row.ratio} for row in rows]}, plain)
+    draw_readings(rows, readings)
+    return [plain, readings]
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.charts import BLUE, GREEN, ORANGE, SERIES, finish, new_figure, save
-from studies.robustness.study import ROSE, ErrorRow, Named
+from studies.charts import BLUE, GREEN, ORANGE, SERIES, finish, new_figure
+from studies.robustness.study import ErrorRow
 from studies.robustness.truths import TRUTHS
 
 if TYPE_CHECKING:
@@ -58,38 +58,6 @@ def draw_pairs(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     shown = {label: line for axes in panels for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=9)
     finish(figure, path)
-
-
-def draw_dead(named: Sequence[Named], path: Path) -> None:
-    """Write a PNG: how many times the error of every output rose, a map of the array a fault and force."""
-    from matplotlib.colors import LogNorm
-
-    figure = new_figure(2.5 * len(named) + 1, 8)
-    panels = figure.subplots(3, len(named), squeeze=False)
-    highest = max(10.0, *(float(one.rise.max()) for one in named))
-    for column, one in zip(panels.T, named, strict=True):
-        for axis, (axes, force) in enumerate(zip(column, COLOURS, strict=True)):
-            shades = axes.imshow(one.rise[..., axis], cmap="cividis", norm=LogNorm(1.0, highest), origin="lower")
-            for row, col in np.argwhere(one.rise[..., axis] > ROSE):
-                times = one.rise[row, col, axis]
-                colour = "white" if times**2 < highest else "black"  # on the dark half of the shades
-                axes.text(col, row, f"{times:.0f}", color=colour, ha="center", va="center", fontsize=8)
-            for row, col in np.argwhere(one.named[..., axis]):
-                axes.plot(col, row, marker="s", markersize=19, fillstyle="none", color=ORANGE, markeredgewidth=2)
-            axes.set(xticks=[], yticks=[])
-            axes.set_title(one.case if not axis else "", fontsize=10)
-            if one is named[0]:
-                axes.set_ylabel(f"F{force[1]}, rows of the array")
-            if axis == len(COLOURS) - 1:
-                axes.set_xlabel("columns")
-    figure.colorbar(shades, ax=panels, label="error over that of the healthy sensor", shrink=0.6)
-    net = {"inverse": "the net that starts from the response", "root": "the net on √R"}[named[0].net]
-    figure.suptitle(
-        f"How much worse each force is read when a pillar or wire is dead, by {net}\n"
-        f"numbers: times the error, where it rose more than {ROSE:g}-fold; orange squares: forces that the model "
-        "itself calls untrusted"
-    )
-    save(figure, path)
 
 
 def _lines(axes: "Axes", rows: list[ErrorRow]) -> None:

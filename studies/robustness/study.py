@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
@@ -22,7 +21,6 @@ NETS: tuple[Feature, ...] = ("inverse", "root")  #: inputs of the two skip nets:
 NOISES = (0.001, 0.005, 0.01)
 BITS = (8, 10, 12, 16)
 BAR = 1.15  #: of the limit, that the net with the response's inverse is to stay below
-ROSE = 3.0  #: times the healthy error, from where an output should be distrusted
 LIMIT_SAMPLES = 200  #: of which the limits of single units are worked out; as many as `assess` takes
 SEEDS = {"train": 1, "test": 2}  #: of loads and of noise
 
@@ -58,45 +56,6 @@ class ErrorRow:
         """Its row of a table; a ratio beyond the bar of the net that is to meet it says so."""
         is_beyond = self.part == "noise" and self.net == "inverse" and self.ratio is not None and self.ratio > BAR
         return asdict(self) | {"error / limit": self.ratio, f"above {BAR:g}": "yes" if is_beyond else ""}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Named:
-    """The outputs that a model with dead pillars calls untrusted, beside those whose error rose."""
-
-    case: str
-    net: str
-    rise: FloatArray  #: (rows, cols, 3): error over that of the healthy sensor's model
-    named: NDArray[np.bool_]  #: (rows, cols, 3)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Named and risen, risen and not named, named and not risen."""
-        risen = self.rise > ROSE
-        return {
-            "hits": int((self.named & risen).sum()),
-            "misses": int((risen & ~self.named).sum()),
-            "false alarms": int((self.named & ~risen).sum()),
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """The results of the study."""
-
-    rows: list[ErrorRow]
-    named: list[Named]
-
-    def as_plain(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "bar": BAR,
-            "rows": [asdict(row) | {"ratio": row.ratio} for row in self.rows],
-            "untrusted": [
-                {"case": one.case, "net": one.net, **one.counts, "rise": one.rise.tolist(), "named": one.named.tolist()}
-                for one in self.named
-            ],
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +98,7 @@ def dead_cases(rows: int, cols: int) -> dict[str, Imperfections]:
     }
 
 
-def study_sensors(sensor: LoadedSensor, progress: Callable[[str], None] = lambda case: None) -> Findings:
+def study_sensors(sensor: LoadedSensor, progress: Callable[[str], None] = lambda case: None) -> list[ErrorRow]:
     """Train every net on every sensor, and assess. `progress` is called with each trained case."""
     array = sensor.response.design.array
     noises = {f"noise {noise:.1%}": Imperfections(noise=noise) for noise in NOISES}
@@ -154,14 +113,12 @@ def study_sensors(sensor: LoadedSensor, progress: Callable[[str], None] = lambda
         for net in NETS
         for row in _rows(part, case, net, models[case, net])
     ]
-    named = []
-    healthy = {net: models[next(iter(noises)), net] for net in NETS}
-    for case, faults in dead.items():
-        for net in NETS:
-            lines, one = with_dead(sensor, case, faults, net, models[case, net], healthy[net].model)
-            rows += lines
-            named.append(one)
-    return Findings(rows=rows, named=named)
+    return rows + [
+        row
+        for case, faults in dead.items()
+        for net in NETS
+        for row in with_dead(sensor, case, faults, net, models[case, net])
+    ]
 
 
 def trained(
@@ -202,33 +159,24 @@ def _rows(part: str, case: str, net: Feature, found: Trained) -> list[ErrorRow]:
     return rows
 
 
-def with_dead(
-    sensor: LoadedSensor, case: str, faults: Imperfections, net: Feature, found: Trained, healthy: Decoupler
-) -> tuple[list[ErrorRow], Named]:
-    """Errors of the units that lost a pillar and of the others; the outputs that the model calls untrusted."""
+def with_dead(sensor: LoadedSensor, case: str, faults: Imperfections, net: Feature, found: Trained) -> list[ErrorRow]:
+    """Errors of the units that lost a pillar and of the others."""
     test = sensor.measured(faults, "test")
     assert test.dead is not None
-    now = unit_rmse(found.model, test)
-    before = unit_rmse(healthy, sensor.measured(Imperfections(noise=faults.noise), "test"))
-    full_scale = np.abs(test.force_n).max(axis=(0, 1, 2))
+    missed_n, full_scale = unit_rmse(found.model, test), np.abs(test.force_n).max(axis=(0, 1, 2))
     affected = test.dead.any(axis=2)
-    forces = component_named("all").forces
-    rows = [
+    return [
         ErrorRow(
             part=case,
             case=f"{label}: {int(units.sum())}",
             net=net,
             force=force,
-            error_pct=100.0 * _rms(now[units, axis]) / full_scale[axis],
+            error_pct=100.0 * _rms(missed_n[units, axis]) / full_scale[axis],
             bayes_pct=100.0 * _rms(found.bayes_n[units, axis]) / full_scale[axis],
         )
         for label, units in (("its units", affected), ("others", ~affected))
-        for axis, force in enumerate(forces)
+        for axis, force in enumerate(component_named("all").forces)
     ]
-    named = np.zeros(now.shape, dtype=bool)
-    for row, col, force in found.model.untrusted():
-        named[row, col, forces.index(force)] = True
-    return rows, Named(case=case, net=net, rise=now / before, named=named)
 
 
 def unit_rmse(model: Decoupler, data: Samples) -> FloatArray:

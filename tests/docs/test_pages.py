@@ -3,6 +3,7 @@
 import re
 import runpy
 
+import numpy as np
 import pytest
 
 from geometry.design import SensorDesign
@@ -59,28 +60,16 @@ def test_the_design_file_shown_is_the_one_written():
 BUILDING = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8").replace("−", "-")
 
 
-def test_the_crossbars_table_is_the_wiring():
-    """Each pillar stands at its crossing, and nothing at an empty one."""
-    rows = re.findall(r"^\| \*\*(\d+)\*\* \| (.*) \|$", BUILDING, re.MULTILINE)
-    shown = {(int(row), column): cell for row, cells in rows for column, cell in enumerate(cells.split(" | "))}
-    expected = dict.fromkeys(((row, column) for row in range(12) for column in range(12)), "·")
+def test_the_wires_of_the_building_page_join_the_electrodes_that_it_says():
+    """Row wires at the y of upper electrodes, column wires at the x of lower ones; a crossing for each pillar."""
+    design, places = SensorDesign(), [float(number) for number in re.findall(r"15 [ij] - (\d+\.\d)", BUILDING)]
+    upper = electrode_squares(design).reshape(6, 6, 2, 4)[..., [1, 3]].mean(axis=-1)
+    first, second = (15 * np.arange(6) - place for place in places[:2])
+    assert np.allclose(upper[:, 0], np.stack([first, second], axis=1))
+    lower = unit_centres(design).reshape(6, 6, 2)[0, :, :1] + pillar_ends(design.unit)[:2, 0, 0]
+    assert np.allclose(lower, np.stack([15 * np.arange(6) - place for place in places[2:]], axis=1))
+    said = {"z": (0, 0), "x": (0, 1), "y": (1, 0)}
     for (row, column), place in zip(crossings(6, 6).tolist(), pillar_of_crossing(6, 6).tolist(), strict=True):
         unit, pillar = divmod(place, len(PILLARS))
-        expected[row, column] = f"{PILLARS[pillar]}{unit // 6}{unit % 6}"
-    assert shown == expected
-
-
-def test_wires_lie_over_the_electrodes_that_they_join():
-    """Row wires at the y of upper electrodes, column wires at the x of lower ones."""
-    design = SensorDesign()
-    row, column = (rf"(\d+) \| ([-\d.]+) \| ({kind}\d) of {of} (\d)" for kind, of in (("U", "row"), ("L", "column")))
-    wires = re.findall(rf"^\| {row} \| \| {column} \|$", BUILDING, re.MULTILINE)
-    assert len(wires) == 12
-    upper = electrode_squares(design).reshape(6, 6, 2, 4)
-    lower = {"L1": pillar_ends(design.unit)[0, 0], "L2": pillar_ends(design.unit)[1, 0]}
-    for row_wire, y, u, row, column_wire, x, low, column in wires:
-        electrode = ("U1", "U2").index(u)
-        assert int(row_wire) == 2 * int(row) + electrode
-        assert upper[int(row), :, electrode, [1, 3]].mean(axis=0) == pytest.approx(float(y))
-        assert int(column_wire) == 2 * int(column) + ("L1", "L2").index(low)
-        assert unit_centres(design)[int(column), 0] + lower[low][0] == pytest.approx(float(x))
+        (i, j), (down, right) = divmod(unit, 6), said[PILLARS[pillar]]
+        assert (row, column) == (2 * i + down, 2 * j + right)

@@ -7,7 +7,7 @@ import pytest
 
 from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
-from fem.array.meshed import BoxCell
+from fem.array.meshed import CellBody
 from fem.factor import Factor, checked_solve
 from fem.mirrors import QUARTER, parities
 from geometry.design import Material
@@ -39,12 +39,12 @@ def means(body, rectangles):
 
 @pytest.fixture(scope="module")
 def cell():
-    return condense(BoxCell.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
+    return condense(CellBody.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
 
 
 @pytest.fixture(scope="module")
 def whole_cell():
-    return BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER)
+    return CellBody.of((mirrored(X), mirrored(X), UP), RUBBER)
 
 
 @pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
@@ -53,16 +53,16 @@ def test_parities_of_a_part_are_the_whole_cell(planes, plate):
     """Splitting by parity is exact, of the motions of a plate, too: both condensations agree to rounding."""
     axes = {plane.axis for plane in planes}
     lines = [X if axis in axes else mirrored(X) for axis in (0, 1)]
-    found = condense(BoxCell.of((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES)
-    assert_same(found, condense(BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER, plate), PORTS, RECTANGLES))
+    found = condense(CellBody.of((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES)
+    assert_same(found, condense(CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate), PORTS, RECTANGLES))
 
 
 def test_a_square_cell_spares_a_parity(cell, monkeypatch):
     """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
-    solved, matrix = [], BoxCell.matrix
-    monkeypatch.setattr(BoxCell, "is_square", False)
-    monkeypatch.setattr(BoxCell, "matrix", lambda body, parity: solved.append(parity) or matrix(body, parity))
-    four = condense(BoxCell.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
+    solved, matrix = [], CellBody.matrix
+    monkeypatch.setattr(CellBody, "is_square", False)
+    monkeypatch.setattr(CellBody, "matrix", lambda body, parity: solved.append(parity) or matrix(body, parity))
+    four = condense(CellBody.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
     assert solved == parities(QUARTER)
     assert_same(cell, four, 1e-12)
 
@@ -72,10 +72,10 @@ def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
     """Against the whole cell, whose mirror images the four quarters are; boxes hold two rubbers, evenly mixed."""
     rubbers = [*RUBBER, Material(young_mpa=0.5)]
     share = np.broadcast_to(np.arange(9).reshape(3, 3, 1) / 9, (3, 3, len(UP) - 1))
-    quarter = BoxCell.of((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
+    quarter = CellBody.of((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
     share = np.concatenate([share[::-1], share])
     share = np.concatenate([share[:, ::-1], share], axis=1)
-    whole = BoxCell.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
+    whole = CellBody.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
     assert not quarter.is_square
     assert_same(condense(quarter, PORTS, RECTANGLES), condense(whole, PORTS, RECTANGLES))
 
@@ -83,7 +83,7 @@ def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
 @pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
 def test_the_inside_belongs_to_the_condensed_cell(plate):
     """The same S, L and C as without it; port modes have their values on the sides, forces move what they should."""
-    body, inside = BoxCell.of((mirrored(X), mirrored(X), UP), RUBBER, plate), []
+    body, inside = CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate), []
     cell = condense(body, PORTS, RECTANGLES, inside)
     assert_same(cell, condense(body, PORTS, RECTANGLES))
     moved, n = inside[0], PORTS.n_modes * 3
@@ -108,7 +108,7 @@ def test_a_condensed_cell_is_symmetric_and_stores_energy(cell):
 def test_two_coupled_cells_are_one_body_twice_as_long():
     """Side modes of a high degree span all that a coarse grid can do: then nothing is lost at the joint."""
     lines, up = np.array([-HALF, HALF]), np.array([0.0, HEIGHT])
-    short, long = (BoxCell.of((x, lines, up), RUBBER) for x in (lines, np.array([-HALF, HALF, 3 * HALF])))
+    short, long = (CellBody.of((x, lines, up), RUBBER) for x in (lines, np.array([-HALF, HALF, 3 * HALF])))
     pad = RECTANGLES[:1]
     coupled = CoupledArray(condense(short, PortModes(HALF, HEIGHT, side=2, up=2), pad), 1, 2)
     found, _ = coupled.influence(range(3), range(3))
@@ -153,7 +153,7 @@ def test_a_cell_of_free_sides_is_the_body_itself(whole_cell):
 def test_only_sides_that_cells_share_are_held_to_ports(whole_cell):
     """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
     lines, pad = mirrored(X), RECTANGLES[:1]
-    long = BoxCell.of((np.concatenate([lines, lines[1:] + 2 * HALF]), lines, UP), RUBBER)
+    long = CellBody.of((np.concatenate([lines, lines[1:] + 2 * HALF]), lines, UP), RUBBER)
     rhs = long.gathered(means(long, np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])])), (0, 0))
     u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
     energies, sides = np.diag(rhs.T @ u), CellSides.of(whole_cell, pad)

@@ -145,15 +145,9 @@ def test_the_response_holds_every_pair_of_electrode_and_pad(tmp_path):
     direct = pairs.reshape(2, 3, 2, 2, 3, 3, 3).transpose(0, 1, 2, 5, 3, 4, 6)
     assert influence.shape == (2, 3, 2, 3, 2, 3, 3)
     assert np.allclose(influence, direct, rtol=0, atol=1e-13 * np.abs(direct).max())
-
-
-def test_a_large_array_takes_no_memory_to_speak_of():
-    """24 × 24 units have 48 MB of influence, and 47 × 47 offsets."""
-    influence = layer_response(SensorDesign(array=Array(rows=24, cols=24))).influence_mm_per_n
-    low, high = byte_bounds(influence)
-    assert influence.nbytes > 4e7
-    assert high - low < 5e5
-    assert not influence.flags.writeable
+    large = layer_response(SensorDesign(array=Array(rows=24, cols=24))).influence_mm_per_n
+    low, high = byte_bounds(large)
+    assert high - low < 5e5 < 4e7 < large.nbytes  # a view of 47 × 47 offsets
 
 
 def test_what_has_no_answer_is_refused_by_name():
@@ -247,15 +241,5 @@ def test_a_high_layer_is_a_half_space_and_a_far_place_is_still():
     misfit = [np.abs(layer_mean_compliance(PLACES, PAD, h, USUAL) - closed).max() for h in (1e3, 2e3)]
     assert misfit[0] < 0.02 * np.abs(closed).max()
     assert misfit[1] == pytest.approx(misfit[0] / 2, rel=0.02)
-    for far in (290.0, 310.0):
-        still = layer_mean_compliance(PAD + far * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
-        assert np.abs(still).max() < 1e-9 * np.abs(closed).max()
-
-
-def test_wide_pads_on_a_thin_layer_get_points_enough():
-    """Pads of 12 mm on 1 mm, where the rest varies within a pad: a pad is still the sum of its quarters."""
-    quarters = np.array([[-6, -6, 0, 0], [0, -6, 6, 0], [-6, 0, 0, 6], [0, 0, 6, 6]], dtype=float)
-    target = [1.0, 2.0, 3.0, 4.0]
-    whole = layer_mean_compliance(target, PAD, 1.0, USUAL)
-    parts = layer_mean_compliance(target, quarters, 1.0, USUAL).mean(axis=0)
-    assert np.allclose(whole, parts, rtol=0, atol=1e-6 * np.abs(whole).max())
+    still = layer_mean_compliance(PAD + 300.0 * np.array([1.0, 0.0, 1.0, 0.0]), PAD, 10.0, USUAL)
+    assert np.abs(still).max() < 1e-9 * np.abs(closed).max()

@@ -10,6 +10,7 @@ from skfem.helpers import ddot, div, sym_grad
 from fem.factor import Factor, whole
 from fem.tetrahedra.mixed import TaylorHood, taylor_hood
 from fem.tetrahedra.patch import PatchError, patch_integrals
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material
 from tests.fem.scenes import box_mesh
 
@@ -20,7 +21,7 @@ def one_region(mesh: MeshTet) -> np.ndarray:
 
 def solved_with(body: TaylorHood, prescribed: np.ndarray, forces: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Nodal displacements (N·3,) when those flagged in `known` are prescribed; the base is among them."""
-    K = body.matrix.tocsc()
+    K = whole(body.upper).tocsc()
     u = np.where(known, prescribed, 0.0)
     of_free = np.concatenate([known[body.free], np.zeros(body.n_pressure, dtype=bool)])
     start = np.concatenate([u[body.free], np.zeros(body.n_pressure)])
@@ -98,18 +99,18 @@ def test_the_matrix_equals_that_of_stock_forms(disordered_cube):
     mu = np.array([material.lame_mpa[1] for material in materials])[region]
     shear = BilinearForm(lambda u, v, w: 2 * w.mu * ddot(sym_grad(u), sym_grad(v)))
     stock = shear.assemble(vector, mu=np.broadcast_to(mu[:, None], vector.dx.shape))
-    order = np.empty(body.n_displacement, dtype=int)  # ours interleaves components by node
+    order = np.empty(3 * body.n_nodes, dtype=int)  # ours interleaves components by node
     for local, axis in product(range(body.basis.Nbfun), range(3)):
         order[body.basis.element_dofs[local] * 3 + axis] = vector.element_dofs[local * 3 + axis]
     n = len(body.free)
-    difference = np.abs(body.matrix[:n, :n] - stock[order[body.free]][:, order[body.free]]).max()
+    difference = np.abs(whole(body.upper)[:n, :n] - stock[order[body.free]][:, order[body.free]]).max()
     assert difference <= 1e-13 * np.abs(stock).max()
     pressure = Basis(disordered_cube, ElementTetP1(), intorder=2)
     B = BilinearForm(lambda u, q, w: div(u) * q).assemble(vector, pressure)
     continuous = taylor_hood(disordered_cube, materials[:1], np.zeros_like(region))
     number = np.empty(continuous.n_pressure, dtype=int)
     number[continuous.corners] = pressure.element_dofs
-    difference = np.abs(continuous.matrix[n:, :n] - B[number][:, order[body.free]]).max()
+    difference = np.abs(whole(continuous.upper)[n:, :n] - B[number][:, order[body.free]]).max()
     assert difference <= 1e-13 * np.abs(B).max()
 
 
@@ -118,13 +119,14 @@ def test_the_tangent_is_the_derivative_of_the_forces(disordered_cube):
     rubbers = [Material(model="neo-hookean"), Material(young_mpa=2.0, poisson=0.3, model="neo-hookean")]
     body = taylor_hood(disordered_cube, rubbers, np.arange(disordered_cube.nelements) % 2)
     rng = np.random.default_rng(0)
-    u, p = body.displacements(0.05 * rng.normal(size=(body.n_unknowns, 1))), rng.normal(size=body.n_pressure)
+    system = TetrahedralSystem(body, [])
+    u, p = system.displaced(0.05 * rng.normal(size=(body.n_unknowns, 1)))[0], rng.normal(size=body.n_pressure)
     direction = rng.normal(size=(body.n_unknowns, 1))
-    along, of_p = body.displacements(direction).reshape(-1, 3), direction[len(body.free) :, 0]
+    along, of_p = system.displaced(direction)[0], direction[len(body.free) :, 0]
     found = []
     for sign in (-1, 1):
-        forces, volumes, least = body.internal_forces(u.reshape(-1, 3) + sign * 1e-5 * along, p + sign * 1e-5 * of_p)
+        forces, volumes, least = body.internal_forces(u + sign * 1e-5 * along, p + sign * 1e-5 * of_p)
         assert least > 0
         found.append(np.concatenate([forces.ravel()[body.free], volumes]))
-    expected = whole(body.tangent(u.reshape(-1, 3), p)) @ direction[:, 0]
+    expected = whole(body.tangent(u, p)) @ direction[:, 0]
     assert np.abs((found[1] - found[0]) / 2e-5 - expected).max() < 1e-6 * np.abs(expected).max()

@@ -16,6 +16,7 @@ from fem.pictures.parts import sensor_parts, solve_scene_parts
 from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.tetrahedra.mixed import Elements, taylor_hood
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Material, Pad, SensorDesign
 from tests.fem.scenes import on_tetrahedra
 
@@ -55,9 +56,10 @@ def test_the_pressure_of_the_mixed_form_is_known_from_its_displacements():
     region = (mesh.p[0, mesh.t].mean(axis=0) > 2.0).astype(np.int64)
     rubbers = [Material(), Material(young_mpa=20.0, poisson=0.3)]
     body = taylor_hood(mesh, rubbers, region)
-    forces = np.random.default_rng(0).normal(size=(body.n_displacement, 1))
-    x, _ = checked_solve(Factor(body.matrix), body.loads(forces))
-    u = body.displacements(x).reshape(-1, 3, 1)
+    system = TetrahedralSystem(body, [])
+    forces = system.rest_loads(np.random.default_rng(0).normal(size=(1, body.n_nodes, 3)))
+    x, _ = checked_solve(Factor(body.upper, upper=True), forces)
+    u = system.displaced(x).transpose(1, 2, 0)
     field = Field(mesh=Elements.of_basis(body.basis, region), displacement_mm=u, material=rubbers)
     given = x[len(body.free) :]
     assert np.abs(field.mixed_pressure(u) - given).max() < 1e-9 * np.abs(given).max()

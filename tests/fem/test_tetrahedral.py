@@ -12,7 +12,7 @@ from fem.scene.loads import StiffLoad
 from fem.scene.scene import Inclusion, Prism, Probe, Scene, Sensor
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.adapted import largest_contributors, residuals, with_edges_across
+from fem.tetrahedra.adapted import residuals, with_edges_across
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.cad import unit_solid
@@ -96,33 +96,22 @@ def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
     assert solution.error_estimate / 3 < error < 3 * solution.error_estimate
 
 
-@BOTH
-def test_a_dragged_pillar_bends_as_timoshenko_says(planned):
+def test_a_dragged_pillar_bends_as_timoshenko_says():
     """P L³/3EI + P L/κGA, κ = 5/6, for a pillar eight times as long as wide; ν = 0 keeps the clamp out of it."""
     text = PILLAR.replace("0.49", "0.0").replace("[10.0, 0.0, 10.0]", "[0, 0, 16.0]").replace("[10.0, 0.0]", "[0, 0]")
     scene = replace(scene_from_toml(text.replace("[0.0, 0.0, -0.01]", "[0.001, 0.0, 0.0]")), tolerance=2e-2)
     E, P, L = 6.1, 0.001 * 4, 16.0
     tip = P * L**3 / (3 * E * 16 / 12) + P * L / (5 / 6 * E / 2 * 4)
-    assert np.allclose(follow(planned(scene), scene).probes["top"], [tip, 0, 0], rtol=2e-2, atol=1e-2)
+    assert np.allclose(solve_scene(scene)[0].probes["top"], [tip, 0, 0], rtol=2e-2, atol=1e-2)
 
 
 def test_answers_go_with_the_load():
-    """Twice the load, twice the answer, from 1e-9 to 1e9: the same mesh, the same estimate."""
-    scene = replace(scene_from_toml(PILLAR), tolerance=0.1)
-    first, *others = (
-        solved(replace(scene, loads=(replace(scene.loads[0], traction_mpa=(0.0, t / 2, -t)),)))
-        for t in (1.0, 1e-9, 1e9)
-    )
-    for t, other in zip((1e-9, 1e9), others, strict=True):
-        assert np.allclose(other.probes["top"], t * first.probes["top"], rtol=1e-8)
-        assert np.isclose(other.energy_mj, t**2 * first.energy_mj, rtol=1e-8)
-        assert np.isclose(other.error_estimate, first.error_estimate, rtol=1e-3)
-
-
-def test_no_load_on_tetrahedra_is_no_answer_but_zero():
-    solution = solved(pressed_block((6.0, 5.0, 4.0), Material(), traction_mpa=(0.0, 0.0, 0.0)))
-    assert all(not u.any() for u in solution.probes.values())
-    assert (solution.error_estimate, solution.energy_mj) == (0.0, 0.0)
+    """1e9 times the load, so much the answer: the same mesh, the same estimate."""
+    scene = replace(scene_from_toml(PILLAR), tolerance=0.5)
+    one, other = (solved(replace(scene, loads=(scene.loads[0].times(t),))) for t in (1.0, 1e9))
+    assert np.allclose(other.probes["top"], 1e9 * one.probes["top"], rtol=1e-8)
+    assert np.isclose(other.energy_mj, 1e18 * one.energy_mj, rtol=1e-8)
+    assert np.isclose(other.error_estimate, one.error_estimate, rtol=1e-3)
 
 
 def test_more_than_the_limit_is_not_tried(monkeypatch):
@@ -137,12 +126,11 @@ def test_more_than_the_limit_is_not_tried(monkeypatch):
 @pytest.mark.parametrize(
     "prisms",
     [
-        [],
         [Prism(base_mm=(3.0, 5.0, 0.0), top_mm=(8.0, 5.0, 6.0), section_mm=(2.0, 2.0))],
         [Prism(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 7.0, 4.0), section_mm=(1.0, 0.5)),
          Prism(base_mm=(8.5, 5.0, 2.0), top_mm=(6.0, 5.0, 5.0), section_mm=(1.0, 3.0))],
     ],
-    ids=["none", "through", "two that end inside"],
+    ids=["through", "two that end inside"],
 )  # fmt: skip
 def test_every_face_is_where_it_belongs(prisms):
     """Volumes of the body and of prisms that do not cut each other are exact, and the outline is made of planes."""
@@ -158,6 +146,7 @@ def test_every_face_is_where_it_belongs(prisms):
     assert np.any(on_plane, axis=0).all()
 
 
+@pytest.mark.long  # in short: prisms that do not cut each other, above; the sensor's own mesh in tests/geometry
 def test_pillars_of_a_unit_are_meshed_as_their_union():
     """The three pillars overlap at two electrodes: the union has the volume of the CAD solid."""
     sensor = Sensor(kind="unit")
@@ -193,18 +182,6 @@ def test_a_pressure_may_jump_at_an_interface():
     assert body.n_pressure == whole.n_pressure + 9  # the interface's corners count twice
 
 
-def test_gradients_at_the_corners_are_exact(disordered_cube):
-    """A quadratic field has the gradient of its closed form at every corner."""
-    body = taylor_hood(disordered_cube, [Material()], np.zeros(disordered_cube.nelements, dtype=int))
-    x, y, z = body.points_mm.T
-    u = np.stack([z + x * y, 2 * x - z**2, y + x**2 - y * z]).T
-    gradient = body.elements.corner_gradients(u)
-    X, Y, Z = disordered_cube.p[:, disordered_cube.t]
-    zero, one = np.zeros_like(X), np.ones_like(X)
-    exact = [[Y, X, one], [2 * one, zero, -2 * Z], [2 * X, one - Z, -Y]]
-    assert np.allclose(gradient, np.array(exact).transpose(3, 2, 0, 1), atol=1e-11)
-
-
 def test_an_exact_answer_leaves_no_residual(disordered_cube):
     """Uniaxial compression balances inside, across every face and with its load; half of the load is missed."""
     rubber, region = Material(young_mpa=2.0, poisson=0.3), np.zeros(disordered_cube.nelements, dtype=int)
@@ -213,13 +190,7 @@ def test_an_exact_answer_leaves_no_residual(disordered_cube):
     p = np.full(body.n_pressure, rubber.lame_mpa[0] * (2 * 0.3 - 1) / 2.0)
     for pressure, missing in ((-1.0, False), (-0.5, True)):
         load = np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[0.0, 0.0, pressure]])
-        found = residuals(body, u.ravel(), p, *load, np.empty((0, 4)))
+        found = residuals(body, u, p, *load, np.empty((0, 4)))
         at_top = disordered_cube.p[2, disordered_cube.t].max(axis=0) == 10.0
         assert found[~at_top].max() < 1e-20
         assert (found.max() > 1e-3) == missing
-
-
-def test_marking_takes_the_fewest_that_hold_the_share():
-    indicators = np.array([1.0, 5.0, 0.0, 3.0, 1.0])
-    assert sorted(largest_contributors(indicators, 0.75)) == [1, 3]
-    assert sorted(largest_contributors(indicators, 0.4)) == [1]

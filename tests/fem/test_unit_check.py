@@ -9,6 +9,7 @@ from fem.array.unit_check import check_unit, meshed_response
 from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.patch import patch_means
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh
@@ -38,9 +39,10 @@ def test_two_assemblies_are_one_system():
     response = meshed_response(design, mesh)
     body = of_rubbers(design, mesh)
     pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
-    x, _ = checked_solve(Factor(body.matrix), body.loads(pads.T.toarray()))
-    expected = (electrodes @ body.displacements(x)).reshape(response.influence_mm_per_n.shape)
-    assert response.unknowns == body.matrix.shape[0]
+    system = TetrahedralSystem(body, [])
+    x, _ = checked_solve(Factor(body.upper, upper=True), system.rest_loads(pads.toarray().reshape(6, -1, 3)))
+    expected = (electrodes @ system.displaced(x).reshape(6, -1).T).reshape(response.influence_mm_per_n.shape)
+    assert response.unknowns == system.n_unknowns
     assert response.residual < 1e-12
     assert np.abs(response.influence_mm_per_n - expected).max() < 1e-11 * np.abs(expected).max()
     own = response.influence_mm_per_n[0, 0, :, :, 0, 0, :]  # (electrode, axis, load axis)

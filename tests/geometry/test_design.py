@@ -1,6 +1,7 @@
 """The design's defaults are the paper's sensor, and every nonsense value is refused in one clear line."""
 
 import re
+import reprlib
 from dataclasses import fields, replace
 
 import pytest
@@ -55,7 +56,7 @@ OFF = "pad size_mm={}.*pads may touch, not overlap; shrink the pad or raise pitc
 OFFSETS = ({"offset_x_mm": 1.6}, {"offset_x_mm": -1.6}, {"offset_y_mm": 1.6})
 MERGED = "span_mm={} lets pillars or electrodes.*it must be above.*widen the span or thin the pillars"
 REFUSED = [
-    *((kind, {name: value}, re.escape(f"{name}={value!r}{says}")) for kind, name, value, says in BOUNDED),
+    *((kind, {name: value}, re.escape(f"{name}={reprlib.repr(value)}{says}")) for kind, name, value, says in BOUNDED),
     (Array, {"rows": 256}, "rows=256, cols=6 must be at most 255"),
     *(
         (Material, {"poisson": value}, f"poisson={value:g} must be from 0 to below 0.5.*write 0.49")

@@ -18,11 +18,9 @@ RATE_HZ, N = 150, 300  # of the 2 s that a tare takes
 def test_a_quiet_converter_is_trusted_to_its_steps(mode):
     """Without scatter all that is left are steps: the true errors' median is about what is said."""
     crossbar = Crossbar.suited(mode, bits=10)
-    states = REST_OHM * np.random.default_rng(0).uniform(0.8, 1.05, (30, 6, 6, 3))
     errors, said = [], []
-    for state in states:
-        counts = np.repeat(crossbar.counts(state[None]), 5, axis=0)
-        mean_ohm, noise = averaged(counts, crossbar)
+    for state in REST_OHM * np.random.default_rng(0).uniform(0.8, 1.05, (30, 6, 6, 3)):
+        mean_ohm, noise = averaged(np.repeat(crossbar.counts(state[None]), 5, axis=0), crossbar)
         errors.append(np.abs(mean_ohm / state - 1))
         said.append(noise)
     # of an even distribution, half lies within 0.87 deviations; of a normal one, within 0.67
@@ -55,17 +53,8 @@ def counts_of(ohms, crossbar, generator):
     return crossbar.counts(ohms * generator.uniform(0.95, 1.05, (6, 6, 3)), generator)
 
 
-@pytest.mark.parametrize(
-    ("mode", "bits", "noise"),
-    [
-        (ScanMode.ZERO_POTENTIAL, 10, 0.0),
-        (ScanMode.ZERO_POTENTIAL, 10, 3e-4),
-        (ScanMode.ZERO_POTENTIAL, 10, 2e-3),
-        (ScanMode.ZERO_POTENTIAL, 16, 1e-4),
-        (ScanMode.GROUNDED, 10, 3e-4),
-        (ScanMode.DIVIDER, 10, 3e-4),
-    ],
-)
+@pytest.mark.parametrize("mode", list(ScanMode))
+@pytest.mark.parametrize(("bits", "noise"), [(10, 0.0), (10, 3e-4), (16, 1e-4)])
 def test_rest_is_rarely_taken_for_motion(mode, bits, noise):
     """One in a thousand is promised; of 200, three or more would come once in a thousand times."""
     generator = np.random.default_rng(0)
@@ -78,14 +67,14 @@ def test_rest_is_rarely_taken_for_motion(mode, bits, noise):
     assert alarms <= 2
 
 
-@pytest.mark.parametrize("period_s", [0.3, 0.5, 1.0, 2.0, 6.0, 20.0])
+@pytest.mark.parametrize("period_s", [0.3, 1.0, 6.0, 20.0])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_an_indenter_that_moves_is_seen(period_s, noise):
     """From whatever moment on, if it moves within these two seconds: by 6 % of a resistance for each MPa."""
     generator = np.random.default_rng(1)
     crossbar = Crossbar(noise=noise)
     script = PressAndSlide(seconds=period_s)
-    for start_s in generator.uniform(0.0, period_s, 20):
+    for start_s in generator.uniform(0.0, period_s, 10):
         traction = script.tractions(start_s + np.arange(N) / RATE_HZ, SensorDesign())
         ohms = REST_OHM * (1.0 + 0.06 * traction[:, :, 2].reshape(N, 6, 6, 1))
         moved = movement(counts_of(ohms, crossbar, generator), crossbar, RATE_HZ)
@@ -93,27 +82,22 @@ def test_an_indenter_that_moves_is_seen(period_s, noise):
             assert moved
 
 
-def test_the_pillar_that_moves_most_is_named():
-    ohms = np.repeat(REST_OHM[None], N, axis=0)
-    ohms[:, 2, 3, 1] *= np.linspace(1.0, 0.9, N)
-    counts = counts_of(ohms, Crossbar(), np.random.default_rng(2))
-    with pytest.raises(FileFormatError, match=r"pillar x of row 2, col 3 changes by 9\.?\d* % within 2 s.* force=True"):
-        require_still(counts, Crossbar(), RATE_HZ, 2.0)
-
-
-def test_noise_that_scans_share_is_no_motion():
-    """A board of 1000 Hz that averages over 5 ms."""
+def test_the_pillar_that_moves_most_is_named_and_noise_that_scans_share_is_no_motion():
+    """The latter as of a board of 1000 Hz that averages over 5 ms."""
+    ohms = np.repeat(REST_OHM[None], 400, axis=0)
     crossbar = Crossbar(noise=1e-3)
     generator = np.random.default_rng(3)
-    counts = np.repeat(counts_of(np.repeat(REST_OHM[None], 400, axis=0), crossbar, generator), 5, axis=0)
-    assert movement(counts, crossbar, 1000) is None
+    assert movement(np.repeat(counts_of(ohms, crossbar, generator), 5, axis=0), crossbar, 1000) is None
+    ohms[:, 2, 3, 1] *= np.linspace(1.0, 0.9, 400)
+    counts = counts_of(ohms, Crossbar(), generator)
+    with pytest.raises(FileFormatError, match=r"pillar x of row 2, col 3 changes by 9\.?\d* % within 2 s.* force=True"):
+        require_still(counts, Crossbar(), RATE_HZ, 2.0)
 
 
 @pytest.mark.parametrize("rate_hz", [1, 10, 150, 1000])
 def test_so_many_scans_are_enough_and_fewer_are_refused(rate_hz):
     n, crossbar = min_scans(rate_hz), Crossbar()
-    ohms = REST_OHM * np.linspace(1.0, 0.9, n)[:, None, None, None]
-    counts = crossbar.counts(ohms)
+    counts = crossbar.counts(REST_OHM * np.linspace(1.0, 0.9, n)[:, None, None, None])
     assert movement(counts, crossbar, rate_hz)
     with pytest.raises(FileFormatError, match=rf"{n - 1} scans within 2 s are too few .*: give seconds=\d"):
         require_still(counts[1:], crossbar, rate_hz, 2.0)

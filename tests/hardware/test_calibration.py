@@ -1,4 +1,4 @@
-"""Gain, offset and rest of a sensor: found from known loads, applied, written, and refused where they do not belong."""
+"""Gain, offset and rest of a sensor: taken out, written, and refused where they make no sense."""
 
 import json
 
@@ -7,7 +7,6 @@ import pytest
 
 from geometry.errors import FileFormatError
 from geometry.storage.seal import opened_json
-from hardware.link.frames import Info
 from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
 
 SHAPE = (2, 3, 3)
@@ -32,21 +31,13 @@ def as_designed(calibration, measured_ohm):
     return calibration.as_designed_ohm(measured_ohm) * calibration.tare_factor(REST_OHM)
 
 
-def test_modelled_undoes_what_the_sensor_does():
-    calibration = a_calibration(rest_ohm=None)
-    designed = REST_OHM * np.random.default_rng(2).uniform(0.6, 1.0, (5, *SHAPE))
-    measured = calibration.gain * designed + calibration.offset_ohm
-    assert as_designed(calibration, measured) == pytest.approx(designed, rel=1e-12)
-
-
-def test_a_tare_makes_what_is_there_the_rest():
+def test_gain_offset_and_a_tare_are_taken_out():
     """A rubber whose resistivity drifted by 7 % shows the design's resistances again, at rest and pressed."""
-    fresh = a_calibration(rest_ohm=None)
-    drifted = 1.07 * REST_OHM * np.ones(SHAPE)
-    tared = fresh.tared(fresh.gain * drifted + fresh.offset_ohm)
-    pressed = np.array([0.5, 0.8, 0.9])[:, None, None, None] * drifted
-    shown = as_designed(tared, fresh.gain * pressed + fresh.offset_ohm)
-    assert shown == pytest.approx(pressed / 1.07, rel=1e-12)
+    fresh, share = a_calibration(rest_ohm=None), np.array([0.5, 0.8, 0.9])[:, None, None, None]
+    designed = share * REST_OHM * np.ones(SHAPE)
+    assert as_designed(fresh, fresh.gain * designed + fresh.offset_ohm) == pytest.approx(designed, rel=1e-12)
+    tared = fresh.tared(fresh.gain * 1.07 * REST_OHM + fresh.offset_ohm)
+    assert as_designed(tared, fresh.gain * 1.07 * designed + fresh.offset_ohm) == pytest.approx(designed, rel=1e-12)
 
 
 @pytest.mark.parametrize("open_ohm", [4.2e5, 1e9])  # 10 bits tell an open pillar of a divider from no more than this
@@ -62,11 +53,8 @@ def test_a_file_holds_all_of_it(tmp_path):
     calibration = a_calibration()
     write_calibration(calibration, tmp_path / "own.json")
     found = read_calibration(tmp_path / "own.json")
-    for name in ("gain", "offset_ohm", "rest_ohm"):
-        assert np.array_equal(getattr(found, name), getattr(calibration, name))
-    assert (found.electronics, found.serial, found.made_from) == (
-        calibration.electronics, calibration.serial, calibration.made_from,
-    )  # fmt: skip
+    for name, value in vars(calibration).items():
+        assert np.array_equal(getattr(found, name), value), name
 
 
 @pytest.mark.parametrize(
@@ -75,8 +63,9 @@ def test_a_file_holds_all_of_it(tmp_path):
         ({"kind": "spam"}, "kind 'spam'"),
         ({"version": 9}, "version 9"),
         ({"gain": [[[1.0, 1.0]]]}, "gain of shape"),
-        ({"gain": [[[0.0, 1.0, 1.0]]], "offset_ohm": [[[0.0, 0.0, 0.0]]]}, "gain that is not above 0"),
-        ({"rest_ohm": [[[1.0]]]}, "resistance at rest"),
+        ({"gain": np.zeros(SHAPE).tolist()}, "gain or a resistance at rest that is not above 0"),
+        ({"gain": np.full(SHAPE, np.nan).tolist()}, "gain or a resistance at rest that is not above 0"),
+        ({"rest_ohm": [[[1.0]]]}, "rest of (1, 1, 1)"),
         ({"electronics": {"spam": 1}}, "spam"),
         ({"electronics": {"switch_ohm": "many"}}, "switch_ohm"),
         ({"serial": "x"}, "serial"),
@@ -106,13 +95,3 @@ def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match="not a text file"):
         read_calibration(tmp_path / "x")
-
-
-def test_another_sensor_is_refused():
-    calibration = a_calibration()
-    calibration.require_for(Info(rows=2, cols=3, serial=17))
-    calibration.require_for(Info(rows=2, cols=3, serial=0))  # a board that has no number
-    with pytest.raises(FileFormatError, match="made with board 17, this is board 4"):
-        calibration.require_for(Info(rows=2, cols=3, serial=4))
-    with pytest.raises(FileFormatError, match="is of 2 × 3 units, the board of 6 × 6"):
-        calibration.require_for(Info())

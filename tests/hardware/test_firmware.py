@@ -18,7 +18,7 @@ from hardware.boards.simavr_board import FIRMWARE
 from hardware.link.board_port import Commands
 from hardware.link.frames import Errors, Frame, FrameDecoder, Info, encode
 from tests.hardware.frames_page import VECTORS
-from tests.hardware.test_frames import ERRORS, FRAMES, INFOS
+from tests.hardware.test_decoder import errors, frames, infos
 
 fuzzed = settings(max_examples=150, derandomize=True, deadline=None)
 CANARY = 0xA5
@@ -105,7 +105,7 @@ def test_vectors_and_check_value_of_the_page(library):
 
 
 @fuzzed
-@given(frame=FRAMES | INFOS | ERRORS)
+@given(frame=frames() | infos() | errors())
 def test_firmware_and_host_write_the_same_bytes(library, frame):
     assert wire_of(library, frame) == encode(frame)
 

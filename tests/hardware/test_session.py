@@ -1,5 +1,7 @@
 """A connected board: its forces live, and the summary of a recording against what was sent and what the file says."""
 
+import subprocess
+import sys
 import time
 from collections import deque
 from dataclasses import replace
@@ -14,7 +16,7 @@ from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics, Reception
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError, claimed, link_to
+from hardware.link.serial_ports import PortError, is_beginning, link_to
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
@@ -153,7 +155,8 @@ def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     """And no other: not a recording's name, not a server's; nor for longer than said but where a board begins."""
     link, looked = tmp_path / "board", []
     monkeypatch.setattr(session, "APPEARS_S", 0.01)
-    with VirtualBoard(COUNTS, INFO) as board, claimed(link):
+    monkeypatch.setattr(session, "is_beginning", lambda port: port == str(link))
+    with VirtualBoard(COUNTS, INFO) as board:
 
         def look(seconds):
             looked.append(seconds)
@@ -170,7 +173,17 @@ def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     assert len(looked) == 3
     monkeypatch.undo()
     monkeypatch.setattr(session, "APPEARS_S", 0.01)
-    with claimed(tmp_path / "never"):
-        pass
     with pytest.raises(PortError, match="no such port"), session.connect(str(tmp_path / "never")):
         pass
+
+
+def test_a_board_begins_as_soon_as_its_process_does(tmp_path, monkeypatch):
+    """Named from wherever one stands, and no longer than it lives."""
+    monkeypatch.chdir(tmp_path)
+    words = [sys.executable, "-c", "import time; time.sleep(60)", "board", "--link", "port", "--seconds", "9"]
+    with subprocess.Popen(words) as process:
+        assert is_beginning("port")
+        assert is_beginning(str(tmp_path / "port"))
+        assert not is_beginning("other")
+        process.kill()
+    assert not is_beginning("port")

@@ -121,7 +121,7 @@ def test_live_gives_the_forces_that_act(house, port):
     assert net == pytest.approx(found.sum(axis=(1, 2)), rel=1e-5, abs=1e-3)  # both are rounded
 
 
-@pytest.mark.skipif(not (find_spec("foxglove") and find_spec("rerun")), reason="they are extras")
+@pytest.mark.skipif(not (find_spec("websockets") and find_spec("rerun")), reason="they are extras")
 def test_live_shows_every_scan_to_viewers_and_says_who_can_see_it(house, port):
     streams = "--foxglove-at", "127.0.0.1:0", "--mcap", "shown.mcap", "--rrd", "shown.rrd"
     done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "0.3", *streams)
@@ -165,8 +165,9 @@ def test_record_replay_and_export(house, port):
     for suffix in (".nc", ".mcap") if find_spec("mcap") else (".nc",):
         converted = house.result("export", name, "-o", f"press{suffix}")
         assert converted["frames"] == len(both.sequence)
-        again = house.result("replay", f"press{suffix}", "--model", MODEL, "--out", f"forces{suffix}")
+        again = house.result("replay", name, "--model", MODEL, "--out", f"forces{suffix}")
         assert again["frames"] == len(both.sequence)
+    assert "an export for other programs" in house.refusal("replay", "press.nc", "--model", MODEL)
     assert "add --out FILE.mcap" in house.refusal("replay", name, "--model", MODEL, "--ros2", "--out", "forces.nc")
     if find_spec("mcap_ros2"):
         house.result("replay", name, "--model", MODEL, "--ros2", "--out", "ros2.mcap")

@@ -11,28 +11,27 @@ from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.model_file import read_model
-from fem.array.sensitivities import ResponseSensitivities
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
-from tests.decoupler.synthetic_sensor import response, sensor
+from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.house import House
-from tripillar.face import identifying, twins
+from tripillar.face import identifying
 from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
-SENSITIVITIES = ResponseSensitivities(
-    design=DESIGN,
-    parameters=("rubber.young_mpa",),
-    deviation=np.array([0.61]),
-    influence_mm_per_n=-RESPONSE.influence_mm_per_n[None] / 6.1,
-)
+SENSITIVITIES = softness(DESIGN)
 LOADS = """load,kind,row,col,fx_n,fz_n,error,tilt,share
 rest,nothing,,,,,,,
 all,plate,,,,3600,0,0,0
 one,pad,1,1,40,400,0.1 %,0,
 two,pad,0,2,,60 kg,0.1 %,0,
 """
+
+
+def pressed(n):
+    """Forces (n, 3, 3, 3) [N]."""
+    return np.random.default_rng(0).uniform(0.0, 1.0, (n, 3, 3, 3)) * [50.0, 50.0, 500.0]
 
 
 def shown(force_n):
@@ -48,7 +47,7 @@ def _derivatives(design, tolerances=None):
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(twins, "with_derivatives", _derivatives)
+    monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
@@ -72,18 +71,13 @@ def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
     assert errors == sorted(errors, reverse=True)
     fewer = house.result(*IDENTIFY, "--data", "pairs.csv", "--pairs", "2", "--next", "1")
     assert fewer["next"][0]["error_before"] > errors[0]
-
-
-def test_without_pairs_it_says_where_to_begin(house):
-    """Of a table of loads that one can make only these are proposed, each once."""
-    told = house.result(*IDENTIFY, "--next", "9", "--have", "loads.csv")
-    assert {each["load"] for each in told["next"]} == {"rest", "all", "one", "two"}
-    assert len(told["next"]) == 4
+    # without pairs each load that can be made is proposed once
+    begin = house.result(*IDENTIFY, "--next", "9", "--have", "loads.csv")
+    assert sorted(each["load"] for each in begin["next"]) == ["all", "one", "rest", "two"]
 
 
 def test_a_data_set_without_a_design_decides_alone(house):
-    """And `--next` has nothing to go by."""
-    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (300, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    force_n = pressed(300)
     Samples(force_n=force_n, resistance_ohm=shown(force_n)).write(house.folder / "many.nc")
     told = house.result("identify", "--data", "many.nc", "-o", "flat.safetensors", "-q")
     assert told["parameters"] == {}
@@ -92,23 +86,9 @@ def test_a_data_set_without_a_design_decides_alone(house):
     assert "give --design" in house.refusal("identify", "--data", "many.nc", "--next", "1", "-q")
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
-        (("--data", "pairs.csv", "-o", "sensor.safetensors", "--twin", "sensor.toml"), "is read by this command"),
-        (("--next", "1", "--have", "pad:5lb"), "'pad:5lb' is no load that one can have: write kind:size such as"),
-        (("--next", "1", "--have", "string:3kg"), "a string pulls on a weight: add pad:15kg"),
-        (("--next", "1", "--have", "pad:3000kg"), "29419.9 N on a pad is 204 MPa, more than 20"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(house, words, says):
-    assert says in house.refusal(*IDENTIFY, *words)
-
-
 def test_doubtful_pairs_are_refused_unless_forced(house):
     """Forces of contacts are no tractions on pads; and 60 kg are stated whose readings are those of nothing."""
-    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (6, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    force_n = pressed(6)
     pairs = Samples(force_n=force_n, resistance_ohm=shown(force_n), design=DESIGN, made_from={"protocol": "indent"})
     pairs.write(house.folder / "indent.nc")
     table = (house.folder / "pairs.csv").read_text().splitlines()
@@ -127,7 +107,7 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
 
 def test_a_pillar_that_has_come_to_be_stuck_counts_as_dead(house):
     """Its gain would be nearly 0, and whatever it reads a wild force."""
-    force_n = np.random.default_rng(0).uniform(0.0, 1.0, (30, 3, 3, 3)) * [50.0, 50.0, 500.0]
+    force_n = pressed(30)
     stuck_ohm = shown(force_n)
     stuck_ohm[:, 1, 2, 0] = 9000.0
     Samples(force_n=force_n, resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
@@ -159,10 +139,24 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
 
 
-def test_data_of_another_array_are_refused(house):
+def test_what_makes_no_sense_is_refused(house):
+    identify = ("identify", "-q", "--design")
+    for words, says in (
+        (("sensor.toml", "--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
+        (
+            ("sensor.toml", "--data", "pairs.csv", "-o", "m.safetensors", "--twin", "sensor.toml"),
+            "is read by this",
+        ),
+        (
+            ("sensor.toml", "--next", "1", "--have", "pad:5lb"),
+            "'pad:5lb' is no load that one can have: write",
+        ),
+        (("sensor.toml", "--next", "1", "--have", "string:3kg"), "a string pulls on a weight: add pad:15kg"),
+        (("sensor.toml", "--next", "1", "--have", "pad:3000kg"), "29419.9 N on a pad is 204 MPa, more than 20"),
+        (("small.toml", "--data", "pairs.csv", "-o", "m.safetensors"), "3 × 3 units, the design has 1 × 2"),
+    ):
+        assert says in house.refusal(*identify, *words)
     pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
     with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
         identifying.identify(pairs, DESIGN, finite=other)
-    words = "identify", "--data", "pairs.csv", "--design", "small.toml", "-o", "m.safetensors", "-q"
-    assert "3 × 3 units, the design has 1 × 2" in house.refusal(*words)

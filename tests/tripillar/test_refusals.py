@@ -53,7 +53,7 @@ cad --out cad --design data.nc -> data.nc: not a text file
 solve small.toml -> the table [body] is missing
 solve sphere.toml -> kind='sphere' is unknown; it must be one of block, pillar, unit, array
 solve idle.toml --json --vtu never.vtu -> add a [[probe]]
-solve pillar.toml --tolerance 0 -> --tolerance 0 must be a number above 0
+solve pillar.toml --tolerance 0 -> --tolerance 0.0 must be a number above 0
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
 press --shape sphere --radius 5 --depth 0 -> must be above 0
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
@@ -110,9 +110,9 @@ identify --as-designed --port text.txt -o x.json --loads place.csv --noise 2 -> 
 identify --as-designed --data data.nc -o x.json -> a data set has no circuit
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
 export data.nc -o x.md --precision float -> --precision is for models
-export data.nc -> give --to parquet, csv or card, or --out FILE
+export data.nc -> --out is missing
 export text.txt -o y.nc -> text.txt: no valid frame in 6 bytes
-export text.txt -o y.txt -> must be a file that ends in .nc, .mcap or .csv
+export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
 view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
 view small.toml --save x.png --pressure 1 1 -> at most 6 different values
@@ -121,7 +121,7 @@ view block.toml --save x.png --pressure 3 -> has its own loads
 view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
 view small.toml --serve --save x.png -> the page of --serve has controls of its own: leave --save out
 view small.toml --serve --port board -> --port needs --model
-view --serve --calibration own.json -> --calibration is of a sensor
+view --serve --calibration text.json -> --calibration is of a sensor
 view --serve --host 192.0.2.1 -> cannot listen on 192.0.2.1
 view small.toml --serve --http-port 99999 -> --http-port 99999 must be from 0
 view idle.toml --design small.toml --save x.png -> both say what to show: give one of them
@@ -146,7 +146,7 @@ live text.txt --model model.safetensors --rate 20 -> a recording has the rate th
 live text.txt --model model.safetensors --describe -> add --json, or leave --describe out
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 record missing -o y.frames --seconds -1 -> --seconds -1 must be above 0 s
-record missing -o y.nc -> record to y.frames, then 'tripillar export' makes y.nc of it
+record missing -o y.nc -> --out y.nc must be a file that ends in .frames
 replay text.txt --model model.safetensors -> no valid frame in 6 bytes
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
 replay text.txt --model model.safetensors --speed 1 --no-crosstalk -> --speed only shows forces

@@ -1,18 +1,27 @@
 """Touch on the command line and live: `train --touch`, `evaluate`, `live` and `replay` with its file."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
 import tripillar as tp
-from dataset import read_samples
+from dataset import DatasetSettings, read_samples, simulate
+from decoupler.data.pairs import Pairs
+from decoupler.twin import identify
+from fem.array.closed_forms import layer_response
 from hardware.link.frames import Info, ScanMode
+from tests.decoupler.synthetic_sensor import layer_sensitivities
 from tests.hardware.boards import recording_from_resistances
-from tests.house import House
+from tests.house import SMALL, House
 
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700)
+READ = ("--noise", "0.001", "--bits", "12", "-q", "-o")
+INDENT = ("dataset", "--protocol", "indent", "--samples", "12", "--seed", "5")
+PADS = ("dataset", "--protocol", "three-axis", "--samples")
+TRAIN = ("train", "--touch", "-q", "--design")
 
 
 @pytest.fixture(scope="module")
@@ -21,20 +30,16 @@ def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("decoupler.touch.library.PRESSES", 60)
-        patch.setattr("decoupler.touch.library.OWN", 5)
-        made = house.result("train", "--touch", "--design", "small.toml", "-o", "touch.safetensors", "-q")
+        patch.setattr("decoupler.touch.library.OWN", 3)
+        made = house.result(*TRAIN, "small.toml", "-o", "touch.safetensors")
         assert 30 < made["presses"] <= 60
-        trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
-        more = house.result(
-            "train", "--touch", "--shape", "tool.stl", "--design", "small.toml", "-o", "t.safetensors", "-q"
-        )
-        assert made["presses"] < more["presses"] <= made["presses"] + 5
         assert made["rows"] > 3 * made["presses"]
-        assert house.result("train", "--touch", "--design", "small.toml", "-o", "t.safetensors", "-q")["reused"]
-    house.result(
-        "dataset", "--protocol", "indent", "--samples", "12", "--seed", "5", "--noise", "0.001", "--bits", "12",
-        "--design", "small.toml", "-o", "indent.nc", "-q",
-    )  # fmt: skip
+        assert house.result(*TRAIN, "small.toml", "-o", "t.safetensors")["reused"]
+        trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
+        patch.setattr("decoupler.touch.library.PRESSES", 2)
+        own = house.result(*TRAIN, "small.toml", "--shape", "tool.stl", "-o", "t.safetensors")
+        assert 2 < own["presses"] <= 5
+    house.result(*INDENT, "--design", "small.toml", *READ, "indent.nc")
     return house
 
 
@@ -71,65 +76,50 @@ def test_a_recording_is_replayed_and_shown_with_it(house):
 
 
 def test_what_a_decoder_of_touch_cannot_is_refused(house):
-    said = house.refusal("export", "--model", "touch.safetensors", "-o", "m.h")
-    assert "is a decoder of touch: export takes a model of loads on pads" in said
     (house.folder / "text.stl").write_text("no solid")
+    large = simulate(layer_response(tp.SensorDesign()), DatasetSettings(protocol="three-axis", samples=2)).labels()
+    tp.write(large, house.folder / "large.nc")
+    touch = ("--model", "touch.safetensors")
     for words, told in (
-        (("--touch", "--shape", "none.stl"), "there is no such file"),
-        (("--touch", "--shape", "text.stl"), "holds no triangles"),
-        (("--data", "indent.nc", "--shape", "tool.stl"), "is of decoders of touch"),
+        (("export", *touch, "-o", "m.h"), "is a decoder of touch: export takes a model of loads on pads"),
+        (("train", "--touch", "--shape", "none.stl", "-o", "n.safetensors"), "there is no such file"),
+        (("train", "--touch", "--shape", "text.stl", "-o", "n.safetensors"), "holds no triangles"),
+        (("train", "--data", "indent.nc", "--shape", "tool.stl", "-o", "n.safetensors"), "is of decoders of touch"),
+        (("evaluate", *touch, "--data", "large.nc"), "rows: model 1, data 6"),
     ):
-        assert told in house.refusal("train", *words, "-o", "none.safetensors")
-    tp.write(tp.dataset(tp.SensorDesign(), samples=5), house.folder / "large.nc")
-    assert "rows: model 1, data 6" in house.refusal("evaluate", "--model", "touch.safetensors", "--data", "large.nc")
+        assert told in house.refusal(*words)
 
 
 def test_a_decoder_of_pads_says_that_contacts_are_none_of_its_loads(house):
-    made = (
-        "dataset",
-        "--protocol",
-        "three-axis",
-        "--samples",
-        "60",
-        "--noise",
-        "0.001",
-        "--bits",
-        "12",
-        "--design",
-        "small.toml",
-        "-q",
-        "-o",
-    )
     for seed in ("1", "2"):
-        house.result(*made, f"pads{seed}.nc", "--seed", seed)
+        house.result(*PADS, "60", "--seed", seed, "--design", "small.toml", *READ, f"pads{seed}.nc")
     house.result("train", "--data", "pads1.nc", "-o", "pads.safetensors", "-q")
-    tested = {
+    said = {
         name: house.tripillar("evaluate", "--model", "pads.safetensors", "--data", name, "-q").stderr
         for name in ("pads2.nc", "indent.nc")
     }
-    assert "warning" not in tested["pads2.nc"]
-    assert "of these readings, so errors of pads.safetensors are large" in tested["indent.nc"]
-    assert "seem" not in tested["indent.nc"]  # no mistake is named that explains nothing
+    assert "warning" not in said["pads2.nc"]
+    assert "of these readings, so errors of pads.safetensors are large" in said["indent.nc"]
+    assert "seem" not in said["indent.nc"]  # no mistake is named that explains nothing
 
 
 def test_a_sensor_as_made_is_felt_by_its_twin(house, monkeypatch):
     """Ten pairs on pads lead to its own library and pillars; errors are as of one as designed."""
     monkeypatch.setattr("decoupler.touch.library.PRESSES", 60)
-    made = (house.folder / "small.toml").read_text()
-    (house.folder / "made.toml").write_text(f"{made}[unit]\nheight_mm = 10.3\n")
-    as_made = (
-        "--gain-spread", "0.1", "--offset", "40", "--specimen", "3", "--noise", "0.001", "--bits", "12",
-        "--design", "made.toml", "-q",
-    )  # fmt: skip
-    house.result("dataset", "--protocol", "three-axis", "--samples", "10", "--seed", "1", *as_made, "-o", "pairs.nc")
-    house.result("dataset", "--protocol", "indent", "--samples", "12", "--seed", "5", *as_made, "-o", "made.nc")
-    own = ("-o", "own.safetensors", "--twin", "own.toml", "-q")
-    house.result("identify", "--data", "pairs.nc", "--design", "small.toml", *own)
-    house.result("train", "--touch", "--design", "own.toml", "-o", "own-touch.safetensors", "-q")
-    found = house.result("evaluate", "--model", "own-touch.safetensors", "--data", "made.nc", "-q")
-    designed = house.result("evaluate", "--model", "touch.safetensors", "--data", "indent.nc", "-q")
+    (house.folder / "made.toml").write_text(f"{SMALL}[unit]\nheight_mm = 10.3\n")
+    meant, made = (tp.read_design(house.folder / name) for name in ("small.toml", "made.toml"))
+    specimen = {"gain_spread": 0.1, "offset_ohm": 40.0, "specimen": 3}
+    settings = DatasetSettings(protocol="three-axis", samples=10, seed=1, noise=0.001, bits=12, **specimen)
+    pairs = Pairs.of(replace(simulate(layer_response(made), settings).labels(), design=meant))
+    tp.write(identify(pairs, layer_response(meant), layer_sensitivities(meant)), house.folder / "own.toml")
+    as_made = ("--gain-spread", "0.1", "--offset", "40", "--specimen", "3", "--design", "made.toml")
+    house.result(*INDENT, *as_made, *READ, "made.nc")
+    house.result(*TRAIN, "own.toml", "-o", "own-touch.safetensors")
+    evaluate = ("evaluate", "-q", "--model")
+    found = house.result(*evaluate, "own-touch.safetensors", "--data", "made.nc")
+    designed = house.result(*evaluate, "touch.safetensors", "--data", "indent.nc")
     assert found["fz"]["rmse_n"] < 1.3 * designed["fz"]["rmse_n"]
     assert found["net"]["centre_mm"] < 1.3 * designed["net"]["centre_mm"]
-    said = house.refusal("evaluate", "--model", "touch.safetensors", "--data", "made.nc", "-q")
+    said = house.refusal(*evaluate, "touch.safetensors", "--data", "made.nc")
     assert "trained for another sensor" in said
     assert tp.read_model(house.folder / "own-touch.safetensors").is_identified

@@ -28,7 +28,7 @@ COMMANDS = {
         "run": "studying", "view": "viewing", "sweep": "studying", "doctor": "studying",
     },
     "A sensor on the table": {
-        "info": "boards", "live": "boards:watch", "record": "boards", "replay": "boards", "tare": "taring",
+        "info": "boards", "live": "boards:watch", "record": "boards", "replay": "boards", "tare": "boards",
         "board": "simulating",
     },
 }  # fmt: skip

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, is_dataclass
-from importlib import import_module
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -24,13 +23,13 @@ from docstring_parser import parse
 
 from geometry.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown, called_by
-from tripillar.face.inputs import Options, require_above_0
+from tripillar.face.inputs import options_of, require_numbers
 from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
 
 Job = Callable[..., Any]
 #: options that every command has
-COMMON = {
+COMMON: dict[str, Any] = {
     "json": Annotated[
         bool,
         Parameter(
@@ -56,9 +55,11 @@ class Typed(Caller):
 
     answers: list[tuple[Callable[[], dict[str, Any]], Shown, Sequence[Path], int]] = field(default_factory=list)
 
-    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | None, code: int = 0) -> None:
+    def answer(
+        self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | str | None, code: int = 0
+    ) -> None:
         """Keep the answer for `show`."""
-        self.answers.append((result, text, [path for path in files if path is not None], code))
+        self.answers.append((result, text, [Path(path) for path in files if path is not None], code))
 
     def tell(self, *lines: str) -> None:
         """Print lines on how the job is done, where they are in nobody's way."""
@@ -85,7 +86,7 @@ class Typed(Caller):
 
 
 def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
-    """Parameters of a job, those of its `Options` in place of what holds them."""
+    """Parameters of a job that are typed, those of its `Options` in place of what holds them."""
     for given in inspect.signature(job).parameters.values():
         if given.kind is not given.VAR_KEYWORD:
             yield given
@@ -94,70 +95,49 @@ def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
             for name in options.names:
                 hint = options.shown.get(name, theirs[name].annotation)
                 yield theirs[name].replace(kind=given.KEYWORD_ONLY, annotation=hint)
-
-
-def options_of(given: inspect.Parameter) -> list[Options]:
-    """The options of another function or dataclass that a parameter holds."""
-    said = get_args(given.annotation) if get_origin(given.annotation) is Annotated else ()
-    return [each for each in said if isinstance(each, Options)]
+    if inspect.isgeneratorfunction(inspect.unwrap(job)):
+        yield inspect.Parameter("seconds", inspect.Parameter.KEYWORD_ONLY, default=math.inf, annotation=SECONDS)
+    for name, hint in COMMON.items():
+        default = False if name == "json" else None
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
 def command_of(job: Job) -> Callable[..., int]:
     """The command of a job, whose signature and docstring the parser reads."""
     told, parameters, flags = meanings(job), [], {}
-    absent: dict[str, Any] = {}  # of what Python must be given and a command need not
     for given in parameters_of(job):
-        hint, marks = hoisted(given.annotation)
+        is_marked = get_origin(given.annotation) is Annotated
+        hint, *marks = get_args(given.annotation) if is_marked else (given.annotation,)
         if any(mark.parse is False for mark in marks):
             continue
         is_argument = given.kind is given.POSITIONAL_ONLY
-        default = given.default
-        if default is given.empty and any(mark.required is False for mark in marks):
-            default = absent[given.name] = None
         name = next((next(iter(mark.name)) for mark in marks if mark.name), flag_of(given.name))
         flags[given.name] = given.name if is_argument else name
         names = () if is_argument else ("--out", "-o") if name == "--out" else (name,)
-        shown = not (default is None or default in ((), math.inf) or isinstance(default, bool))
         own = Parameter(
             name=names or None,
             negative=(),
             help=told.get(given.name),
-            show_default=shown,
+            show_default=not (given.default in (None, (), math.inf) or isinstance(given.default, bool)),
             converter=whole if hint in WHOLE else None,
         )
-        parameters.append(
-            inspect.Parameter(
-                given.name,
-                given.POSITIONAL_ONLY if is_argument else given.KEYWORD_ONLY,
-                default=default,
-                annotation=Annotated[hint, own, *marks],
-            )
-        )
-    serves = inspect.isgeneratorfunction(inspect.unwrap(job))
-    common = ({"seconds": SECONDS} if serves else {}) | COMMON
-    flags |= {name: flag_of(name) for name in common}
-    defaults = {"seconds": math.inf, "json": False, "verbosity": None}
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint)
-        for name, hint in common.items()
-    ]
+        kind = given.POSITIONAL_ONLY if is_argument else given.KEYWORD_ONLY
+        parameters.append(given.replace(kind=kind, annotation=Annotated[hint, own, *marks]))
 
-    def command(*arguments: Any, **options: Any) -> int:
-        as_json, verbosity = options.pop("json", False), options.pop("verbosity", None)
-        seconds = options.pop("seconds", math.inf) if serves else math.inf
+    def command(*arguments: Any, json: bool = False, verbosity: bool | None = None, **options: Any) -> int:
         bars = Bars(quiet=verbosity is False, verbose=verbosity is True)
-        typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=as_json, is_typed=True)
+        typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=json, is_typed=True)
         with refusals(flags), called_by(typed):
-            if serves:
-                require_above_0(seconds=seconds)
-                with job(*arguments, **absent | options):
-                    with bars:
-                        pass
-                    typed.show(indent=None)
+            if inspect.isgeneratorfunction(inspect.unwrap(job)):
+                seconds = options.pop("seconds", math.inf)
+                require_numbers({"seconds": seconds})
+                with job(*arguments, **options):
+                    with bars:  # they end: what is waited for now has none
+                        typed.show(indent=None)
                     wait(seconds)
             else:
                 with bars:
-                    job(*arguments, **absent | options)
+                    job(*arguments, **options)
                 typed.show()
         return typed.end()
 
@@ -180,35 +160,15 @@ def flag_of(name: str) -> str:
 
 
 def meanings(job: Job) -> dict[str, str]:
-    """Help of each parameter by the docstring; "As of `train`", or `learning.train`, takes what is said there."""
+    """Help of each parameter by the docstrings of the job and of whatever has its options."""
     found: dict[str, str] = {}
     for options in (each for given in inspect.signature(job).parameters.values() for each in options_of(given)):
         theirs = options.meanings() if is_dataclass(options.source) else meanings(options.source)
         found |= {name: theirs[name] for name in options.names}
     for each in parse(inspect.getdoc(job) or "").params:
         text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
-        elsewhere = re.match(r"As of '(\w+\.)?(\w+)'", text)
-        others: dict[str, str] = {}
-        if elsewhere:
-            home = inspect.getmodule(job)
-            module = home if elsewhere[1] is None else import_module(f"tripillar.face.{elsewhere[1].rstrip('.')}")
-            others = meanings(getattr(module, elsewhere[2]))
-        for name in each.arg_name.split(", "):
-            found[name] = others.get(name, text)
+        found |= dict.fromkeys(each.arg_name.split(", "), text)
     return found
-
-
-def hoisted(annotation: Any) -> tuple[Any, list[Parameter]]:
-    """A type and what is said of it, also where it is said of a member of a union with None."""
-    marks: list[Parameter] = []
-    if get_origin(annotation) is Annotated:
-        annotation, *said = get_args(annotation)
-        marks += [each for each in said if isinstance(each, Parameter)]
-    if get_origin(annotation) in (Union, UnionType):
-        members = [hoisted(member) for member in get_args(annotation)]
-        annotation = Union[tuple(hint for hint, _ in members)]  # noqa: UP007  # of as many as there are
-        marks += [mark for _, inner in members for mark in inner]
-    return annotation, marks
 
 
 def whole(hint: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:

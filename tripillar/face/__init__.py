@@ -1,8 +1,8 @@
 """The jobs: each is one public function, in Python and, by its signature and docstring, on the command line.
 
-Files are inputs as good as objects (`inputs.py`); notes, progress and answers go to the caller (`caller.py`).
-`bodies.py` designs, draws and solves, `pressing.py` presses shapes, `samples.py` makes samples, `learning.py` trains
-and tests after the checks of `checks.py`, `identifying.py` finds one sensor and `taring.py` its zero, `boards.py` reads
-sensors, `simulating.py` is one, `viewing.py` shows, `studying.py` sweeps, `exporting.py` writes. Every function loads
-its stage when it is called.
+Files are inputs as good as objects, and are checked before a job begins (`inputs.py`); notes, progress and answers go
+to the caller (`caller.py`); a stage is loaded when a job first uses a name of it (`stages.py`). `bodies.py` designs,
+draws and solves, `pressing.py` presses shapes, `samples.py` makes samples, `learning.py` trains and tests after the
+checks of `checks.py`, `identifying.py` finds one sensor, `boards.py` reads and zeroes sensors, `simulating.py` is one,
+`viewing.py` shows, `studying.py` sweeps, `exporting.py` writes.
 """

@@ -3,20 +3,19 @@
 import math
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from geometry.design import Array, SensorDesign
 from geometry.design_file import design_to_toml, write_design
+from geometry.storage.files import write_bytes
+from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, require_there, to_fill, to_write
-
-if TYPE_CHECKING:
-    from fem.array.response import ArrayResponse
-    from fem.scene.solution import Solution
+from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, scene_of
 
 
+@job(out="")
 def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols) -> SensorDesign:
     """Write a design file: the paper's sensor, every number with its meaning.
 
@@ -34,14 +33,15 @@ def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array
     >>> design(rows=2, cols=3).n_units
     6
     """
-    caller, path = current(), to_write("out", out)
     sensor = SensorDesign(array=Array(rows=rows, cols=cols))
-    if path is not None:
-        write_design(sensor, path)
-    caller.answer(lambda: asdict(sensor), "" if path else design_to_toml(sensor).removesuffix("\n"), path)
+    if out is not None:
+        write_design(sensor, Path(out))
+    text = "" if out is not None else design_to_toml(sensor).removesuffix("\n")
+    current().answer(lambda: asdict(sensor), text, out)
     return sensor
 
 
+@job(out="/")
 def cad(
     design: DesignLike | None = None,
     *,
@@ -66,25 +66,20 @@ def cad(
     list of Path
         Files that were written.
     """
-    caller, folder = current(), to_fill(out)
-    sensor = design_of(design)
-    from geometry.mould import write_cad
-
-    files, note = [Path(path) for path in write_cad(sensor, folder)], ""
+    caller, sensor = current(), design_of(design)
+    files, note = [Path(path) for path in stages.write_cad(sensor, Path(out))], ""
     result: dict[str, object] = {}
     if mesh:
-        from geometry.storage.files import write_bytes
-        from tripillar.pipeline.run import meshed
-
-        stage = meshed(sensor, caller.bars)
+        stage = stages.meshed(sensor, caller.bars)
         note = stage.note
         result = {"mesh": {"reused": stage.reused, "seconds": stage.seconds, "note": note}}
-        files.append(folder / "mesh.vtu")
+        files.append(Path(out) / "mesh.vtu")
         write_bytes(files[-1], stage.files[0].read_bytes())
     caller.answer(lambda: {"files": [str(path) for path in files]} | result, note, *files)
     return files
 
 
+@job(vtu=".vtu")
 def solve(
     scene: SceneLike,
     /,
@@ -92,7 +87,7 @@ def solve(
     explain: bool = False,
     tolerance: float | None = None,
     vtu: File | None = None,
-) -> "Solution":
+) -> "stages.Solution":
     """Solve a scene: a block, pillar, unit or array under loads, to a tolerance.
 
     Parameters
@@ -127,43 +122,33 @@ def solve(
     >>> round(float(tp.solve(scene_from_dict(scene)).probes["top"][2]), 6)
     -0.2
     """
-    caller, path = current(), to_write("vtu", vtu, ".vtu", read=(scene,))
-    require_there(scene, what="a scene file; see docs/physics.md")
-    from fem.methods.plan import make_plan
-    from fem.methods.solving import beyond_linear, follow
-    from fem.scene.scene_file import read_scene
-    from fem.scene.solution import solution_as_plain, write_field
-    from tripillar.face.tables import solution_table
-
-    body = read_scene(Path(scene)) if isinstance(scene, Path | str) else scene
+    caller, body = current(), scene_of(scene)
     if tolerance is not None:
         body = replace(body, tolerance=tolerance)
-    plan = make_plan(body, field=path is not None)
+    plan = stages.make_plan(body, field=vtu is not None)
     if explain:
         caller.tell(*plan.lines)
-    solution = follow(plan, body, field=path is not None)
-    if path is not None and solution.field is not None:
-        write_field(solution.field, path)
+    solution = stages.follow(plan, body, field=vtu is not None)
+    if vtu is not None and solution.field is not None:
+        stages.write_field(solution.field, Path(vtu))
     if explain and not caller.as_json:
         caller.tell(*solution.steps)
-    far = beyond_linear(body, solution)
-    caller.answer(
-        lambda: solution_as_plain(solution, plan.lines),
-        lambda: [solution_table(solution)],
-        path,
-    )
+    plain, table = stages.solution_as_plain, stages.solution_table
+    caller.answer(lambda: plain(solution, plan.lines), lambda: [table(solution)], vtu)
     _warn_above(body.tolerance, solution.error_estimate, "; explain=True says why")
+    far = stages.beyond_linear(body, solution)
     caller.say(f"warning: {far}" if far else "")
     return solution
 
 
+@job(out="")
 def response(
     design: DesignLike | None = None,
     *,
     out: Annotated[File | None, Parameter(required=True)] = None,
     tolerance: float | None = None,
     method: Literal["cells", "layer"] = "cells",
-) -> "ArrayResponse":
+) -> "stages.ArrayResponse":
     """Compute how far a newton on each pad moves each electrode.
 
     This is the array's influence matrix. Data sets, networks and pictures are made from it; it stays in the cache.
@@ -193,27 +178,16 @@ def response(
     >>> tp.response(design).influence_mm_per_n.shape
     (1, 2, 2, 3, 1, 2, 3)
     """
-    caller, path = current(), to_write("out", out, read=(design,))
-    sensor = design_of(design)
-    from fem.array.response import write_response
-    from fem.array.solving import ResponseSettings
-    from tripillar.pipeline.run import respond
-
-    stage, solved = respond(sensor, caller.bars, ResponseSettings(method=method, tolerance=tolerance))
-    if path is not None:
-        write_response(solved, path)
-    result = {
-        "file": str(path),
-        "reused": stage.reused,
-        "seconds": solved.seconds,
-        "method": solved.method,
-        "unknowns": solved.unknowns,
-        "residual": solved.residual,
-        "error_estimate": None if math.isnan(solved.error_estimate) else solved.error_estimate,
-        "mesh_hash": solved.mesh_hash,
-    }
-    caller.answer(lambda: result, stage.note, path)
-    if tolerance is not None and result["error_estimate"] is not None:
+    caller = current()
+    settings = stages.ResponseSettings(method=method, tolerance=tolerance)
+    stage, solved = stages.respond(design_of(design), caller.bars, settings)
+    if out is not None:
+        stages.write_response(solved, Path(out))
+    names = ("seconds", "method", "unknowns", "residual", "error_estimate", "mesh_hash")
+    result = {"file": str(out), "reused": stage.reused} | {name: getattr(solved, name) for name in names}
+    is_judged = not math.isnan(solved.error_estimate)
+    caller.answer(lambda: result | ({} if is_judged else {"error_estimate": None}), stage.note, out)
+    if tolerance is not None and is_judged:
         _warn_above(tolerance, solved.error_estimate)
     return solved
 

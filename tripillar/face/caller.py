@@ -32,7 +32,9 @@ class Caller:
     as_json: bool = False  #: whether people or programs read the answer
     is_typed: bool = False  #: whether the job is a command that somebody typed
 
-    def answer(self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | None, code: int = 0) -> None:
+    def answer(
+        self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | str | None, code: int = 0
+    ) -> None:
         """Take the result for JSON, the same for people, the files written, and the exit code: Python needs none."""
 
     def tell(self, *lines: str) -> None:

@@ -9,9 +9,12 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.design_file import read_design, read_tolerances
-from geometry.errors import DesignError, require_type
+from geometry.errors import DesignError, FileFormatError, require_type
+from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
+    LINK,
+    WIRES,
     DesignLike,
     File,
     ModelLike,
@@ -19,28 +22,24 @@ from tripillar.face.inputs import (
     Protocol,
     SamplesLike,
     design_of,
-    given,
+    job,
+    model_of,
     name_of,
-    pads_model_of,
-    require_above_0,
-    require_there,
     samples_of,
     to_write,
-)
-from tripillar.face.twins import MAX_NEXT, identified, next_loads_of
+)  # fmt: skip
 
 if TYPE_CHECKING:
-    from decoupler.data.enough import AnySamples
-    from decoupler.data.pairs import Pairs
-    from decoupler.twin.identification import Twin
-    from decoupler.twin.next_load import NextLoad
-    from hardware.readout.calibration import Electronics, SensorCalibration
+    from geometry.layout import FloatArray
 
-    Tolerances = Mapping[str, float]
+    Tolerances = Mapping[str, float] | None
 else:
     Tolerances = Annotated[None, Parameter(parse=False)]  # of the command line those of the design's file
 
+MAX_NEXT = 100  #: loads that are proposed in advance
 
+
+@job(out=None, twin=None, keep=None)
 def identify(
     data: PairsLike | None = None,
     design: DesignLike | None = None,
@@ -52,21 +51,17 @@ def identify(
     keep: File | None = None,
     as_designed: bool = False,
     calibration: File | None = None,
-    switch_ohm: float | None = None,
-    line_ohm: float | None = None,
     noise: float | None = None,
     pairs: int | None = None,
     usual: Protocol | None = None,
-    tolerances: Tolerances | None = None,
-    finite: SamplesLike | None = None,
-    model: ModelLike | None = None,
+    tolerances: Tolerances = None,
+    finite: SamplesLike | ModelLike | None = None,
     next_loads: Annotated[int, Parameter(name="--next")] = 0,
     have: str | None = None,
     seconds: float = 1.0,
-    baud: int = 1_000_000,
-    timeout: float = 4.0,
     force: bool = False,
-) -> "Twin | SensorCalibration | tuple[NextLoad, ...]":
+    **more: Annotated[Any, WIRES, LINK],
+) -> "stages.Twin | stages.SensorCalibration | tuple[stages.NextLoad, ...]":
     """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
 
     One pair is enough to begin with; the design's table ``[tolerance]`` counts, and next loads alone say where to
@@ -95,8 +90,6 @@ def identify(
         Take the design as exact, and find gain and offset of each pillar alone; one load should be none at all.
     calibration : path, optional
         Calibration file to take switches and wires from; gains and tare are made anew.
-    switch_ohm, line_ohm
-        As of `taring.tare`.
     noise : float, optional
         Relative noise of a resistance, as designed; default: as measured.
     pairs : int, optional
@@ -105,10 +98,8 @@ def identify(
         Loads that it will meet; default: of a data set its own, else contact.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
-    finite : Samples, StoredSamples or path, optional
-        Samples of the design at finite strain (.nc), displacements included.
-    model : Decoupler or path, optional
-        Model of the design at finite strain, trained on such samples, in their place.
+    finite : Samples, Decoupler or path, optional
+        Samples of the design at finite strain (.nc), displacements included; or a model trained on such (.safetensors).
     next_loads : int
         Number of loads to propose to measure next.
     have : str, optional
@@ -116,10 +107,10 @@ def identify(
         a kitchen has, see docs/decoder.md.
     seconds : float
         Time to average over under each load [s].
-    baud, timeout
-        As of `boards.info`.
     force : bool
         Go on although the pairs look wrong; the decoder remembers why they did.
+    **more
+        Fields of `inputs.Wires` and `inputs.Link`.
 
     Returns
     -------
@@ -158,104 +149,87 @@ def identify(
     >>> sorted(path.name for path in folder.iterdir())
     ['own.safetensors', 'own.toml']
     """
-    caller = current()
-    read_too = (data, loads, design, finite, model)
-    _require_sense(data, port, loads, keep, out, twin, next_loads)
-    if have is not None and not next_loads:
-        raise DesignError("have= goes with next_loads= alone: it says of what the loads to propose are made.")
-    require_above_0(seconds=seconds, timeout=timeout)
-    out = to_write("out", out, ".json" if as_designed else ".safetensors", read=read_too)
-    twin = to_write("twin", twin, ".toml", read=(*read_too, out))
-    require_there(*read_too, calibration, what="what is to be read")
-    if finite is not None and model is not None:
-        raise DesignError("give finite= or model=, not both: each holds the design at finite strain.")
-    if pairs is not None and pairs < 1:
-        raise DesignError(f"pairs={pairs} must be at least 1.")
-    if not 0 <= next_loads <= MAX_NEXT:
-        raise DesignError(f"next_loads={next_loads} must be from 0 to {MAX_NEXT}.")
+    caller, read = current(), (data, loads, design, finite)
+    _require_sense(data, port, loads, keep, out, twin, next_loads, have)
+    to_write("out", out, ".json" if as_designed else ".safetensors", read)
+    to_write("twin", twin, ".toml", (*read, out))
     if noise is not None and not 0 < noise < 1:
         raise DesignError(f"noise={noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
     sensor, tolerances = _sensor(data, design, tolerances)
-    electronics = _electronics(calibration, switch_ohm, line_ohm)
-    name, serial = name_of(data or port, "samples"), 0
-    read: AnySamples | Pairs | None = None
+    known = stages.Electronics() if calibration is None else stages.read_calibration(Path(calibration)).electronics
+    electronics = replace(known, **WIRES.of(more))
+    name, serial, path = name_of(data or port, "samples"), 0, None if out is None else Path(out)
+    measured: stages.AnySamples | stages.Pairs | None = None if data is None else _pairs(data, sensor)
     if port is not None:
-        settings = {"baud": baud, "timeout": timeout}
-        beside = None if out is None or as_designed or Path(port).is_file() else out.with_suffix(".csv")
-        kept = beside if keep is None else Path(keep)
-        table = None if loads is None else Path(loads)
-        read, serial = _measured(port, table, sensor or SensorDesign(), electronics, kept, seconds, force, settings)
-    elif data is not None:
-        read = _pairs(data, sensor)
+        board = (port, None if loads is None else Path(loads), sensor or SensorDesign(), electronics)
+        if Path(port).is_file():
+            if keep is not None:
+                raise DesignError("keep= is for a board: pairs of a recording are kept already.")
+            measured, serial = stages.measured_in_recording(*board, force)
+        else:
+            beside = None if path is None or as_designed else path.with_suffix(".csv")
+            kept = beside if keep is None else Path(keep)
+            measured, serial = stages.measured_live(*board, seconds, force, kept, **LINK.of(more))
     if as_designed:
-        assert read is not None
-        return _calibrated(read, sensor or SensorDesign(), electronics, serial, noise, out, force)
-    if read is None:
-        first = next_loads_of(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances)
+        if not isinstance(measured, stages.Pairs):
+            raise DesignError(
+                "as_designed=True takes pairs of a board, a recording or a table: a data set has no circuit."
+            )
+        return _calibrated(measured, sensor or SensorDesign(), electronics, serial, noise, path, force)
+    if measured is None:
+        first = _next_loads(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances)
         caller.answer(lambda: {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
         return first
     if pairs is not None:
-        if pairs > len(read):
-            raise DesignError(f"pairs={pairs} must be at most {len(read)}: there are no more.")
-        read = read[:pairs]
-    at_finite = (
-        pads_model_of(model, "identify") if model is not None else None if finite is None else samples_of(finite, False)
-    )
-    found = identified(read, name, sensor, usual, tolerances, at_finite, next_loads, have, force)
+        if pairs > len(measured):
+            raise DesignError(f"pairs={pairs} must be at most {len(measured)}: there are no more.")
+        measured = measured[:pairs]
+    found = _identified(measured, name, sensor, usual, tolerances, finite, next_loads, have, force)
     result: dict[str, Any] = {
         "pairs": found.n_pairs,
         "parameters": {name: list(value) for name, value in found.parameters.items()},
-        "excess": found.excess,
+        "excess": found.posterior.excess,
     }
     lines = [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in found.parameters.items()]
-    lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.excess:.3g}")
-    if out is not None:
-        from decoupler.model.model_file import write_model
-        from decoupler.twin.twin_file import write_twin
-
-        write_model(found.decoder, out)
-        result["file"] = str(out)
+    lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.posterior.excess:.3g}")
+    if path is not None:
+        stages.write_model(found.decoder, path)
+        result["file"] = str(path)
         if twin is not None:
-            write_twin(found, twin, out)
+            stages.write_twin(found, Path(twin), path)
             result["twin"] = str(twin)
     if next_loads:
         result["next"] = [vars(one) for one in found.next_loads]
         lines += _proposed(found.next_loads)
-    caller.answer(lambda: result, "\n".join(lines), out)
+    caller.answer(lambda: result, "\n".join(lines), path)
     return found
 
 
 def _require_sense(
-    data: object, port: str | None, loads: object, keep: object, out: object, twin: object, next_loads: int
+    data: object, port: object, loads: object, keep: object, out: object, twin: object, next_loads: int, have: object
 ) -> None:  # fmt: skip
     """Refuse options that do not go together."""
-    if data is not None and port is not None:
-        raise DesignError("give data= or port=, not both.")
-    if port is None and (loads is not None or keep is not None):
-        raise DesignError("loads= and keep= go with port= alone: pairs of data= have their loads.")
-    if data is None and port is None and not next_loads:
-        raise DesignError("give data= or port=; next_loads= alone says where to begin.")
-    if current().is_typed and out is None and not next_loads:
-        raise DesignError("give out= for the model, or next_loads= for the loads to measure.")
-    if out is not None and data is None and port is None:
-        raise DesignError("out= needs pairs: give data= or port= too.")
-    if twin is not None and out is None:
-        raise DesignError("twin= names the model file that it goes with: give out= too.")
-
-
-def _proposed(loads: "tuple[NextLoad, ...]") -> list[str]:
-    """Proposals as lines of text."""
-    if not loads:
-        return ["next: every load of the list is measured"]
-    before = f"expected error of a force before: {100 * loads[0].error_before:.3g} % of the usual ones"
-    return [before, *(f"next: {each.load}; then {100 * each.error:.3g} %" for each in loads)]
+    is_empty = data is None and port is None
+    for is_wrong, said in (
+        (data is not None and port is not None, "give data= or port=, not both."),
+        (port is None and (loads is not None or keep is not None),
+         "loads= and keep= go with port= alone: pairs of data= have their loads."),
+        (is_empty and not next_loads, "give data= or port=; next_loads= alone says where to begin."),
+        (current().is_typed and out is None and not next_loads,
+         "give out= for the model, or next_loads= for the loads to measure."),
+        (is_empty and out is not None, "out= needs pairs: give data= or port= too."),
+        (twin is not None and out is None, "twin= names the model file that it goes with: give out= too."),
+        (have is not None and not next_loads,
+         "have= goes with next_loads= alone: it says of what the loads to propose are made."),
+        (not 0 <= next_loads <= MAX_NEXT, f"next_loads={next_loads} must be from 0 to {MAX_NEXT}."),
+    ):  # fmt: skip
+        if is_wrong:
+            raise DesignError(said)
 
 
 def _is_table(data: object) -> bool:
     """Whether a file is a table of loads, not of samples."""
-    from dataset.table import holds_samples
-
-    return isinstance(data, Path | str) and Path(data).suffix == ".csv" and not holds_samples(Path(data))
+    return isinstance(data, Path | str) and Path(data).suffix == ".csv" and not stages.holds_samples(Path(data))
 
 
 def _sensor(
@@ -263,80 +237,33 @@ def _sensor(
 ) -> tuple[SensorDesign | None, Mapping[str, float] | None]:
     """The design: the stated one with its tolerances, else that of samples, which may have none, else the paper's."""
     if isinstance(design, Path | str):
-        stated = read_tolerances(Path(design)) if tolerances is None else tolerances
-        return read_design(Path(design)), stated
+        return read_design(Path(design)), read_tolerances(Path(design)) if tolerances is None else tolerances
     if design is not None or data is None or _is_table(data):
         return design_of(design), tolerances
     samples = samples_of(data) if isinstance(data, Path | str) else data
     return getattr(samples, "design", None), tolerances
 
 
-def _pairs(data: "PairsLike", sensor: SensorDesign | None) -> "AnySamples | Pairs":
+def _pairs(data: "PairsLike", sensor: SensorDesign | None) -> "stages.AnySamples | stages.Pairs":
     """Pairs of a table, of a data set, or as given."""
-    from dataset.samples import Samples
-    from dataset.stored import StoredSamples
-    from decoupler.data.load_table import read_pairs
-    from decoupler.data.pairs import Pairs
-
     if isinstance(data, Path | str):
         if sensor is None or not _is_table(data):
             return samples_of(data)
-        return read_pairs(Path(data), sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
-    if not isinstance(data, Samples | StoredSamples):
-        require_type("data", data, Pairs, "give samples, or decoupler.data.pairs.Pairs")
+        return stages.read_pairs(Path(data), sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
+    if not isinstance(data, stages.Samples | stages.StoredSamples):
+        require_type("data", data, stages.Pairs, "give samples, or decoupler.data.pairs.Pairs")
     return data
 
 
-def _electronics(calibration: "File | None", switch_ohm: float | None, line_ohm: float | None) -> "Electronics":
-    """The electronics of a calibration file, changed by what options say."""
-    from hardware.readout.calibration import Electronics, read_calibration
-
-    known = Electronics() if calibration is None else read_calibration(Path(calibration)).electronics
-    return replace(known, **given(switch_ohm=switch_ohm, line_ohm=line_ohm))
-
-
-def _measured(
-    port: str,
-    loads: Path | None,
-    sensor: SensorDesign,
-    electronics: "Electronics",
-    keep: Path | None,
-    seconds: float,
-    force: bool,
-    settings: dict[str, Any],
-) -> "tuple[Pairs, int]":
-    """Pairs that are measured on a board now, or found in a recording, and the board's serial number."""
-    from tripillar.face.measured_loads import measured_in_recording, measured_live
-
-    if not Path(port).is_file():
-        return measured_live(port, loads, sensor, electronics, seconds, force, keep, **settings)
-    if keep is not None:
-        raise DesignError("keep= is for a board: pairs of a recording are kept already.")
-    if loads is None:
-        raise DesignError("a recording needs loads= with the columns from_s and to_s.")
-    return measured_in_recording(Path(port), loads, sensor, electronics, force)
-
-
 def _calibrated(
-    pairs: "AnySamples | Pairs",
-    sensor: SensorDesign,
-    electronics: "Electronics",
-    serial: int,
-    noise: float | None,
-    out: Path | None,
-    force: bool,
-) -> "SensorCalibration":
+    pairs: "stages.Pairs", sensor: SensorDesign, electronics: "stages.Electronics", serial: int, noise: float | None,
+    out: Path | None, force: bool,
+) -> "stages.SensorCalibration":  # fmt: skip
     """Gain and offset of every pillar, the design taken as exact."""
-    from decoupler.data.pairs import Pairs
-    from hardware.readout.calibration import write_calibration
-    from hardware.readout.known_loads import calibrated
-    from tripillar.pipeline.run import respond
-
-    if not isinstance(pairs, Pairs):
-        raise DesignError("as_designed=True takes pairs of a board, a recording or a table: a data set has no circuit.")
-    found, residual = calibrated(pairs, respond(sensor, current().bars)[1], electronics, serial, noise, force)
+    response = stages.respond(sensor, current().bars)[1]
+    found, residual = stages.calibrated(pairs, response, electronics, serial, noise, force)
     if out is not None:
-        write_calibration(found, out)
+        stages.write_calibration(found, out)
     gains, offsets_ohm = ([float(each.min()), float(each.max())] for each in (found.gain, found.offset_ohm))
     result = {"file": str(out), "loads": len(pairs), "noise": found.made_from["noise"], "gain": gains}
     result |= {"offset_ohm": offsets_ohm, "residual": residual}
@@ -346,3 +273,138 @@ def _calibrated(
     )
     current().answer(lambda: result, text, out)
     return found
+
+
+def _identified(
+    pairs: "stages.AnySamples | stages.Pairs", name: str, sensor: SensorDesign | None, usual: str | None,
+    tolerances: Mapping[str, float] | None, finite: "SamplesLike | ModelLike | None", next_loads: int,
+    have: str | None, force: bool,
+) -> "stages.Twin":  # fmt: skip
+    """The twin of checked pairs."""
+    few = pairs if isinstance(pairs, stages.Pairs) else stages.drawn(pairs)
+    if len(few) < len(pairs):
+        current().say(f"{name}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
+    if sensor is None:
+        for is_asked, asked in ((usual, "usual loads"), (finite, "finite strain"), (next_loads or None, "next loads")):
+            if is_asked is not None:
+                raise DesignError(f"{asked} are those of a design: give design= too.")
+    else:
+        _require_size(few.force_n.shape[1:3], sensor, name)
+        if next_loads:
+            _possible(sensor, have)  # a list that makes no sense is refused before anything takes time
+        usual = usual or ("contact" if isinstance(pairs, stages.Pairs) else None)
+    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, tolerances)
+    checked, forced = _checked_pairs(few, name, response, force)
+    loads_n = None if usual is None or sensor is None else _usual_loads(sensor, usual)
+    at_strain = None if finite is None or response is None else _at_strain(finite, response)
+    advance = current().bars.begin("identify", total=1)
+    twin = stages.identify(
+        checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain,
+        progress=lambda share: advance(share, f"{len(checked)} pairs"),
+    )  # fmt: skip
+    if sensor is not None and next_loads:
+        proposed = _next_loads(sensor, next_loads, have, usual or "contact", tolerances, checked, twin)
+        twin = replace(twin, next_loads=proposed)
+    return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
+
+
+def _require_size(size: tuple[int, ...], sensor: SensorDesign, name: str) -> None:
+    meant = sensor.array.rows, sensor.array.cols
+    if size != meant:
+        raise DesignError(
+            f"{name} is of {size[0]} × {size[1]} units, the design of {meant[0]} × {meant[1]}: give the design of this "
+            "array."
+        )
+
+
+def _checked_pairs(
+    pairs: "stages.Samples | stages.Pairs", name: str, response: "stages.ArrayResponse | None", force: bool
+) -> "tuple[stages.Pairs, dict[str, str]]":
+    """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
+    if isinstance(pairs, stages.Pairs):
+        doubted = None if response is None else stages.doubt_about(pairs, response)
+        if doubted and not force:
+            raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
+        return pairs, {"forced": doubted} if doubted else {}
+    component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
+    judge, doubted = stages.joint_model(response), None
+    if pairs.made_from.get("protocol") == stages.INDENT:
+        doubted = f"the protocol '{stages.INDENT}' presses shapes, and a sensor is identified from loads on its pads: "
+        doubted += "measure such"
+    forced = stages.heed(doubted or stages.doubt(pairs, component, judge), name, force)
+    stages.mention(pairs, name, component, judge)
+    stages.mention_another_sensor(pairs, name, component, judge)
+    own = None if response is None else stages.SensorModel.of(response, component)
+    columns = stages.without_stuck(stages.Columns.of(pairs, component), own)
+    return stages.Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced
+
+
+def with_derivatives(
+    design: SensorDesign, tolerances: Mapping[str, float] | None = None
+) -> "tuple[stages.ArrayResponse, stages.ResponseSensitivities]":
+    """The response of a design and its derivatives, from the cache or solved."""
+    _, response = stages.respond(design, current().bars)
+    advance = current().bars.begin("sensitivities", total=1)
+    sensitivities, _, reused = stages.response_sensitivities(design, None, lambda step: advance(0, step))
+    advance(1, "reused" if reused else "")
+    return response, sensitivities if tolerances is None else sensitivities.with_tolerances(tolerances)
+
+
+def _at_strain(finite: "SamplesLike | ModelLike", response: "stages.ArrayResponse") -> "stages.Posterior":
+    """The posterior of a design at finite strain, of a model or learned from samples."""
+    source: Any = finite
+    if isinstance(finite, Path | str):
+        source = model_of(finite) if Path(finite).suffix == ".safetensors" else samples_of(finite, False)
+    if isinstance(source, stages.Decoupler):
+        if source.posterior is None or source.ensemble is not None:
+            raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
+        size, found = (source.rows, source.cols), source.posterior
+    else:
+        source = stages.in_memory(source)
+        source = source[source.is_finite]
+        size, found = source.shape, None
+    _require_size(size, response.design, "finite strain")
+    if source.design not in (None, response.design):
+        raise DesignError("finite strain is of another design than the pairs': give one of this design.")
+    if found is None:
+        current().say("learning finite strain from the samples")
+        maps = stages.with_strain_maps(response, stages.component_named("all"), source)
+        found = stages.posterior_of(maps, source)
+    return found
+
+
+def _possible(design: SensorDesign, have: str | Path | None) -> "list[stages.KnownLoad]":
+    """Loads that can be made of what is at hand, or of a table."""
+    if have is not None and Path(have).suffix == ".csv":
+        return stages.loads_of_table(Path(have), design)
+    return stages.loads_at_hand(stages.KITCHEN if have is None else str(have), design)
+
+
+def _next_loads(
+    design: SensorDesign, count: int, have: str | Path | None, usual: str, tolerances: Mapping[str, float] | None,
+    measured: "stages.Pairs | None" = None, twin: "stages.Twin | None" = None,
+) -> "tuple[stages.NextLoad, ...]":  # fmt: skip
+    """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
+    possible, usual_n = _possible(design, have), _usual_loads(design, usual)
+    if twin is not None and twin.decoder.component.name == "all":
+        expected, state = twin.posterior.expected, twin.posterior.state
+    else:
+        response, sensitivities = with_derivatives(design, tolerances)
+        expected = stages.Expectation.of(response, sensitivities, stages.component_named("all"))
+        state = expected.mean()
+    return stages.next_loads(expected, state, measured, possible, usual_n, count)
+
+
+def _usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
+    """Random loads of a protocol, (n, rows, cols, 3) [N]."""
+    if protocol not in stages.PROTOCOLS:
+        raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
+    return stages.loads_of_protocol(protocol, design, stages.LOADS)
+
+
+def _proposed(loads: "tuple[stages.NextLoad, ...]") -> list[str]:
+    """Proposals as lines of text."""
+    if not loads:
+        return ["next: every load of the list is measured"]
+    before = f"expected error of a force before: {100 * loads[0].error_before:.3g} % of the usual ones"
+    return [before, *(f"next: {each.load}; then {100 * each.error:.3g} %" for each in loads)]

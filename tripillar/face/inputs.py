@@ -1,36 +1,31 @@
 """Inputs of jobs: an object or the file that holds it; the command line sees files alone.
 
-Mistakes of names are refused here, before a stage is loaded, which takes seconds.
+`job` makes a job of a function: mistakes of names are refused there, before a stage is loaded, which takes seconds.
 """
 
+import functools
+import inspect
 import math
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from importlib.util import find_spec
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
 
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, quantity
 from geometry.design_file import read_design
-from geometry.errors import DesignError, FileFormatError
+from geometry.errors import ArgumentError, DesignError, FileFormatError
 from geometry.storage.files import require_file, require_folder
+from tripillar.face import stages
 
 if TYPE_CHECKING:
-    from decoupler.data.enough import AnySamples
-    from decoupler.data.pairs import Pairs
-    from decoupler.model.decoupler import Decoupler
-    from decoupler.touch.touch_file import AnyDecoder
-    from fem.array.response import ArrayResponse
-    from fem.scene.scene import Scene
-
     File = Path | str
     DesignLike = SensorDesign | File
-    SamplesLike = AnySamples | File
-    PairsLike = AnySamples | Pairs | File
-    ModelLike = AnyDecoder | File
-    SceneLike = Scene | File
-    BodyLike = SensorDesign | Scene | File
+    SamplesLike = stages.AnySamples | File
+    PairsLike = stages.AnySamples | stages.Pairs | File
+    ModelLike = stages.AnyDecoder | File
+    SceneLike = stages.Scene | File
+    BodyLike = SensorDesign | stages.Scene | File
 else:
     File = DesignLike = SamplesLike = PairsLike = ModelLike = SceneLike = BodyLike = Path
 
@@ -39,29 +34,140 @@ Protocol = Literal[
     "light-fz", "light-fx", "light",
 ]  # fmt: skip
 MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
-MAX_S = 3600.0  #: of any time that must end
+TIMES = {"seconds": math.inf, "timeout": 3600.0}  #: arguments that must be above 0, and the most that they may be [s]
+COUNTS = ("workers", "trials", "best", "pairs")  #: arguments that must be at least 1
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Options:
     """Mark of a job's ``**options``: they are those of a dataclass or of another job, and flags of the command line.
 
-    `names` are those meant, all of a dataclass if there are none; `shown` has the types of those that are typed
-    otherwise than Python takes them.
+    `names` are those meant, all if there are none; `shown` has the types of those that are typed otherwise than Python
+    takes them.
     """
 
     def __init__(self, source: Callable[..., Any], *names: str, **shown: Any) -> None:
         self.source, self.shown = source, shown
-        self.names = names or tuple(signature(source).parameters)
+        self.names = names or tuple(inspect.signature(source).parameters)
 
     def meanings(self) -> dict[str, str]:
         """Help of each field of the dataclass, where no docstring of a job says it."""
         told = {each.name: each.metadata.get("meaning", "") for each in fields(self.source)}  # type: ignore[arg-type]
         return {name: f"{text[:1].upper()}{text[1:]}." for name, text in told.items()}
 
+    def of(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of them that are given."""
+        return {name: given[name] for name in self.names if given.get(name) is not None}
 
-def given(**values: Any) -> dict[str, Any]:
-    """Those that are not None."""
-    return {name: value for name, value in values.items() if value is not None}
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """Reach of a board, as `hardware.Scanner` takes it."""
+
+    baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
+    timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wires:
+    """Resistances of a crossbar's electronics [Ω]; None: as designed."""
+
+    switch_ohm: float | None = quantity(None, "resistance of a closed switch [Ω]; default: 25")
+    line_ohm: float | None = quantity(None, "resistance of a wire to the pillars [Ω]; default: 0")
+
+
+LINK, WIRES = Options(Link), Options(Wires)
+
+
+def options_of(parameter: inspect.Parameter) -> list[Options]:
+    """The options of other functions or dataclasses that a parameter holds."""
+    return [each for each in get_args(parameter.annotation) if isinstance(each, Options)]
+
+
+def job(**writes: str | None) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Make a job of a function: its files, times and counts are checked before it begins.
+
+    `writes` has, by the parameters that name what is written, the endings that files may have, "/" of folders, None of
+    what the job checks itself. All other files are read: they must be there, and are not written over.
+    """
+
+    def made(function: Callable[P, R]) -> Callable[P, R]:
+        parameters = inspect.signature(function).parameters
+        read = [name for name, each in parameters.items() if _takes_path(each.annotation) and name not in writes]
+        rest = next((name for name, each in parameters.items() if each.kind is each.VAR_KEYWORD), "")
+        known = {name for options in options_of(parameters[rest]) for name in options.names} if rest else set()
+
+        @functools.wraps(function)
+        def checked(*arguments: P.args, **options: P.kwargs) -> R:
+            bound = inspect.signature(function).bind(*arguments, **options)
+            bound.apply_defaults()
+            given = bound.arguments
+            more = given.pop(rest, {})
+            if known and (unknown := set(more) - known):
+                raise ArgumentError(f"{unknown.pop()}= is no argument; there are {', '.join(sorted(known))}.")
+            require_numbers(given | more)
+            sources = [given.get(name) for name in read]
+            for source in sources:
+                require_there(source)
+            for name, endings in writes.items():
+                if endings is not None:
+                    to_write(name, given.get(name), endings, sources)
+            return function(*arguments, **options)
+
+        return checked
+
+    return made
+
+
+def _takes_path(hint: Any) -> bool:
+    return hint is Path or any(map(_takes_path, get_args(hint)))
+
+
+def require_numbers(given: Mapping[str, Any]) -> None:
+    """Refuse times that are not above 0, and counts below 1."""
+    for name, most in TIMES.items():
+        if (value := given.get(name)) is not None and not 0 < value <= most:
+            raise DesignError(
+                f"{name}={value:g} must be above 0{'' if name == 'seconds' else f' and at most {most:g}'} s."
+            )
+    for name in COUNTS:
+        if (value := given.get(name)) is not None and value < 1:
+            raise DesignError(f"{name}={value} must be at least 1.")
+
+
+def require_there(source: Any) -> None:
+    """Refuse a file to read, or several, that are not there, and a table whose columns are separated by semicolons."""
+    for path in source if isinstance(source, list | tuple) else [source]:
+        if not isinstance(path, Path | str):
+            continue
+        if not Path(path).exists():
+            raise FileFormatError(f"{path}: no such file.")
+        if Path(path).suffix == ".csv" and Path(path).is_file():
+            with Path(path).open("rb") as file:
+                header = file.readline(MAX_HEADER)
+            if b";" in header and b"," not in header:
+                raise FileFormatError(
+                    f"{path}: its columns are separated by semicolons: separate them by commas, decimals by points."
+                )
+
+
+def to_write(name: str, path: "File | None", endings: str = "", read: Sequence[Any] = ()) -> None:
+    """Refuse a file or folder that cannot be written, ends otherwise, or is read by the job."""
+    if path is None:
+        return
+    path = Path(path)
+    if endings == "/":
+        require_folder(path)
+        return
+    if endings and path.suffix not in endings.split():
+        raise DesignError(f"{name}={path} must be a file that ends in {' or '.join(endings.split())}.")
+    if path.suffix != ".zarr":
+        require_file(path)
+    for source in read:
+        for each in source if isinstance(source, list | tuple) else [source]:
+            if isinstance(each, Path | str) and path.exists() and Path(each).exists() and path.samefile(each):
+                raise FileFormatError(f"{path} is read by this command: give another name for what it writes.")
 
 
 def design_of(source: "DesignLike | None") -> SensorDesign:
@@ -71,106 +177,32 @@ def design_of(source: "DesignLike | None") -> SensorDesign:
     return read_design(Path(source))
 
 
-def samples_of(source: "SamplesLike", labels_only: bool = True) -> "AnySamples":
+def samples_of(source: "SamplesLike", labels_only: bool = True) -> "stages.AnySamples":
     """Samples, or those of a file."""
-    if not isinstance(source, Path | str):
-        return source
-    from dataset import read_samples
-
-    return read_samples(Path(source), labels_only=labels_only)
+    return stages.read_samples(Path(source), labels_only=labels_only) if isinstance(source, Path | str) else source
 
 
-def model_of(source: "ModelLike") -> "AnyDecoder":
+def model_of(source: "ModelLike") -> "stages.AnyDecoder":
     """A model, or that of a file."""
-    if not isinstance(source, Path | str):
-        return source
-    from decoupler.touch.touch_file import read_model
-
-    return read_model(Path(source))
+    return stages.read_model(Path(source)) if isinstance(source, Path | str) else source
 
 
-def pads_model_of(source: "ModelLike", what: str) -> "Decoupler":
+def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
     """A model of loads on pads; one of touch is refused."""
-    from decoupler.model.decoupler import Decoupler
-
     model = model_of(source)
-    if not isinstance(model, Decoupler):
+    if not isinstance(model, stages.Decoupler):
         raise DesignError(f"{name_of(source, 'model')} is a decoder of touch: {what} takes a model of loads on pads.")
     return model
 
 
-def response_of(design: SensorDesign, response: "ArrayResponse | None" = None) -> "ArrayResponse":
-    """The response that is given, else that of the design, from the cache or solved."""
-    if response is not None:
-        return response
-    from fem.array.solving import array_response
-
-    return array_response(design)[0]
+def scene_of(source: "SceneLike") -> "stages.Scene":
+    """A scene, or that of a file."""
+    return stages.read_scene(Path(source)) if isinstance(source, Path | str) else source
 
 
 def name_of(source: object, otherwise: str) -> str:
     """Name of what a job was given, for messages: its file, if it is one."""
     return str(source) if isinstance(source, Path | str) else otherwise
-
-
-def require_there(*sources: object, what: str) -> None:
-    """Refuse a file to read that is not there, and a table whose columns are separated by semicolons."""
-    for path in (Path(source) for source in sources if isinstance(source, Path | str)):
-        if not path.exists():
-            raise FileFormatError(f"{path}: no such file: give {what}.")
-        if path.suffix == ".csv" and path.is_file():
-            with path.open("rb") as file:
-                header = file.readline(MAX_HEADER)
-            if b";" in header and b"," not in header:
-                raise FileFormatError(
-                    f"{path}: its columns are separated by semicolons: separate them by commas, decimals by points."
-                )
-
-
-def to_write(name: str, path: "File | None", *endings: str, read: tuple[object, ...] = ()) -> Path | None:
-    """The file that a job is to write; refused if it cannot be, if it ends otherwise, or if the job reads it."""
-    if path is None:
-        return None
-    path = Path(path)
-    if endings and path.suffix not in endings:
-        *others, last = endings
-        kinds = f"{', '.join(others)} or {last}" if others else last
-        raise DesignError(f"{name}={path} must be a file that ends in {kinds}.")
-    require_file(path)
-    for source in read:
-        if isinstance(source, Path | str) and path.exists() and Path(source).exists() and path.samefile(source):
-            raise FileFormatError(f"{path} is read by this command: give another name for what it writes.")
-    return path
-
-
-def to_fill(path: "File") -> Path:
-    """The folder that a job is to write to; refused if it cannot be."""
-    require_folder(Path(path))
-    return Path(path)
-
-
-def require_above_0(**values: float) -> None:
-    """Refuse times that are not above 0; only `seconds` may have no end."""
-    for name, value in values.items():
-        most = math.inf if name == "seconds" else MAX_S
-        if not 0 < value <= most:
-            raise DesignError(
-                f"{name}={value:g} must be above 0{f' and at most {most:g}' if most < math.inf else ''} s."
-            )
-
-
-def require_counts(**counts: int | None) -> None:
-    """Refuse numbers that must be at least 1."""
-    for name, count in counts.items():
-        if count is not None and count < 1:
-            raise DesignError(f"{name}={count} must be at least 1.")
-
-
-def require_packages(*names: str) -> None:
-    """Refuse to begin without the packages of the extra `sweep`."""
-    absent = [name for name in names if find_spec(name) is None]
-    if absent:
-        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")
 
 
 def require_pool(workers: int | None, scheduler: str | None) -> None:
@@ -179,3 +211,10 @@ def require_pool(workers: int | None, scheduler: str | None) -> None:
         require_packages("dask", "distributed")
         if workers is not None:
             raise DesignError("workers= are begun on this machine, scheduler= has its own: give one of them.")
+
+
+def require_packages(*names: str) -> None:
+    """Refuse to begin without the packages of the extra `sweep`."""
+    absent = [name for name in names if find_spec(name) is None]
+    if absent:
+        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")

@@ -1,15 +1,17 @@
 """Train and test networks on samples that are checked first."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
+from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
@@ -18,25 +20,15 @@ from tripillar.face.inputs import (
     Options,
     SamplesLike,
     design_of,
+    job,
     model_of,
     name_of,
-    require_there,
     samples_of,
-    to_write,
-)
-from tripillar.face.touching import assessed_touch, touch_decoder
+)  # fmt: skip
 
 if TYPE_CHECKING:
-    from dataset.samples import Samples
-    from decoupler.data.enough import AnySamples
-    from decoupler.evaluation.assessment import Assessment
-    from decoupler.model.decoupler import Decoupler
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.touch.decoder import TouchDecoder
-    from fem.array.response import ArrayResponse
-
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
-    Response = ArrayResponse
+    Response = stages.ArrayResponse | None
 else:
     SeveralSamples = list[Path]
     Response = Annotated[None, Parameter(parse=False)]  # for Python alone
@@ -47,11 +39,12 @@ Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
 GOAL = Parameter(name="--goal")
 ITERATIONS = Parameter(name="--iterations")
-DATA = "a data set of 'tripillar dataset', or measured samples"
+READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
+@job(out=".safetensors")
 def train(
-    data: Annotated[SeveralSamples | None, Parameter(required=False)],
+    data: SeveralSamples | None = None,
     component: Component | None = None,
     *,
     touch: bool = False,
@@ -65,10 +58,10 @@ def train(
     max_iterations: Annotated[int, ITERATIONS] = 0,
     seed: int = 0,
     design: DesignLike | None = None,
-    response: Response | None = None,
+    response: Response = None,
     force: bool = False,
     **settings: Any,
-) -> "Decoupler | TouchDecoder":
+) -> "stages.Decoupler | stages.TouchDecoder":
     """Train a network that turns resistances into forces; or make a decoder of touches on bare rubber.
 
     Parameters
@@ -137,41 +130,32 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
-    caller = current()
+    caller, path = current(), None if out is None else Path(out)
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return touch_decoder(design, to_write("out", out, ".safetensors", read=(design,)), shape or ())
+        return _touch_decoder(design, path, shape or ())
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
         raise DesignError("give data=, samples to train on; or touch=True.")
+    training = stages.TrainingConfig(
+        trainer=trainer, goal_mse=goal_mse, max_iterations=max_iterations, seed=seed, **settings
+    )
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
-    require_there(*sources, what=DATA)
-    out = to_write("out", out, ".safetensors", read=(*sources, design))
-    asked = _asked(
-        component=component, net=net, hidden=hidden, trainer=trainer, feature=feature, goal_mse=goal_mse,
-        max_iterations=max_iterations, seed=seed, design=design, response=response, force=force, settings=settings,
-    )  # fmt: skip
-    training = asked.training
     samples, name = _together(sources), name_of(sources[0], "samples")
     few = _enough(samples, seed, name, "train the network")
-    parts, network, solved, forced = _checked(few, name, asked)
-    from decoupler import train  # loads torch: only once the samples are found right
-    from decoupler.model.model_file import write_model
-
+    parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
-    model = train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
+    model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
     model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
-    if out is not None:
-        write_model(model, out)
+    if path is not None:
+        stages.write_model(model, path)
     _mention_untrusted(model)
 
     def result() -> dict[str, Any]:
-        from decoupler.evaluation.metrics import evaluate as errors_on
-
         told = {name: model.made_from["outcome"][name] for name in ("iterations", "mse", "reason")}
-        errors = {force: asdict(values) for force, values in errors_on(model, samples).items()}
+        errors = {force: asdict(values) for force, values in stages.errors_on(model, samples).items()}
         untrusted = [f"{force} row {row} col {col}" for row, col, force in model.untrusted()]
         made = {"file": str(out), "feature": model.network.feature} | told | {"seconds": seconds}
         return made | {"training_errors": errors, "untrusted": untrusted}
@@ -185,15 +169,16 @@ def train(
 TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "goal_mse", "seed", "design", "force")
 
 
+@job()
 def evaluate(
-    model: Annotated[ModelLike | None, Parameter(required=False)],
-    data: SamplesLike,
+    model: ModelLike | None = None,
+    data: Annotated[SamplesLike | None, Parameter(required=True)] = None,
     *,
     limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
     folds: int | None = None,
-    response: Response | None = None,
+    response: Response = None,
     **training: Annotated[Any, TRAINING],
-) -> "dict[str, Assessment]":
+) -> "dict[str, stages.Assessment]":
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
 
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
@@ -241,171 +226,154 @@ def evaluate(
     >>> tested["fz"].errors.rel_err < 0.0261  # the paper's of ten folds of 2000
     True
     """
-    caller = current()
-    require_there(model, what="a model file of 'tripillar train'")
-    require_there(data, what=DATA)
+    caller, name, named = current(), name_of(data, "samples"), name_of(model, "model")
+    if data is None:
+        raise DesignError("give data=, samples to test on.")
     if (model is None) == (folds is None):
         raise DesignError("give model=, or folds= to cross-validate: one of them.")
-    name = name_of(data, "samples")
     if folds is not None:
         asked = signature(train).bind(data, response=response, **training)
         asked.apply_defaults()
-        return _cross_validated(samples_of(data), name, folds, _asked(**asked.arguments))
+        return _cross_validated(samples_of(data), name, folds, asked.arguments)
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or cross-validate with folds=.")
-    assert model is not None
-    from decoupler import assess, require_same_sensor
-    from decoupler.evaluation.assessment import as_plain
-    from decoupler.touch.decoder import TouchDecoder
-    from tripillar.face.checks import warn_of_test
-    from tripillar.face.tables import assessment_table
-
-    named = name_of(model, "model")
+    assert model is not None  # there are no folds
     decoupler, samples = model_of(model), samples_of(data)
-    require_same_sensor(decoupler, samples, Path(named), Path(name))
-    if isinstance(decoupler, TouchDecoder):
-        return assessed_touch(decoupler, data)
+    stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
+    if isinstance(decoupler, stages.TouchDecoder):
+        return _assessed_touch(decoupler, data)
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
     solved = _response(samples, name, samples.design or decoupler.design, response) if limits else None
-    warn_of_test(decoupler, named, samples, name, solved)
-    assessed = assess(decoupler, samples, solved)
+    stages.warn_of_test(decoupler, named, samples, name, solved)
+    assessed = stages.assess(decoupler, samples, solved)
     _mention_untrusted(decoupler)
-    caller.answer(lambda: as_plain(assessed), lambda: [assessment_table(assessed)])
+    plain, table = stages.as_plain, stages.assessment_table
+    caller.answer(lambda: plain(assessed), lambda: [table(assessed)])
     return assessed
 
 
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """A network as it was asked for, whose inputs may yet have to be chosen, and what its samples are checked by."""
-
-    component: Component | None
-    net: Net
-    hidden: int
-    feature: Feature
-    training: "TrainingConfig"
-    design: SensorDesign | None
-    response: "ArrayResponse | None"
-    force: bool
-
-
-def _asked(
-    *, component: Component | None, net: Net, hidden: int, feature: Feature, design: "DesignLike | None",
-    response: "ArrayResponse | None", force: bool, settings: dict[str, Any], data: object = None, out: object = None,
-    touch: bool = False, shape: object = None, **training: Any,
-) -> Asked:  # fmt: skip
-    """What `train` is asked by its arguments."""
-    from decoupler.model.settings import TrainingConfig
-
-    return Asked(
-        component=component, net=net, hidden=hidden, feature=feature, training=TrainingConfig(**training, **settings),
-        design=None if design is None else design_of(design), response=response, force=force,
-    )  # fmt: skip
-
-
-def _cross_validated(samples: "AnySamples", name: str, folds: int, asked: Asked) -> "dict[str, Assessment]":
-    """Errors of networks trained on all folds but the one that tests them."""
-    import numpy as np
-
-    from decoupler import cross_validate
-    from decoupler.data.enough import ENOUGH
-    from decoupler.evaluation.assessment import Assessment
-    from decoupler.evaluation.crossval import over_folds, split_folds, summary
-    from tripillar.face.tables import crossval_table
-
-    split_folds(min(len(samples), ENOUGH), folds, asked.training.seed)  # refuses too many before anything takes time
-    few = _enough(samples, asked.training.seed, name, "are split")
-    parts, network, solved, _ = _checked(few, name, asked)
+def _cross_validated(
+    samples: "stages.AnySamples", name: str, folds: int, asked: dict[str, Any]
+) -> "dict[str, stages.Assessment]":
+    """Errors of networks trained, as `train` is asked, on all folds but the one that tests them."""
+    of_training = ("trainer", "goal_mse", "max_iterations", "seed")
+    training = stages.TrainingConfig(**{key: asked[key] for key in of_training}, **asked["settings"])
+    stages.split_folds(min(len(samples), stages.ENOUGH), folds, training.seed)  # refuses too many before anything
+    few = _enough(samples, training.seed, name, "are split")
+    of_network = ("component", "net", "hidden", "feature", "design", "response", "force")
+    parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
     advance = current().bars.begin(f"{folds} folds", total=folds)
-    tested = cross_validate(few, parts, network, asked.training, folds, solved, lambda _: advance(1, ""))
-    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [crossval_table(tested)])
+    tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
+    summary, table = stages.summary, stages.crossval_table
+    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
-    return {force: Assessment(errors=errors, **nothing) for force, errors in over_folds(tested, np.mean).items()}
+    over_folds = stages.over_folds(tested, np.mean)
+    return {force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()}
 
 
-def _together(sources: "Sequence[SamplesLike]") -> "AnySamples":
+def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
+    """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
+    caller, design = current(), design_of(source)
+    stages.require_bare(design)
+    solids = [stages.read_solid(Path(shape)) for shape in shapes]
+    twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
+    pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
+    made_from = {} if twin is None else {"twin": twin.decoder_hash}
+    advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+    library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+    errors = stages.ReadingError(**READ)
+    decoder = stages.TouchDecoder(design=design, errors=errors, library=library, pillars=pillars, made_from=made_from)
+    if out is not None:
+        stages.write_touch(decoder, out)
+    result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
+    text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
+    caller.answer(lambda: result | {"seconds": caller.bars.seconds()}, text, out)
+    return decoder
+
+
+def _assessed_touch(decoder: "stages.TouchDecoder", data: "SamplesLike") -> "dict[str, stages.Assessment]":
+    """Errors of a touch decoder: of units, of the net force and of its place."""
+    samples = stages.in_memory(samples_of(data, labels_only=False))
+    advance = current().bars.begin("touches", total=len(samples))
+    found = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
+    tables = stages.assessed_touch_tables
+    current().answer(found.plain, lambda: tables(found))
+    return found.by_force
+
+
+def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     """The samples of one source, or of several joined; at finite strain with their displacements."""
-    from dataset import in_memory
-    from dataset.samples import joined, require_samples
-
     several = [samples_of(each) for each in sources]
     for each in several:
-        require_samples("samples", each)
+        stages.require_samples("samples", each)
     if any(each.is_finite.any() for each in several):  # these learn from displacements, too
         several = [samples_of(each, labels_only=False) for each in sources]
-    return several[0] if len(several) == 1 else joined([in_memory(each) for each in several])
+    return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
 
 
-def _mention_untrusted(model: "Decoupler") -> None:
+def _mention_untrusted(model: "stages.Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
     for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
         current().say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 
-def _enough(samples: "AnySamples", seed: int, name: str, purpose: str) -> "Samples":
+def _enough(samples: "stages.AnySamples", seed: int, name: str, purpose: str) -> "stages.Samples":
     """The samples, or a draw of those that are too many; says so."""
-    from decoupler.data.enough import drawn
-
-    few = drawn(samples, seed)
+    few = stages.drawn(samples, seed)
     if len(few) < len(samples):
         current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
     return few
 
 
 def _checked(
-    samples: "Samples", name: str, asked: Asked
-) -> "tuple[str, NetworkConfig, ArrayResponse | None, dict[str, str]]":
+    samples: "stages.Samples", name: str, component: Component | None, net: Net, hidden: int, feature: Feature,
+    stated: "DesignLike | None", response: "stages.ArrayResponse | None", force: bool,
+) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
-    from decoupler import component_named
-    from decoupler.evaluation.plausibility import doubt, nothing_to_learn
-    from decoupler.model.settings import NetworkConfig
-    from decoupler.training.suited import suited_component, suited_feature
-    from tripillar.face.checks import heed, joint_model, mention
-
-    net, feature, design, response, force = asked.net, asked.feature, asked.design, asked.response, asked.force
-    automatic, named = feature == "auto", asked.component or suited_component(samples)
-    network, parts = NetworkConfig(hidden=asked.hidden, net=net), component_named(named)
+    design = None if stated is None else design_of(stated)
+    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
+    parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
-    if sensor is None and response is None and _fits(SensorDesign(), samples):
+    is_stated = sensor is not None or response is not None
+    if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    forced = heed(nothing_to_learn(samples, parts), name, force)
+    forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
-    if net == "skip" if automatic else feature == "inverse":
+    if net == "skip" if is_automatic else feature == "inverse":
         solved = _response(samples, name, sensor, response)
-    chosen = suited_feature(samples, parts, net, solved) if feature == "auto" else feature
-    if automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
+    chosen = stages.suited_feature(samples, parts, net, solved) if feature == "auto" else feature
+    if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
-    if automatic and chosen == "inverse" and samples.design is None and response is None:
+    if is_automatic and chosen == "inverse" and samples.design is None and response is None:
         which = "the paper's sensor" if design is None else "the given design"
         note = f"the data state no design, but the response of {which} explains them and is used"
-    judging = solved
-    if samples.design is not None or design is not None or response is not None:
-        judging = _response(samples, name, sensor, response) if solved is None else solved
-    elif chosen != "inverse":
-        judging = None  # a guessed design that does not explain the samples cannot judge them
-    judge = joint_model(judging)
-    forced |= heed(None if forced else doubt(samples, parts, judge), name, force)
+    # a guessed design that does not explain the samples cannot judge them
+    judging = solved if solved is not None and (is_stated or chosen == "inverse") else None
+    if judging is None and is_stated:
+        judging = _response(samples, name, sensor, response)
+    judge = stages.joint_model(judging)
+    forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
-    mention(samples, name, parts, judge)
+    stages.mention(samples, name, parts, judge)
     return named, replace(network, feature=chosen), solved, forced
 
 
-def _fits(design: SensorDesign, samples: "AnySamples") -> bool:
+def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:
     return samples.shape == (design.array.rows, design.array.cols)
 
 
 def _response(
-    samples: "AnySamples", name: str, design: SensorDesign | None, given: "ArrayResponse | None"
-) -> "ArrayResponse | None":
+    samples: "stages.AnySamples", name: str, design: SensorDesign | None, given: "stages.ArrayResponse | None"
+) -> "stages.ArrayResponse | None":
     """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
-    from fem.array.response import ArrayResponse
-    from tripillar.pipeline.run import respond
-
     if given is None:
-        return None if design is None or not _fits(design, samples) else respond(design, current().bars)[1]
-    require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
+        if design is None or not _fits(design, samples):
+            return None
+        return stages.respond(design, current().bars)[1]
+    require_type("response", given, stages.ArrayResponse, "solve one with tripillar.response, or give None")
     if not _fits(given.design, samples) or (design is not None and given.design != design):
         raise DesignError(
             f"the response is of another design than {name}: solve one with tripillar.response of their design, or "

@@ -39,8 +39,8 @@ def measured_live(
     """
     with connect(port, **settings) as (scanner, _):
         _require_design(design, scanner.info)
-        asked = _typed(design) if loads is None else iter(loads_of(loads, design))
-        taken = loads_of(keep, design) if keep is not None and keep.exists() else []
+        asked = _typed(design) if loads is None else iter(loads_of_table(loads, design))
+        taken = loads_of_table(keep, design) if keep is not None and keep.exists() else []
         crossbar, known = electronics.crossbar(scanner.info), {load.name for load in taken}
         for load in asked:
             if load.name in known and loads is not None:
@@ -61,22 +61,18 @@ def measured_live(
 
 
 def measured_in_recording(
-    path: Path, loads: Path, design: SensorDesign, electronics: Electronics, force: bool = False
+    path: str, loads: Path | None, design: SensorDesign, electronics: Electronics, force: bool = False
 ) -> tuple[Pairs, int]:
-    """Find the loads of a table in a recording, by their times since its first frame.
-
-    Raises
-    ------
-    FileFormatError
-        If a load's time is missing or not in the recording, or if the sensor moves within it and `force` is not set.
-    """
-    recording = read_recording(path)
+    """Find the loads of a table in a recording, by their times since its first frame."""
+    if loads is None:
+        raise FileFormatError("a recording needs loads= with the columns from_s and to_s.")
+    recording = read_recording(Path(path))
     info = recording.info
     _require_design(design, info)
     crossbar = electronics.crossbar(info)
     since_s = recording.time_s - recording.time_s[0]
     taken = []
-    for load in loads_of(loads, design):
+    for load in loads_of_table(loads, design):
         if load.from_s is None or load.to_s is None:
             raise FileFormatError(f"{loads}: load '{load.name}' has no from_s and to_s: say when it is in {path}.")
         within = (since_s >= load.from_s) & (since_s <= load.to_s)
@@ -102,7 +98,7 @@ def _require_design(design: SensorDesign, info: Info) -> None:
         )
 
 
-def loads_of(table: Path, design: SensorDesign) -> list[KnownLoad]:
+def loads_of_table(table: Path, design: SensorDesign) -> list[KnownLoad]:
     """The loads of a table on the sensor of a design."""
     return read_loads(table, design.array.rows, design.array.cols, design.pad.size_mm**2)
 
@@ -119,13 +115,7 @@ def _typed(design: SensorDesign) -> Iterator[KnownLoad]:
 
 
 def _ask(question: str) -> str:
-    """A line that was typed.
-
-    Raises
-    ------
-    FileFormatError
-        At the end of the input: nobody is there to put loads on.
-    """
+    """A line that was typed; refuses the end of the input, where nobody is there to put loads on."""
     print(question, end="", file=sys.stderr, flush=True)
     line = sys.stdin.readline() if sys.stdin else ""
     if not line:

@@ -5,26 +5,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.errors import DesignError
+from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, design_of, to_write
+from tripillar.face.inputs import DesignLike, File, design_of, job
 
 if TYPE_CHECKING:
-    from fem.contact import Contact, Shape
-
-    Indenter = Shape | File
+    Indenter = stages.Shape | File
     Pair = tuple[float, float] | str
 else:
     Indenter = Pair = str
 
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
+#: sizes of each shape, that which it needs first
 SIZES = {
     "sphere": ("radius_mm",),
     "cylinder": ("radius_mm", "length_mm", "turn_deg"),
-    "flat": ("radius_mm", "size_mm", "turn_deg"),
+    "flat": ("size_mm", "radius_mm", "turn_deg"),
 }
 
 
+@job(out=".nc", picture=".png")
 def press(
     design: DesignLike | None = None,
     *,
@@ -39,7 +40,7 @@ def press(
     friction: float = 0.0,
     out: File | None = None,
     picture: File | None = None,
-) -> "Contact":
+) -> "stages.Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
     Strain is linear: depths of more than a tenth of the slab's height are only roughly right.
@@ -85,30 +86,20 @@ def press(
     >>> contact.force_n.shape, bool(contact.net_force_n[2] > 0)
     ((1, 2, 3), True)
     """
-    caller = current()
-    file = to_write("out", out, ".nc", read=(design,))
-    drawn = to_write("picture", picture, ".png", read=(design,))
+    caller, sensor = current(), design_of(design)
     sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}
-    sensor, at, slide = design_of(design), _pair("at_mm", at_mm), _pair("slide_mm", slide_mm)
-    from dataset.indentation import largest_strain, write_contact
-    from fem.contact import press as pressed
-    from tripillar.face.tables import contact_table
-
-    bars = caller.bars
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
-    begin = cache(lambda: bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
-    contact = pressed(
-        sensor, indenter, depth_mm, at_mm=at, slide_mm=slide, friction=friction,
-        progress=lambda step: begin()(0, step),
+    begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
+    contact = stages.press(
+        sensor, indenter, depth_mm, at_mm=_pair("at_mm", at_mm), slide_mm=_pair("slide_mm", slide_mm),
+        friction=friction, progress=lambda step: begin()(0, step),
     )  # fmt: skip
-    strain = largest_strain(contact)
-    if file is not None:
-        write_contact(contact, file)
-    if drawn is not None:
-        from fem.pictures.contact import draw_contact
-
-        draw_contact(contact, drawn)
-    caller.answer(lambda: _as_plain(contact, strain), lambda: [contact_table(contact, strain)], file, drawn)
+    strain = stages.largest_strain(contact)
+    if out is not None:
+        stages.write_contact(contact, Path(out))
+    if picture is not None:
+        stages.draw_contact(contact, Path(picture))
+    caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
     if contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
@@ -121,52 +112,40 @@ def press(
     return contact
 
 
-def _as_plain(contact: "Contact", strain: float) -> dict[str, Any]:
-    from dataset.indentation import samples_of
-
-    x, y = contact.centre_mm.tolist()
-    return {
-        "net_force_n": contact.net_force_n.tolist(),
-        "moment_nmm": contact.moment_nmm.tolist(),
-        "centre_mm": [x, y],
-        "area_mm2": contact.area_mm2,
-        "peak_mpa": contact.peak_mpa,
-        "error_estimate": contact.error_estimate,
-        "electrode_error_estimate": contact.electrode_error_estimate,
-        "sticking": contact.sticking,
-        "steepness": contact.steepness,
-        "largest_strain": strain,
-        "force_n": contact.force_n.tolist(),
-        "resistance_ohm": samples_of([contact]).resistance_ohm[0].tolist(),
+def _as_plain(contact: "stages.Contact", strain: float) -> dict[str, Any]:
+    arrays = ("net_force_n", "moment_nmm", "centre_mm", "force_n")
+    names = ("area_mm2", "peak_mpa", "error_estimate", "electrode_error_estimate", "sticking", "steepness")
+    found = {name: getattr(contact, name).tolist() for name in arrays} | {
+        name: getattr(contact, name) for name in names
     }
+    ohms = stages.samples_of_contacts([contact]).resistance_ohm[0]
+    return found | {"largest_strain": strain, "resistance_ohm": ohms.tolist()}
 
 
-def _shape(name: "Indenter", given: dict[str, Any]) -> "Shape":
+def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
     """The indenter that a name and sizes describe."""
-    from fem.contact import Cylinder, Flat, Sphere, read_solid
-
-    if not isinstance(name, Path | str):
-        return name
-    kind = str(name)
-    if not kind.lower().endswith(".stl") and kind not in SIZES:
+    if not isinstance(shape, Path | str):
+        return shape
+    kind = str(shape)
+    is_solid = kind.lower().endswith(".stl")
+    if not is_solid and kind not in SIZES:
         raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in .stl.")
-    known = SIZES.get(kind, ())
-    surplus = [size for size in given if size not in known]
-    if surplus:
-        takes = " and ".join(f"{size}=" for size in known) or "no sizes"
-        raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {takes}.")
-    if not known:
-        return read_solid(Path(kind))
-    if kind == "flat":
-        if ("radius_mm" in given) == ("size_mm" in given):
-            raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
-        if "radius_mm" in given:
-            return Flat(radius_mm=given["radius_mm"])
-        return Flat(_pair("size_mm", given["size_mm"], alone=True), turn_deg=given.get("turn_deg", 0.0))
-    if "radius_mm" not in given:
+    takes = () if is_solid else SIZES[kind]
+    if surplus := [size for size in given if size not in takes]:
+        listed = " and ".join(f"{size}=" for size in takes) or "no sizes"
+        raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {listed}.")
+    if is_solid:
+        return stages.read_solid(Path(kind))
+    if kind == "flat" and ("radius_mm" in given) == ("size_mm" in given):
+        raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
+    if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
+    if kind == "flat" and "size_mm" in given:
+        return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn_deg=given.get("turn_deg", 0.0))
     radius_mm = given.pop("radius_mm")
-    return Sphere(radius_mm) if kind == "sphere" else Cylinder(radius_mm, **given)
+    if kind == "flat":
+        return stages.Flat(radius_mm=radius_mm)
+    return stages.Sphere(radius_mm) if kind == "sphere" else stages.Cylinder(radius_mm, **given)
 
 
 def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:

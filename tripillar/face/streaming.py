@@ -1,62 +1,60 @@
-"""Open the streams that `live` is asked for, and say who can reach them."""
+"""Streams that `live` is asked for, opened, and who can reach them."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from geometry.design import quantity
+from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import to_write
+from tripillar.face.inputs import File, Options, to_write
 
-if TYPE_CHECKING:
-    from hardware.readout.description import SensorDescription
-    from hardware.streams.addresses import Stream
+OPEN = "HOST:PORT to do so; 0.0.0.0 lets everybody in"
 
 
 @dataclass(frozen=True, kw_only=True)
 class AskedStreams:
-    """Streams as options ask for them; an address is None where there is no server."""
+    """Streams as they are asked for: addresses are served, files are written."""
 
-    foxglove: str | None
-    token: str | None
-    mcap: Path | None
-    rerun: str | None
-    rrd: Path | None
+    foxglove: bool = quantity(False, "serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone")
+    foxglove_at: str | None = quantity(None, f"address {OPEN}")
+    foxglove_token: str | None = quantity(None, "token that lets in: only who opens ws://HOST:PORT/?token=TOKEN")
+    mcap: File | None = quantity(None, "file (.mcap) to write as well: what Foxglove is shown")
+    rerun: bool = quantity(False, "serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone")
+    rerun_at: str | None = quantity(None, f"address {OPEN}")
+    rrd: File | None = quantity(None, "file (.rrd) to write as well: what Rerun is shown")
 
     def require(self) -> None:
         """Refuse files of other kinds and addresses that are none, before a board is opened."""
-        from hardware.streams import foxglove_stream, rerun_stream
-        from hardware.streams.addresses import host_and_port, require_new
-
-        to_write("mcap", self.mcap, ".mcap")
-        to_write("rrd", self.rrd, ".rrd")
-        for path in (self.mcap, self.rrd):
-            require_new(path)
-        for address, port in ((self.foxglove, foxglove_stream.PORT), (self.rerun, rerun_stream.PORT)):
+        for name, path in (("mcap", self.mcap), ("rrd", self.rrd)):
+            to_write(name, path, f".{name}")
+            stages.require_new(None if path is None else Path(path))
+        for address in (self.foxglove_at, self.rerun_at):
             if address:
-                host_and_port(address, port)
+                stages.host_and_port(address, 0)
 
     @contextmanager
-    def opened(self, sensor: "SensorDescription") -> Iterator[list["Stream"]]:
+    def opened(self, sensor: "stages.SensorDescription") -> Iterator[list["stages.Stream"]]:
         """The streams, as long as the with block lasts; the caller is told where they are."""
-        from hardware.streams import foxglove_stream, rerun_stream
-        from hardware.streams.addresses import LOOPBACK, host_and_port, reachable
-
         with ExitStack() as stack:
-            streams: list[Stream] = []
-            if self.foxglove is not None or self.mcap is not None:
-                host, port = host_and_port(self.foxglove or LOOPBACK, foxglove_stream.PORT)
-                served = foxglove_stream.FoxgloveStream(
-                    sensor, host if self.foxglove else None, port, self.mcap, self.token or ""
-                )
-                streams.append(stack.enter_context(served))
-                if self.foxglove:
-                    current().say(f"Foxglove: open ws://{host}:{served.port}; {reachable(host)}")
-            if self.rerun is not None or self.rrd is not None:
-                host, port = host_and_port(self.rerun or LOOPBACK, rerun_stream.PORT)
-                shown = rerun_stream.RerunStream(sensor, host if self.rerun else None, port, self.rrd)
+            streams: list[stages.Stream] = []
+            if (is_served := self.foxglove or self.foxglove_at is not None) or self.mcap is not None:
+                host, port = stages.host_and_port(self.foxglove_at or stages.LOOPBACK, stages.FOXGLOVE_PORT)
+                file, token = None if self.mcap is None else Path(self.mcap), self.foxglove_token or ""
+                shown = stages.FoxgloveStream(sensor, host if is_served else None, port, file, token)
                 streams.append(stack.enter_context(shown))
-                if self.rerun:
-                    current().say(f"Rerun: rerun --connect rerun+http://{host}:{port}/proxy; {reachable(host)}")
+                if is_served:
+                    current().say(f"Foxglove: open ws://{host}:{shown.port}; {stages.reachable(host)}")
+            if (is_served := self.rerun or self.rerun_at is not None) or self.rrd is not None:
+                host, port = stages.host_and_port(self.rerun_at or stages.LOOPBACK, stages.RERUN_PORT)
+                file = None if self.rrd is None else Path(self.rrd)
+                viewed = stages.RerunStream(sensor, host if is_served else None, port, file)
+                streams.append(stack.enter_context(viewed))
+                if is_served:
+                    url = f"rerun+http://{host}:{port}/proxy"
+                    current().say(f"Rerun: rerun --connect {url}; {stages.reachable(host)}")
             yield streams
+
+
+STREAMS = Options(AskedStreams)

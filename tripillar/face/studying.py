@@ -1,44 +1,33 @@
 """Whole studies: the pipeline, sweeps of designs and the search for the best; and this machine."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
+from geometry.storage.files import write_text
+from geometry.storage.journal import Journal
+from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import (
-    DesignLike,
-    File,
-    design_of,
-    require_counts,
-    require_packages,
-    require_pool,
-    require_there,
-    to_fill,
-)
+from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages, require_pool
 from tripillar.terminal.interrupts import last_words
-
-if TYPE_CHECKING:
-    from geometry.storage.journal import Journal
-    from tripillar.doctor import Check
-    from tripillar.pipeline.run import PipelineResult
-    from tripillar.sweep.rows import Row
-    from tripillar.sweep.sweep_file import Sweep
-    from tripillar.terminal.progress import Bars
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
 
+#: said when a sweep is interrupted
+STOPPED = "stopped; the rows in {} are kept: give the same command again to go on."
 
+
+@job(out="/")
 def run(
     design: DesignLike | None = None,
     *,
     out: File = Path("out"),
     until: Literal["dataset", "table"] = "table",
-) -> "PipelineResult":
+) -> "stages.PipelineResult":
     """Run the whole pipeline, from a design to a table of errors.
 
     The stages are CAD, response, unit, data sets, networks and table. What did not change is not made again.
@@ -57,21 +46,16 @@ def run(
     PipelineResult
         The stages that ran and the comparisons of the table.
     """
-    caller, folder, sensor = current(), to_fill(out), design_of(design)
-    from tripillar.face.tables import comparison_table, stage_table, touch_table
-    from tripillar.pipeline.run import run_pipeline
-
-    with last_words(f"interrupted; the files in {folder} are kept: give the same command again to go on."):
-        result = run_pipeline(sensor, folder, caller.bars, until_dataset=until == "dataset")
-    of_errors = (comparison_table, touch_table) if result.comparisons else ()
-    caller.answer(
-        result.as_plain,
-        lambda: [*(table(result.comparisons) for table in of_errors), stage_table(result.stages)],
-        *result.files,
-    )
+    caller, sensor = current(), design_of(design)
+    with last_words(f"interrupted; the files in {out} are kept: give the same command again to go on."):
+        result = stages.run_pipeline(sensor, Path(out), caller.bars, until_dataset=until == "dataset")
+    comparison, stage = stages.comparison_table, stages.stage_table
+    of_errors = [comparison(result.comparisons)] if result.comparisons else []
+    caller.answer(result.as_plain, lambda: [*of_errors, stage(result.stages)], *result.files)
     return result
 
 
+@job(out="/")
 def sweep(
     file: File,
     /,
@@ -84,7 +68,7 @@ def sweep(
     train: bool = False,
     retry: bool = False,
     best: int = 8,
-) -> "list[Row]":
+) -> "list[stages.Row]":
     """Compare many designs by error, range, crosstalk and cost, or search for the one of least error within bounds.
 
     The same command again goes on where it was stopped.
@@ -115,88 +99,79 @@ def sweep(
     list of Row
         The designs with their measures; of a search the best one first.
     """
-    caller, source, folder = current(), Path(file), to_fill(out)
-    require_there(source, what="a sweep file")
-    require_counts(workers=workers, best=best, trials=trials)
+    caller, source, folder = current(), Path(file), Path(out)
     require_pool(workers if scheduler is None else None, scheduler)
     if optimize and (train or retry):
         raise DesignError("train=True and retry=True are of sweeps: leave them out with optimize=True.")
     if trials is not None and not optimize:
         raise DesignError("trials= are of a search: add optimize=True, or leave trials= out.")
-    asked = sweep_of(source, train)
+    asked = stages.read_sweep(source)
+    asked = replace(asked, judging=replace(asked.judging, train=train), samples=trials or asked.samples)
+    pool: dict[str, Any] = {"count": workers, "scheduler": scheduler, "log": folder / f"{source.stem}-workers.log"}
     if optimize:
-        asked = asked if trials is None else replace(asked, samples=trials)
-        return _optimized(asked, source, folder, workers, scheduler)
+        return _optimized(asked, source, folder, pool)
     require_packages("pyarrow", "matplotlib")
-    from geometry.pool import open_pool
-    from geometry.storage.journal import Journal
-    from tripillar.sweep.rows import write_parquet
-    from tripillar.sweep.run import are_cached, judge_all, kept_rows
-    from tripillar.sweep.sampling import samples_of
-    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
-
-    samples = samples_of(asked)
-    journal = Journal(folder / f"{source.stem}-rows")
-    found = kept_rows(samples, journal, retry)
+    samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
+    found = stages.kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
     if missing:
-        log = folder / f"{source.stem}-workers.log"
-        tasks = 0 if are_cached(missing, asked.judging) else None
-        with stoppable(journal), open_pool(workers, scheduler, log, tasks) as pool:
-            found |= judge_all(missing, asked.judging, pool, journal, shown(caller.bars, "designs", len(missing)))
+        tasks = 0 if stages.are_cached(missing, asked.judging) else None
+        with last_words(STOPPED.format(journal.folder)), stages.open_pool(**pool, tasks=tasks) as workers_there:
+            found |= stages.judge_all(missing, asked.judging, workers_there, journal, _shown("designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
-    write_parquet(rows, files[0])
+    stages.write_parquet(rows, files[0])
     if not all(row.failed for row in rows):
         files += [folder / f"{source.stem}-pareto.png", folder / f"{source.stem}-parallel.png"]
-        draw_pareto(rows, asked, files[1])
-        draw_parallel(rows, asked, files[2])
-    failed = reasons(rows)
+        stages.draw_pareto(rows, asked, files[1])
+        stages.draw_parallel(rows, asked, files[2])
+    failed = stages.reasons(rows)
     result = {
         "designs": len(rows),
         "judged_now": len(missing),
         "failed": {kind: len(each) for kind, each in failed.items()},
-        "best": [row.flat() for row in ranked(rows, asked)[:best]],
+        "best": [row.flat() for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
-    caller.answer(lambda: result, lambda: [best_table(rows, asked, best)], *files)
+    table = stages.best_table
+    caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     return rows
 
 
-def _optimized(asked: "Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None) -> "list[Row]":
+def _optimized(asked: "stages.Sweep", source: Path, folder: Path, pool: dict[str, Any]) -> "list[stages.Row]":
     """The designs within bounds that a search tried, the best one first."""
     require_packages("optuna")
-    from geometry.pool import open_pool
-    from geometry.storage.files import write_text
-    from geometry.storage.journal import Journal
-    from tripillar.sweep.optimize import search, trial_sample, tried
-    from tripillar.sweep.run import kept_rows
-    from tripillar.sweep.trade_offs import best_table, ranked
-
-    journal, history = Journal(folder / f"{source.stem}-rows"), Journal(folder / f"{source.stem}-trials")
-    done = [trial_sample(asked, shares) for shares in tried(asked, history)]
-    rows = list(kept_rows(done, journal).values())
+    journal, history = (Journal(folder / f"{source.stem}-{kind}") for kind in ("rows", "trials"))
+    done = [stages.trial_sample(asked, shares) for shares in stages.tried(asked, history)]
+    rows = list(stages.kept_rows(done, journal).values())
     left = max(0, asked.samples - len(done))
     if left or len(rows) < len({sample.cache_key for sample in done}):
-        log = folder / f"{source.stem}-workers.log"
-        with history.alone(), stoppable(journal), open_pool(workers, scheduler, log) as pool:
-            rows = search(asked, pool, journal, history, shown(current().bars, "trials", left))
-    best = ranked(rows, asked)
+        with history.alone(), last_words(STOPPED.format(journal.folder)), stages.open_pool(**pool) as workers:
+            rows = stages.search(asked, workers, journal, history, _shown("trials", left))
+    best = stages.ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
     if not best:
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    counts = {"trials": len(done) + left, "tried_now": left, "designs": len(rows)}
-    result = counts | {"best": best[0].flat(), "file": str(path)}
-    current().answer(lambda: result, lambda: [best_table(rows, asked, 5)], path)
+    result = {"trials": len(done) + left, "tried_now": left, "designs": len(rows), "best": best[0].flat()}
+    table = stages.best_table
+    current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
     return best
 
 
-def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = True) -> "list[Check]":
+def _shown(what: str, total: int) -> Callable[["stages.Row"], None]:
+    """Progress of rows as a bar."""
+    advance = current().bars.begin(what, total=total)
+    advance(0, "workers begin")
+    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.metrics['seconds']:.1f} s")
+
+
+@job()
+def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = True) -> "list[stages.Check]":
     """Check this machine: versions, solver, display, serial ports, known answers.
 
     Ends with code 1 if something is wrong.
@@ -211,18 +186,13 @@ def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = Tru
     list of Check
         What was looked at, with its state and advice.
     """
-    caller = current()
-    from tripillar.doctor.known_answers import KNOWN, check_answers
-    from tripillar.doctor.surroundings import check_surroundings
-
-    checks = list(check_surroundings())
+    caller, checks = current(), list(stages.check_surroundings())
     if compute:
-        advance = caller.bars.begin("known answers", total=len(KNOWN))
-        for check in check_answers():
+        advance = caller.bars.begin("known answers", total=len(stages.KNOWN))
+        for check in stages.check_answers():
             advance(1, check.name)
             checks.append(check)
-    wrong = sum(check.state == "wrong" for check in checks)
-    lines = []
+    wrong, lines = sum(check.state == "wrong" for check in checks), []
     for check in checks:
         lines.append(f"{MARKS[check.state]} {check.name:32} {check.found}")
         if check.advice:
@@ -231,23 +201,3 @@ def doctor(*, compute: Annotated[bool, Parameter(negative="--no-compute")] = Tru
     result = {"checks": [asdict(check) for check in checks], "wrong": wrong}
     caller.answer(lambda: result, "\n".join(lines), code=1 if wrong else 0)
     return checks
-
-
-def sweep_of(file: Path, train: bool) -> "Sweep":
-    """The sweep of a file, with or without trained nets."""
-    from tripillar.sweep.sweep_file import read_sweep
-
-    asked = read_sweep(file)
-    return replace(asked, judging=replace(asked.judging, train=train))
-
-
-def stoppable(journal: "Journal") -> AbstractContextManager[None]:
-    """On Ctrl-C say that what is done is kept."""
-    return last_words(f"stopped; the rows in {journal.folder} are kept: give the same command again to go on.")
-
-
-def shown(bars: "Bars", what: str, total: int) -> Callable[["Row"], None]:
-    """Progress of rows as a bar."""
-    advance = bars.begin(what, total=total)
-    advance(0, "workers begin")
-    return lambda row: advance(1, f"failed: {row.reason[:60]}" if row.failed else f"{row.metrics['seconds']:.1f} s")

@@ -1,43 +1,43 @@
 """Tables of results that the commands print."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from decoupler.evaluation.assessment import Assessment
+from decoupler.evaluation.crossval import Fold, over_folds
+from decoupler.evaluation.metrics import ForceErrors
+from decoupler.touch.assessment import TouchAssessment
+from fem.contact import Contact
+from fem.scene.solution import Solution
 from geometry.layout import AXES
-
-if TYPE_CHECKING:
-    from decoupler.evaluation.assessment import Assessment
-    from decoupler.evaluation.crossval import Fold
-    from decoupler.evaluation.metrics import ForceErrors
-    from decoupler.touch.assessment import TouchAssessment
-    from fem.contact import Contact
-    from fem.scene.solution import Solution
-    from tripillar.pipeline.comparison import Comparison
-    from tripillar.pipeline.run import Stage
-
+from tripillar.pipeline.comparison import Comparison
+from tripillar.pipeline.manufactured import AS_READ, PAIRS
+from tripillar.pipeline.run import CAP, SPLITS, Stage
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
+ERRORS = ("relative error", "RMSE [N]", "% of full scale")
 
 
 def _headed(left: tuple[str, ...], right: tuple[str, ...], **settings: Any) -> Table:
     """An empty table with columns of text and columns of numbers."""
     table = Table(**settings)
-    for header in left:
-        table.add_column(header)
-    for header in right:
-        table.add_column(escape(header), justify="right")  # else rich takes [mm] for a style
+    for header in (*left, *right):
+        # escaped, else rich takes [mm] for a style
+        table.add_column(escape(header), justify="right" if header in right else "left")
     return table
 
 
-def comparison_table(comparisons: "list[Comparison]") -> Table:
-    """Errors of every decoupler on every protocol's test samples, beside the paper's."""
-    from tripillar.pipeline.manufactured import AS_READ, PAIRS
-    from tripillar.pipeline.run import CAP, SPLITS
+def _cells(errors: ForceErrors) -> tuple[str, str, str]:
+    relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
+    return relative, f"{errors.rmse_n:.3f}", "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
 
+
+def comparison_table(comparisons: list[Comparison]) -> Table:
+    """Errors of every decoupler on every protocol's test samples, beside the paper's."""
     (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
     table = _headed(
         ("data", "decoupler"),
@@ -57,39 +57,13 @@ def comparison_table(comparisons: "list[Comparison]") -> Table:
                 f"{errors.rel_err:.2%}" if errors and errors.rel_err else ""
                 for errors in (entry.as_read, entry.as_made, entry.identified)
             ]
-            table.add_row("", entry.decoupler, *_error_cells(entry.errors), read, at_rest, *made)
+            table.add_row("", entry.decoupler, *_cells(entry.errors), read, at_rest, *made)
         floor = f"PCA floor of {comparison.floor_hidden} nodes"
-        table.add_row("", floor, *_error_cells(comparison.plain_floor), style="dim", end_section=True)
+        table.add_row("", floor, *_cells(comparison.plain_floor), style="dim", end_section=True)
     return table
 
 
-def touch_table(comparisons: "list[Comparison]") -> Table:
-    """Errors in newtons of the force on one pad that is touched, for networks trained under load."""
-    from tripillar.pipeline.comparison import AT_REST, TOUCHES_N
-    from tripillar.pipeline.manufactured import AS_READ
-
-    table = _headed(
-        ("data", "decoupler"),
-        tuple(f"{size_n:g} N" for size_n in TOUCHES_N),
-        title="One pad touched, nothing else on the sensor: error of its force [N], exact readings / " + AS_READ,
-        caption="Root mean square over all pads; the networks of the table above. Zeroed at rest: what the\n"
-        f"sensor shows with nothing on it, the mean of {AT_REST} readings, is taken off",
-    )
-    for comparison in comparisons:
-        for number, one in enumerate(comparison.touches):
-            cells = [
-                f"{_newtons(exact)} / {_newtons(read)}" for exact, read in zip(one.exact_n, one.read_n, strict=True)
-            ]
-            table.add_row("" if number else comparison.protocol, one.decoupler, *cells)
-        table.add_section()
-    return table
-
-
-def _newtons(value: float) -> str:
-    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
-
-
-def stage_table(stages: "list[Stage]") -> Table:
+def stage_table(stages: list[Stage]) -> Table:
     """Time of every stage, and what was reused."""
     table = _headed(("stage",), ("seconds",), title="Stages")
     table.add_column("")
@@ -99,19 +73,22 @@ def stage_table(stages: "list[Stage]") -> Table:
     return table
 
 
-def assessment_table(assessed: "Mapping[str, Assessment]") -> Table:
+def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
-    headers = ("relative error", "RMSE [N]", "% of full scale", "times the limit")
-    table = _headed(("force", "decoupler"), headers, caption=_coverage(assessed))
+    shares = [
+        f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items() if one.coverage
+    ]
+    caption = f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
+    table = _headed(("force", "decoupler"), (*ERRORS, "times the limit"), caption=caption)
     for name, one in assessed.items():
-        table.add_row(name, "this model", *_error_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
+        table.add_row(name, "this model", *_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
         if one.limits is not None:
             unbiased = one.limits.cramer_rao_n
             shown = "not determined" if unbiased is None else f"{unbiased:.3f}"
             table.add_row("", "limit without bias (Cramér-Rao)", "", shown, "", "", style="dim")
             table.add_row("", "limit knowing the usual loads", "", f"{one.limits.bayes_n:.3f}", "", "", style="dim")
         for label, errors in one.baselines.items():
-            table.add_row("", label, *_error_cells(errors), "")
+            table.add_row("", label, *_cells(errors), "")
         if one.light is not None:
             light, limit = one.light, one.light.touch_limit_n
             times = "–" if limit is None else f"{light.touch_rmse_n / limit:.3f}"
@@ -121,80 +98,65 @@ def assessment_table(assessed: "Mapping[str, Assessment]") -> Table:
     return table
 
 
-def assessed_touch_tables(found: "TouchAssessment") -> list[Table]:
+def assessed_touch_tables(found: TouchAssessment) -> list[Table]:
     """Errors of a touch decoder: of units by force, then of the net force, its place and the units that are loaded."""
     table = _headed(("of all contacts",), ("value",))
     table.add_row("median error of the net Fz", f"{found.net_fz_median_pct:.1f}%")
-    table.add_row(r"median error of the centre of pressure \[mm]", f"{found.centre_mm:.2f}")
+    table.add_row(escape("median error of the centre of pressure [mm]"), f"{found.centre_mm:.2f}")
     one, two = found.loaded_coverage
-    table.add_row(r"RMSE of Fz on units that carry over 1 N \[N]", f"{found.loaded_rmse_n:.2f}")
+    table.add_row(escape("RMSE of Fz on units that carry over 1 N [N]"), f"{found.loaded_rmse_n:.2f}")
     table.add_row("their errors within the 68 % and 95 % deviation", f"{one:.1%} and {two:.1%}")
     return [assessment_table(found.by_force), table]
 
 
-def _coverage(assessed: "Mapping[str, Assessment]") -> str:
-    shares = [
-        f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}"
-        for name, one in assessed.items()
-        if one.coverage is not None
-    ]
-    return f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
-
-
-def crossval_table(tested: "list[Fold]") -> Table:
+def crossval_table(tested: list[Fold]) -> Table:
     """Errors of every fold, their mean and their spread."""
-    from decoupler.evaluation.crossval import over_folds
-
-    headers = ("fold", "force", "relative error", "RMSE [N]", "% of full scale", "iterations", "seconds")
-    table = _headed((), headers, title=f"{len(tested)}-fold cross-validation")
+    title = f"{len(tested)}-fold cross-validation"
+    table = _headed((), ("fold", "force", *ERRORS, "iterations", "seconds"), title=title)
     for number, fold in enumerate(tested, 1):
         for row, (name, errors) in enumerate(fold.errors.items()):
             trained = ("", "") if row else (str(fold.iterations), f"{fold.seconds:.1f}")
-            table.add_row("" if row else str(number), name, *_error_cells(errors), *trained)
+            table.add_row("" if row else str(number), name, *_cells(errors), *trained)
     table.add_section()
     for label, statistic in (("mean", np.mean), ("spread", np.std)):
         for name, errors in over_folds(tested, statistic).items():
-            table.add_row(label, name, *_error_cells(errors), "", "")
+            table.add_row(label, name, *_cells(errors), "", "")
     return table
 
 
-def solution_table(solution: "Solution") -> Table:
+def solution_table(solution: Solution) -> Table:
     """Displacement of every probe of a scene, with how far to trust it below."""
-    seconds = sum(solution.seconds.values())
-    table = _headed(
-        ("probe",),
-        tuple(f"u{axis} [mm]" for axis in AXES),
-        min_width=100,
-        caption=f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, "
-        f"{solution.unknowns} unknowns, residual {solution.residual:.0e}, {seconds:.2f} s",
+    caption = (
+        f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, {solution.unknowns} "
+        f"unknowns, residual {solution.residual:.0e}, {sum(solution.seconds.values()):.2f} s"
     )
+    table = _headed(("probe",), tuple(f"u{axis} [mm]" for axis in AXES), min_width=100, caption=caption)
     for name, displacement in solution.probes.items():
         table.add_row(escape(name), *(f"{u:.6g}" for u in displacement))
     return table
 
 
-def _error_cells(errors: "ForceErrors") -> tuple[str, str, str]:
-    relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
-    share = "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
-    return relative, f"{errors.rmse_n:.3f}", share
-
-
-def contact_table(contact: "Contact", strain: float) -> Table:
+def contact_table(contact: Contact, strain: float) -> Table:
     """Results of a contact, and the forces of the units that it loads most."""
-    table = _headed(("",), ("x", "y", "z"), title="Contact; forces on the sensor, z positive in compression")
-    for name, values, form in (
-        ("net force [N]", contact.net_force_n, ".3f"),
-        ("moment about the array's middle [N mm]", contact.moment_nmm, ".2f"),
-        ("centre of pressure [mm]", contact.centre_mm, ".3f"),
-    ):
-        table.add_row(escape(name), *(format(value + 0.0, form) for value in values))
-    table.add_row(escape("contact area [mm²]"), "", "", f"{contact.area_mm2:.2f}")
-    table.add_row(escape("peak pressure [MPa]"), "", "", f"{contact.peak_mpa:.3f}")
-    table.add_row("estimated error of the units' forces", "", "", f"{contact.error_estimate:.1%}")
-    table.add_row("estimated error of the electrodes' motion", "", "", f"{contact.electrode_error_estimate:.1%}")
-    table.add_row("share that sticks", "", "", f"{contact.sticking:.0%}")
-    table.add_row("largest strain of a pillar", "", "", f"{strain:.1%}", end_section=True)
+    table = _headed(("",), AXES, title="Contact; forces on the sensor, z positive in compression")
     size = np.linalg.norm(contact.force_n, axis=2)
-    for row, col in np.argwhere(size >= MIN_SHOWN * size.max()).tolist():
-        table.add_row(escape(f"unit {row},{col} [N]"), *(f"{value + 0.0:.3f}" for value in contact.force_n[row, col]))
+    units = np.argwhere(size >= MIN_SHOWN * size.max()).tolist()
+    vectors = [
+        ("net force [N]", contact.net_force_n),
+        ("moment about the array's middle [N mm]", contact.moment_nmm),
+        ("centre of pressure [mm]", contact.centre_mm),
+        *((f"unit {row},{col} [N]", contact.force_n[row, col]) for row, col in units),
+    ]
+    for name, values in vectors:
+        table.add_row(escape(name), *(f"{value + 0.0:.3f}" for value in values))
+    table.add_section()
+    for name, value in (
+        ("contact area [mm²]", f"{contact.area_mm2:.2f}"),
+        ("peak pressure [MPa]", f"{contact.peak_mpa:.3f}"),
+        ("estimated error of the units' forces", f"{contact.error_estimate:.1%}"),
+        ("estimated error of the electrodes' motion", f"{contact.electrode_error_estimate:.1%}"),
+        ("share that sticks", f"{contact.sticking:.0%}"),
+        ("largest strain of a pillar", f"{strain:.1%}"),
+    ):
+        table.add_row(escape(name), "", "", value)
     return table

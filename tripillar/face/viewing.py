@@ -4,18 +4,19 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from geometry.errors import DesignError
+from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, to_write
-from tripillar.viewer.page.opening import HTTP_PORT, LOOPBACK, PageOptions
-from tripillar.viewer.showing import Camera, Colour, LoadKind, require_shown, show_deformed
+from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, job
+from tripillar.terminal.interrupts import leave_at_once
+from tripillar.viewer.showing import Camera, Colour, LoadKind
 
 if TYPE_CHECKING:
-    Pressures = float | Sequence[float]
+    Pressures = float | Sequence[float] | None
     Scale = float | str | None
 else:
     Pressures = Annotated[tuple[float, ...], Parameter(consume_multiple=True, show_default=lambda _: "3")]
@@ -26,12 +27,13 @@ MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
 MEND = "write model = 'neo-hookean' in the rubbers for finite strain"
 
 
+@job(save="")
 def view(
     body: BodyLike | None = None,
     /,
     *,
     save: File | None = None,
-    pressure_mpa: Pressures | None = None,
+    pressure_mpa: Pressures = None,
     load: LoadKind | None = None,
     colour: Annotated[Colour, Parameter(name=("--colour", "--color"))] = "displacement",
     scale: Scale = "true",
@@ -93,87 +95,62 @@ def view(
     >>> list(tp.view(design, save=Path(mkdtemp()) / "pressed.vtm", pressure_mpa=2.0))
     ["2 MPa at the indenter's middle"]
     """
-    caller = current()
+    caller, start = current(), perf_counter()
     if body is not None and design is not None:
         raise DesignError(f"{body} and design={design} both say what to show: give one of them.")
-    shown_as = {
-        "pressure_mpa": pressure_mpa is not None,
-        "load": load is not None,
-        "colour": colour != "displacement",
-        "scale": scale != "true",
-        "camera": camera != "iso",
-        "save": save is not None,
-    }
-    of_page = {"host": host, "http_port": http_port, "port": port, "model": model, "calibration": calibration}
-    _require_together(shown_as, {name: value is not None for name, value in of_page.items()}, serve)
+    defaults = {"save": None, "pressure_mpa": None, "load": None, "colour": "displacement", "scale": "true"}
+    of_pictures = dict(save=save, pressure_mpa=pressure_mpa, load=load, colour=colour, scale=scale, camera=camera)
+    of_pictures = {name: value for name, value in of_pictures.items() if value != defaults.get(name, "iso")}
+    named = (("model", model), ("calibration", calibration))
+    files = {name: None if path is None else Path(path) for name, path in named}
+    of_page: dict[str, Any] = dict(host=host, http_port=http_port, port=port, **files)
+    of_page = {name: value for name, value in of_page.items() if value is not None}
+    if surplus := ", ".join(f"{name}=" for name in (of_pictures if serve else of_page)):
+        if serve:
+            raise DesignError(f"the page of serve=True has controls of its own: leave {surplus} out.")
+        raise DesignError(f"add serve=True, whose page these are for, or leave {surplus} out.")
     if serve:
-        options = PageOptions(
-            host=LOOPBACK if host is None else host,
-            http_port=HTTP_PORT if http_port is None else http_port,
-            port=port,
-            model=None if model is None else Path(model),
-            calibration=None if calibration is None else Path(calibration),
-        )
-        _serve(options, design if body is None else body)
+        _serve(stages.PageOptions(**of_page), design if body is None else body)
         return {}
-    pressures, factor, file = _pressures(pressure_mpa), _factor(scale), to_write("save", save)
-    require_shown(file)
-    start = perf_counter()
-    from fem.scene.scene import Scene
-    from tripillar.viewer.sights import largest_mm, linear_note, read_body
-
-    given = design_of(design) if body is None else read_body(Path(body)) if isinstance(body, Path | str) else body
-    if isinstance(given, Scene) and (pressure_mpa is not None or load is not None):
+    pressures, factor, file = _pressures(pressure_mpa), _factor(scale), None if save is None else Path(save)
+    stages.require_shown(file)
+    given = design_of(design) if body is None else _read(body)
+    if isinstance(given, stages.Scene) and (pressure_mpa is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave pressure_mpa= and load= out.")
-    panels, factor = show_deformed(given, file, pressures, load or "indenter", colour, factor, camera, caller.bars)
-    moved = {
-        name: {part_name: largest_mm(part.displacement_mm) for part_name, part in parts.items()}
-        for name, parts in panels.items()
-    }
-    largest = {name: max(of_parts.values()) for name, of_parts in moved.items()}
-    drawn_as = "" if factor == 1 else f", drawn {factor:g} times"
-    lines = []
-    for name, of_parts in moved.items():
-        pillars = f", of the pillars {of_parts['pillars']:.3g} mm" if "pillars" in of_parts else ""
+    panels, factor = stages.show_deformed(
+        given, file, pressures, load or "indenter", colour, factor, camera, caller.bars
+    )
+    lines, largest = [], {}
+    for name, parts in panels.items():
+        moved = {part_name: stages.largest_mm(part.displacement_mm) for part_name, part in parts.items()}
+        largest[name] = max(moved.values())
+        pillars = f", of the pillars {moved['pillars']:.3g} mm" if "pillars" in moved else ""
+        drawn_as = "" if factor == 1 else f", drawn {factor:g} times"
         lines.append(f"{name}: largest displacement {largest[name]:.3g} mm{pillars}{drawn_as}")
-    warning = linear_note(given, panels)
+    warning = stages.linear_note(given, panels)
     if warning:
         lines.append(f"{warning}; {MEND}")
-    result = {
-        "file": None if file is None else str(file),
-        "scale": factor,
-        "largest_displacement_mm": largest,
-        "note": warning,
-        "seconds": perf_counter() - start,
-    }
+    result = {"file": None if file is None else str(file), "scale": factor, "largest_displacement_mm": largest}
+    result |= {"note": warning, "seconds": perf_counter() - start}
     caller.answer(lambda: result, "\n".join(lines), file)
     return largest
 
 
-def _require_together(of_pictures: dict[str, bool], of_page: dict[str, bool], serve: bool) -> None:
-    """Refuse options of pictures with the page, and those of the page without it."""
-    given = ", ".join(f"{name}=" for name, is_given in (of_pictures if serve else of_page).items() if is_given)
-    if given:
-        why = "the page of serve=True has controls of its own" if serve else "add serve=True, whose page these are for"
-        raise DesignError(f"{why}{': leave' if serve else ', or leave'} {given} out.")
+def _read(body: "BodyLike") -> Any:
+    return stages.read_body(Path(body)) if isinstance(body, Path | str) else body
 
 
-def _serve(options: PageOptions, source: "BodyLike | None") -> None:
+def _serve(options: "stages.PageOptions", source: "BodyLike | None") -> None:
     """Serve the page of a design until Ctrl-C."""
-    from fem.scene.scene import Scene
-    from tripillar.terminal.interrupts import leave_at_once
-    from tripillar.viewer.page.opening import open_page
-    from tripillar.viewer.sights import read_body
-
-    design = read_body(Path(source)) if isinstance(source, Path | str) else source
-    if isinstance(design, Scene):
+    design = None if source is None else _read(source)
+    if isinstance(design, stages.Scene):
         raise DesignError(f"{source} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
-    open_page(options, design, current().bars, current().as_json)
+    stages.open_page(options, design, current().bars, current().as_json)
     if current().is_typed:
         leave_at_once()
 
 
-def _pressures(given: "Pressures | None") -> tuple[float, ...]:
+def _pressures(given: "Pressures") -> tuple[float, ...]:
     """The pressures that are asked for, sound and different."""
     pressures = PRESSURES if given is None else (given,) if isinstance(given, int | float) else tuple(given)
     for value in pressures:

@@ -16,10 +16,10 @@ from geometry.layout import AXES, FloatArray
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench
-from hardware.recording.topics import wrench_content
 from hardware.session import scans_within
 from hardware.streams.addresses import Stream
 from hardware.streams.scene import colours
+from hardware.streams.topics import wrench_content
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow

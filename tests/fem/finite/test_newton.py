@@ -14,7 +14,6 @@ from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium
 from fem.finite.preloads import PreloadedArray
 from fem.finite.samples import FINE, SampleSolver
 from fem.finite.solving import finite_boxes, solve_finite
-from fem.finite.tetrahedra import TetrahedralSystem
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
@@ -23,6 +22,7 @@ from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene, Sensor
 from fem.scene.solution import FiniteSolution
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import unit_centres
 from tests.fem.scenes import pressed_block

@@ -1,39 +1,22 @@
-"""A pressed sensor behind a simulated board, and a model that reads it."""
+"""A pressed sensor behind a simulated board, and a recording of it."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, train
 from hardware import live
 from hardware.boards.virtual_board import VirtualBoard
-from hardware.link.frames import Frame, Info, ScanMode
-from hardware.readout.calibration import Electronics
+from hardware.link.frames import Frame
 from hardware.recording import Recorder, read_recording
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.hardware.models import INFO
 
-INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
 BEGAN_S = 1.8e9  #: Unix time
 
 
 @pytest.fixture(scope="package")
-def pressed():
-    """Samples of a sensor of 2 × 3 units, a model of them, and what a board counts under them."""
-    samples = labelled(sensor(2, 3), "xyz", n_samples=400, seed=0)
-    noisy = measured(samples.resistance_ohm, 1e-3, None, np.random.default_rng(0))
-    network = NetworkConfig(hidden=4, feature="inverse")
-    data = replace(samples, resistance_ohm=noisy, noise=1e-3)
-    model = train(data, "all", network, TrainingConfig(), response=response(sensor(2, 3)))
-    counts = Electronics().crossbar(INFO).counts(samples.resistance_ohm[:50])
-    return SimpleNamespace(samples=samples, model=model, counts=counts)
-
-
-@pytest.fixture
 def board(pressed):
-    """A simulated board, live: the `description` of its sensor, and `take(n)` frames of it."""
+    """A simulated board, live: the `description` of its sensor, and `take(n)` scans of it."""
     with VirtualBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
 
         def take(n):
@@ -42,12 +25,13 @@ def board(pressed):
         yield SimpleNamespace(description=scans.description, take=take)
 
 
-@pytest.fixture
-def recording(pressed, tmp_path):
+@pytest.fixture(scope="package")
+def recording(pressed, tmp_path_factory):
     """40 scans, 5 ms apart by the board's clock; they arrive up to 3 ms late, and the board restarts after 20."""
     late_s = np.random.default_rng(2).uniform(0.0, 0.003, 40)
     late_s[[0, 20]] = 0.0  # what each run is told by at once
-    with Recorder(tmp_path / "press.frames", INFO) as recorder:
+    path = tmp_path_factory.mktemp("recorded") / "press.frames"
+    with Recorder(path, INFO) as recorder:
         for k in range(40):
             if k == 20:
                 recorder.begin_run("restart")
@@ -56,4 +40,4 @@ def recording(pressed, tmp_path):
                 sequence=k % 20, device_us=us, bits=INFO.bits, counts=pressed.counts[k], scan_mode=INFO.scan_mode
             )
             recorder.append(frame, BEGAN_S + 0.005 * k + late_s[k])
-    return read_recording(tmp_path / "press.frames")
+    return read_recording(path)

@@ -36,12 +36,12 @@ from studies.paper.experiments import (
     cache_key_of,
     run_experiments,
 )  # fmt: skip
+from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
+from studies.paper.printed import TABLE_2_AVERAGE
 from studies.paper.report import Computed, as_html, as_markdown
 from studies.paper.results import Results, read_results, write_results
 from studies.paper.spacing import Asked, Spacing, study_spacing
 from tests.studies.one_process import one_after_another
-from tripillar.pipeline.printed import TABLE_2 as PRINTED_TABLE_2
-from tripillar.pipeline.printed import TABLE_2_AVERAGE
 from tripillar.terminal.progress import Bars
 
 FEW = Asked(pitches_mm=(14.0, 20.0), wider_mm=(30.0,))

@@ -1,4 +1,4 @@
-"""Taylor-Hood tetrahedra under loads at finite strain: the equations that Newton's method solves, plates and all.
+"""The equations of a body of Taylor-Hood tetrahedra under loads, plates and all; linear elasticity is those at rest.
 
 Pressures are unknowns as displacements are. A state is stable where its tangent has as many negative eigenvalues as
 there are pressures.
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor, whole
+from fem.mirrors import Parity
 from fem.plates import FollowingFaces, Plates
 from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
@@ -40,9 +41,16 @@ class TetrahedralSystem(Equations):
         plates = Plates.on(points, nodes, rectangles, middles)
         faces = FollowingFaces.on_tetrahedra(body.basis, loads)
         super().__init__(body, loads, plates, faces, points, points[:, 2] > 0.0)
-        self.take(loads, lambda rectangles: patch_integrals(body.basis, rectangles))
+        self.take(loads)
         self.n_mixed, self.pressures_shape = body.n_pressure, (body.n_pressure,)
         self._pattern: sp.csr_matrix | None = None
+
+    def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
+        return patch_integrals(self.body.basis, rectangles)
+
+    def of_parity(self, parity: Parity) -> "TetrahedralSystem":
+        """The whole body has fields of every parity."""
+        return self
 
     def volume_ratios(self, state: State) -> FloatArray:
         """J at the points of integration, (n_elements, q)."""
@@ -52,8 +60,8 @@ class TetrahedralSystem(Equations):
         """Energy in the rubber."""
         return self.body.energy_mj(state.u, state.p)
 
-    def _motions(self, rotation: FloatArray) -> sp.csr_matrix:
-        """T: displacements of all nodes (3 n_nodes) by the unknowns that are no pressures, as a matrix."""
+    def motions(self, rotation: FloatArray) -> sp.csr_matrix:
+        """T: the body's own unknowns, displacements off the base and pressures, by those of the system, as a matrix."""
         axis, n, k = np.arange(3), len(self.free), self.plates.count
         node, plate = self.plates.node, self.plates.plate
         own, bonded = (3 * self.free[:, None] + axis).ravel(), (3 * node[:, None] + axis).ravel()
@@ -63,7 +71,8 @@ class TetrahedralSystem(Equations):
         columns = [np.arange(3 * n), shifts.ravel(), np.repeat(shifts + 3 * k, 3, axis=0).ravel()]
         values = [np.ones(len(own) + len(bonded)), spins.ravel()]
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        return sp.csr_matrix(entries, shape=(3 * self.body.n_nodes, 3 * self.n_blocks))
+        T = sp.csr_matrix(entries, shape=(3 * self.body.n_nodes, 3 * self.n_blocks))
+        return sp.block_diag([T[self.body.free], sp.eye_array(self.body.n_pressure)], format="csr")
 
     def misfit(self, state: State, share: float) -> Misfit:
         """Forces that a state leaves unbalanced at a share of the full load, and volumes that its pressures miss."""
@@ -90,13 +99,24 @@ class TetrahedralSystem(Equations):
         """Leave the tangent in a factor; none of its elements is stiffened."""
         factor.factor(self._tangent(state, share, misfit.reactions))
 
+    def rest_tangent(self) -> sp.csr_matrix:
+        """The tangent at rest, upper triangle."""
+        if not self.plates.count:
+            return self.body.upper
+        T = self.motions(self.rest().rotation)
+        return sp.triu(T.T @ whole(self.body.upper) @ T, format="csr")
+
+    def matrix(self, data: sp.csr_matrix, parity: Parity | None = None) -> sp.csr_matrix:
+        """The matrix of `rest_tangent` itself."""
+        return data
+
     def _tangent(self, state: State, share: float, reactions: FloatArray) -> sp.csr_matrix:
         K = self.body.tangent(state.u, state.p)
         if not self.plates.count and self.symmetric:
             return K
         pushed = -share * self.faces.stiffness(self.points_mm + state.u)
         turning = self.turning(state, reactions)
-        T = self._motions(state.rotation)
+        T = self.motions(state.rotation)
         if self._pattern is None:  # sums drop what is 0, and a factor wants the same entries in every state
             of_k, of_t = (sp.csr_matrix((np.ones_like(A.data), A.indices, A.indptr), A.shape) for A in (K, T))
             self._pattern = self._summed(of_k, of_t, np.ones_like(pushed), np.ones_like(turning)).tocsr()
@@ -119,7 +139,6 @@ class TetrahedralSystem(Equations):
         rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
         values = pushed.transpose(0, 1, 3, 2, 4).ravel()
         K = whole(K) + sp.csr_matrix((values, (rows.ravel(), columns.ravel())), shape=K.shape)
-        T = sp.block_diag([T[self.body.free], sp.eye_array(self.body.n_pressure)], format="csr")
         spins = 3 * (self.n_blocks - self.plates.count) + np.arange(3 * self.plates.count).reshape(-1, 3)
         rows, columns = np.broadcast_arrays(spins[:, :, None], spins[:, None, :])
         shape = (T.shape[1], T.shape[1])

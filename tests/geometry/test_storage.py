@@ -1,0 +1,235 @@
+"""Files: written whole or not at all, given back to the last bit, refused in one line where they are damaged."""
+
+import json
+import os
+import signal
+import stat
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from geometry import Array, FileFormatError, Material, SensorDesign
+from geometry.mesh import TetMesh, read_mesh, write_mesh
+from geometry.storage.cache import kept, read_arrays, write_arrays
+from geometry.storage.files import digest, replacing, uninterrupted
+from geometry.storage.netcdf import read_netcdf, write_netcdf
+from geometry.storage.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, sealed, sealed_json
+
+RNG = np.random.default_rng(0)
+ARRAYS = {"a": RNG.normal(size=(2, 3)), "steps": np.array(["one", "two"])}
+WANTED = {"load": ("row", "col"), "reply": ("row", "col", "axis")}
+DATA = xr.Dataset(
+    {
+        "load": (("row", "col"), RNG.normal(size=(2, 3)), {"units": "N"}),
+        "reply": (("row", "col", "axis"), RNG.normal(size=(2, 3, 2))),
+    },
+    coords={"axis": ["x", "y"]},
+    attrs={"design": "# ν and Ω are no ASCII\n", "seed": 3},
+)
+MESH = TetMesh(RNG.normal(size=(5, 3)), np.array([[0, 1, 2, 3], [1, 2, 3, 4]]), np.array([0, 1]), "0123456789abcdef")
+
+
+def read_data(path):
+    return read_netcdf(path, WANTED, made_by="tripillar made-up")
+
+
+#: writer, reader, what is compared
+KINDS = {
+    "npz": (lambda path: write_arrays(ARRAYS, path), read_arrays, lambda found: digest(*map(repr, found.values()))),
+    "nc": (lambda path: write_netcdf(DATA, path), read_data, lambda found: found.to_dict()),
+    "vtu": (lambda path: write_mesh(MESH, path), read_mesh, lambda found: (found.content_hash, found.cache_key)),
+}
+GIVEN = {"npz": ARRAYS, "nc": DATA, "vtu": MESH}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_comes_back_to_the_last_bit_and_is_refused_where_it_is_damaged(tmp_path, kind, capfd):
+    """Before its library reads it, some of which crash."""
+    write, read, compared = KINDS[kind]
+    path = tmp_path / f"a.{kind}"
+    with pytest.raises(FileFormatError, match=r"a\.\w+: (no|.*No) such file"):
+        read(path)
+    write(path)
+    assert compared(read(path)) == compared(GIVEN[kind])
+    assert list(tmp_path.iterdir()) == [path]
+    whole = path.read_bytes()
+    flipped = [whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :] for at in (0, len(whole) // 3, len(whole) // 2)]
+    cut = [whole[: int(share * len(whole))] for share in (0.01, 0.1, 0.5, 0.9, 0.99)]
+    for content in (
+        b"",
+        b"hello\n" * 100,
+        b"\x89HDF\r\n\x1a\n",
+        b"PK\3\4 no zip",
+        b"<?xml version='1.0'?>",
+        *cut,
+        *flipped,
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=rf"^{path}: ") as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+    write(path)  # no library keeps it open
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (DATA.drop_vars("reply"), r"has no variable 'reply', only \['load'\]"),
+        *(
+            (data, r"'load' has the dims .*, expected \('row', 'col'\)")
+            for data in (DATA.rename(row="line"), DATA.isel(row=0), DATA.expand_dims(sample=1))
+        ),
+    ],
+)
+def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path, data, says):
+    write_netcdf(data, tmp_path / "a.nc")
+    with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
+        read_data(tmp_path / "a.nc")
+    write_netcdf(DATA.transpose("axis", "col", "row"), tmp_path / "a.nc")
+    assert read_data(tmp_path / "a.nc").identical(DATA)
+
+
+@pytest.mark.parametrize("last", [LAST_LINE, b""], ids=["last line", "header"])
+def test_every_flipped_bit_is_refused_but_in_the_mark_itself(tmp_path, last):
+    """A file whose mark is damaged states no hash, and is refused where one is required; its content is whole."""
+    path = tmp_path / "a"
+    path.write_bytes(b"".join(sealed(b"x" * 10_000 if last else BLANK + b"x" * 10_000, last)))
+    require_intact(path, "mend it", required=True)
+    whole = path.read_bytes()
+    at = whole.index(MARK)
+    for place in [0, 5000, len(whole) - 1, *range(at, at + len(BLANK))]:
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        in_mark = at <= place < at + len(MARK)
+        with pytest.raises(FileFormatError, match="states no hash.*mend it" if in_mark else "does not match.*mend it"):
+            require_intact(path, "mend it", required=True)
+        if in_mark:
+            require_intact(path, "mend it")
+
+
+def test_json_is_hashed_as_what_it_holds_not_as_it_is_laid_out():
+    plain = {"b": [0.1, None, float("nan")], "a": {"ü": 1}}
+    text = sealed_json(plain)
+    assert str(opened_json(text)) == str(plain)
+    again = json.dumps(dict(reversed(json.loads(text).items())), indent=2, ensure_ascii=False)
+    assert opened_json(again)["a"] == {"ü": 1}
+    assert opened_json('{"by": "hand"}') == {"by": "hand"}
+    assert KEY not in opened_json(text)
+    for damaged in (text.replace("0.1", "0.2"), "", "[1]", "17", '{"a": ', "[" * 100_000):
+        with pytest.raises(ValueError, match=r"."):
+            opened_json(damaged)
+
+
+@dataclass(frozen=True)
+class Answer:
+    number: float
+    cache_key: str
+
+
+class Cache:
+    """Asks for one answer and counts how often it is made."""
+
+    made = 0
+
+    def ask(self, cache_key="k", needed=False):
+        def make():
+            self.made += 1
+            return Answer(float(self.made), cache_key)
+
+        def read(path):
+            found = read_arrays(path)
+            return Answer(float(found["number"]), str(found["cache_key"]))
+
+        return kept("answer.npz", cache_key, make, read, lambda one, path: write_arrays(vars(one), path), needed)
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[:-100]), True),
+        (lambda path: path.write_bytes(b"".join(sealed(b"PK\3\4 no zip, but sealed", LAST_LINE))), True),
+        (lambda path: write_arrays({"number": 1.0}, path), True),  # of an earlier version
+        (lambda path: write_arrays({"number": 1.0, "cache_key": "elsewhere"}, path), False),
+        (lambda path: path.unlink(), False),
+    ],
+)
+def test_an_answer_is_made_once_for_each_key_and_anew_where_it_is_damaged_foreign_or_older(caplog, damage, said):
+    cache = Cache()
+    first, path, reused = cache.ask()
+    assert (path.name, reused) == ("answer-k.npz", False)
+    assert cache.ask() == (first, path, True)
+    assert not cache.ask("other")[2]
+    assert not caplog.records
+    damage(path)
+    again, _, reused = cache.ask()
+    assert (again.number, reused) == (3.0, False)
+    assert [line.partition(" is ")[2] for line in caplog.messages] == (
+        ["damaged or of an earlier version: it is made anew."] if said else []
+    )
+    assert cache.ask() == (again, path, True)
+
+
+def test_a_cache_that_cannot_be_written_loses_nothing_unless_the_file_is_needed(caplog, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    found, path, _ = Cache().ask()
+    assert (found.number, path.exists()) == (1.0, False)
+    assert [message[:27] for message in caplog.messages] == ["not kept for the next time:"]
+    with pytest.raises(OSError, match="may not be written to"):
+        Cache().ask(needed=True)
+
+
+def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
+    """A write that fails half way leaves it, and no litter."""
+    path = tmp_path / "a" / "b" / "data.txt"  # missing folders are made
+    for old, text in ((None, "old"), ("old", "new")):
+        with replacing(path) as temporary:
+            temporary.write_text(text)
+            assert (path.read_text() if path.exists() else None) == old
+            assert temporary.parent.parent == path.parent  # a rename across file systems would be a copy
+            assert temporary.name == path.name
+        assert path.read_text() == text
+    with pytest.raises(RuntimeError, match="half way"), replacing(path) as temporary:  # noqa: PT012, both are the point
+        temporary.write_text("ne")
+        raise RuntimeError("half way")
+    assert path.read_text() == "new"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
+@pytest.mark.parametrize("umask", [0o022, 0o077])
+def test_files_have_the_permissions_that_open_gives(tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        with replacing(tmp_path / "ours") as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "ours").stat().st_mode) == 0o666 & ~umask
+
+
+def test_digest_changes_with_every_field_and_value_but_not_with_their_order_and_memory():
+    """Pinned: a change of the first one makes every cache and every recorded key worthless."""
+    assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
+    assert digest(SensorDesign()) == "09b42a3e829e3dac" == digest(SensorDesign(array=Array(pitch_mm=15)))
+    other, array = Material(young_mpa=6.2), np.arange(6.0)
+    table, one_bit = array.reshape(2, 3), np.where(array == 3, np.nextafter(3.0, 4.0), array)
+    different = [
+        *(replace(SensorDesign(), **{name: other}) for name in ("pillar_material", "matrix_material")),
+        *(SensorDesign(), SensorDesign(resistivity_ohm_mm=4001.0), SensorDesign(array=Array(rows=5))),
+        *(array, one_bit, table, table.T, array.reshape(3, 2), array.astype(np.float32), array.view(np.int64)),
+    ]
+    assert len({digest(each) for each in different}) == len(different)
+    assert digest(np.asfortranarray(table)) == digest(table)
+    assert digest("ab", "c") != digest("a", "bc")  # parts do not run together
+    assert digest(["a", "b"]) != digest("a", "b")
+
+
+def test_an_interrupt_waits_for_the_block_and_then_comes():
+    before, finished = signal.getsignal(signal.SIGINT), []
+    with pytest.raises(KeyboardInterrupt), uninterrupted():  # noqa: PT012, both lines are the point
+        signal.raise_signal(signal.SIGINT)
+        finished.append(True)
+    assert finished
+    assert signal.getsignal(signal.SIGINT) is before

@@ -1,0 +1,197 @@
+"""Files for other programs, as any reader of their formats finds them: NetCDF, MCAP of JSON and of ROS 2, CSV."""
+
+import csv
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from decoupler.touch.contacts import TouchContact
+
+from geometry.errors import FileFormatError
+from hardware import convert, replay, write_forces
+from hardware.readout.wrench import SIGNS
+from hardware.streams.ros2_file import FRAMES, SHAPE
+from hardware.streams.topics import CONTACT, CONTENTS, FORCES, INFO, SCAN, SCENE, SENSOR, WRENCH, json_bytes, schemas
+from tests.hardware.streams.conftest import BEGAN_S
+
+reader = pytest.importorskip("mcap.reader")
+ros2_reader = pytest.importorskip("mcap_ros2.reader")
+TYPES = {"integer": int, "number": (int, float), "string": str, "array": list, "object": dict, "boolean": bool}
+
+
+def messages(path):
+    """All messages by topic: [(message, its content)]; each content is held to its schema."""
+    found = {}
+    with path.open("rb") as file:
+        for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages():
+            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+            content = json.loads(message.data)
+            check(content, json.loads(schema.data))
+            found.setdefault(channel.topic, []).append((message, content))
+    return found
+
+
+def check(content, schema):
+    """The part of JSON schema that ours use."""
+    assert isinstance(content, TYPES[schema["type"]])
+    if schema["type"] == "object" and schema["properties"]:
+        assert set(content) == set(schema["properties"])
+        for name, value in content.items():
+            check(value, schema["properties"][name])
+    if schema["type"] == "array":
+        for value in content:
+            assert value is None or check(value, schema["items"]) is None
+
+
+@pytest.fixture(scope="module")
+def forces(recording, pressed):
+    return replay(recording, pressed.model)
+
+
+def test_a_recording_is_the_same_in_every_form(recording, tmp_path):
+    """NetCDF and CSV to the last bit; MCAP with an index, and times that only grow."""
+    for name in ("press.nc", "press.mcap", "press.csv"):
+        convert(recording, tmp_path / name)
+    with xr.open_dataset(tmp_path / "press.nc", decode_times=False) as data:
+        for name, values in recording.columns().items():
+            assert np.array_equal(data[name], values), name
+        assert data["counts"].dtype == np.uint16
+        assert {name: data.attrs[name] for name in recording.plain()} == recording.plain()
+        assert data.attrs["ok"] == 40
+    with xr.open_dataset(tmp_path / "press.nc") as data:
+        assert data["received_s"].dtype.kind == "M"
+    with (tmp_path / "press.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert [float(line["received_s"]) for line in lines] == recording.received_s.tolist()
+    assert [[int(line[f"count_{k}"]) for k in range(18)] for line in lines] == recording.counts.tolist()
+    found = messages(tmp_path / "press.mcap")
+    [(first, info)] = found[INFO]
+    assert info == recording.plain()
+    assert first.log_time == found[SCAN][0][0].log_time  # a viewer's time axis starts here
+    for k, (message, scan) in enumerate(found[SCAN]):
+        assert (message.sequence, message.publish_time) == (recording.sequence[k], int(recording.device_us[k]) * 1000)
+        assert scan == {name: values[k] for name, values in recording.columns().items()} | {
+            "counts": recording.counts[k].tolist()
+        }
+    with (tmp_path / "press.mcap").open("rb") as file:
+        assert reader.make_reader(file).get_summary().statistics.message_count == 41
+
+
+def test_mcap_holds_beside_each_scan_its_forces_and_net_load(recording, forces, tmp_path):
+    write_forces(recording, forces, path := tmp_path / "press.mcap")
+    found = messages(path)
+    assert list(found) == [INFO, SENSOR, SCAN, FORCES, WRENCH]
+    assert [content for _, content in found[SENSOR]] == [forces.description.plain()]
+    assert [len(found[topic]) for topic in (SCAN, FORCES, WRENCH)] == [40] * 3
+    for k, ((message, content), (_, net)) in enumerate(zip(found[FORCES], found[WRENCH], strict=True)):
+        assert message.log_time == found[SCAN][k][0].log_time == pytest.approx(content["time"] * 1e9, abs=500)
+        for name in ("force_n", "deviation_n"):
+            values = np.array([unit[name] for unit in content["units"]])
+            assert values == pytest.approx(getattr(forces, name)[k].reshape(-1, 3), abs=0.51e-6)  # six decimals
+        assert net["net_force_n"] == pytest.approx(forces.wrench.force_n[k], rel=1e-5)  # six digits
+    write_forces(recording, replace(forces, contacts=[()] * 40), path)
+    assert [content["contacts"] for _, content in messages(path)["/tripillar/contacts"]] == [[]] * 40
+
+
+def test_netcdf_holds_what_the_forces_are(recording, forces, tmp_path):
+    write_forces(recording, forces, path := tmp_path / "press.nc")
+    with xr.open_dataset(path) as data:
+        for name in ("force_n", "deviation_n", "chi2"):
+            assert np.array_equal(data[name], getattr(forces, name)), name
+        assert np.array_equal(data["net_force_n"], forces.wrench.force_n)
+        assert data["force_n"].coords["axis"].values.tolist() == ["x", "y", "z"]
+        assert json.loads(data.attrs["sensor"]) == forces.description.plain()
+
+
+def vectors(of):
+    return np.array([[each.x, each.y, each.z] for each in of])
+
+
+def test_ros_finds_the_sensor_latched_and_every_force_at_the_boards_clock(recording, forces, tmp_path):
+    """Stamps lie within 0.1 ms of the scans, where arrivals are up to 3 ms late; through rollover and restart."""
+    write_forces(recording, forces, path := tmp_path / "press.mcap", ros2=True)
+    found, sensor = {SHAPE: [], FRAMES: []}, forces.description
+    for message in ros2_reader.read_ros2_messages(path):
+        found[message.channel.topic].append(message)
+    [first] = found[SHAPE]
+    assert (first.ros_msg.rows, first.ros_msg.cols, first.ros_msg.axes) == (2, 3, ["x", "y", "z"])
+    pads_m = 1e-3 * sensor.position_mm.reshape(-1, 3)
+    assert vectors(first.ros_msg.positions) == pytest.approx(pads_m)
+    assert (first.ros_msg.design_hash, first.ros_msg.board_serial) == (sensor.design_hash, 3)
+    assert (vectors(first.ros_msg.force_low) <= vectors(first.ros_msg.force_high)).all()
+    assert vectors(first.ros_msg.force_low)[:, 2].max() < 0  # what presses has a z below 0
+    assert "durability: 1" in first.channel.metadata["offered_qos_profiles"]
+    assert first.log_time_ns == found[FRAMES][0].log_time_ns
+    for k, message in enumerate(found[FRAMES]):
+        frame, wrench, on_pads = message.ros_msg, forces.wrench, forces.force_n[k].reshape(-1, 3) * SIGNS
+        assert (frame.sequence, frame.device_us) == (recording.sequence[k], recording.device_us[k])
+        assert np.array_equal(vectors(frame.forces), on_pads)
+        assert np.array_equal(vectors(frame.force_deviations), forces.deviation_n[k].reshape(-1, 3))
+        assert frame.resistances == forces.resistance_ohm[k].reshape(-1).tolist()
+        assert vectors([frame.net.force])[0] == pytest.approx(on_pads.sum(axis=0))
+        assert vectors([frame.net.torque])[0] == pytest.approx(np.cross(pads_m, on_pads).sum(axis=0))
+        assert vectors([frame.net_deviation.force])[0] == pytest.approx(wrench.force_deviation_n[k])
+        assert vectors([frame.center_of_pressure])[0, :2] == pytest.approx(1e-3 * wrench.centre_mm[k])
+    stamps = [message.ros_msg.header.stamp for message in found[FRAMES]]
+    times_s = np.array([stamp.sec - BEGAN_S + 1e-9 * stamp.nanosec for stamp in stamps])
+    assert times_s == pytest.approx(0.005 * np.arange(40), abs=1e-4)
+    assert np.abs(recording.received_s - BEGAN_S - 0.005 * np.arange(40)).max() > 2e-3
+    assert np.diff(times_s).min() > 0
+    own = replace(recording, received_s=None)  # the bytes of a board keep its clock
+    assert own.stamps_ns().tolist() == [round(time_s * 1e9) for time_s in own.time_s.tolist()]
+    convert(own, tmp_path / "own.mcap")
+
+
+def test_the_description_states_places_range_dead_pillars_and_whose_it_is(forces, pressed):
+    found, force_n = forces.description, pressed.samples.force_n
+    pitch_mm = pressed.samples.design.array.pitch_mm
+    assert found.position_mm[1, 2].tolist() == [pitch_mm, pitch_mm / 2, 0.0]
+    assert found.range_n == pytest.approx(np.stack([force_n.min(axis=0), force_n.max(axis=0)], axis=-1), abs=1e-9)
+    assert (found.design_hash, found.model_hash) == (pressed.model.design_hash, pressed.model.made_from["recipe"])
+    plain = replace(found, dead=np.arange(18).reshape(2, 3, 3) == 11).plain()
+    assert [pad["dead"] for pad in plain["pads"]] == [[False] * 3] * 3 + [[False, False, True]] + [[False] * 3] * 2
+    assert plain["signs"] == [1.0, 1.0, -1.0]
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+
+
+def walk(schema):
+    yield schema
+    for inner in [*schema.get("properties", {}).values(), *([schema["items"]] if "items" in schema else [])]:
+        yield from walk(inner)
+
+
+def test_schemas_keep_to_what_viewers_know(forces):
+    """Foxglove refuses a topic whose schema has arrays of arrays, and knows its picture by name."""
+    known = schemas()
+    assert set(known) == {INFO, SCAN, SENSOR, *CONTENTS}
+    assert {known[SCENE]["title"], known[FORCES]["title"]} == {"foxglove.SceneUpdate", "tripillar.Forces"}
+    for schema in known.values():
+        assert schema["type"] == "object"
+        assert not any(each.get("items", {}).get("type") == "array" for each in walk(schema))
+    found = TouchContact(**{name: np.zeros(3 if "force" in name else 2) for name in CONTACT})
+    for topic, content in CONTENTS.items():
+        check(json.loads(json_bytes(content(replace(forces[0], stamp_ns=0, contacts=[found])))), known[topic])
+
+
+def test_what_cannot_be_written_is_one_line_and_leaves_the_old_file(recording, forces, tmp_path, monkeypatch):
+    for write, name, options in (
+        (convert, "a.txt", {}),
+        (write_forces, "a.txt", {}),
+        (write_forces, "a.nc", {"ros2": True}),
+    ):
+        given = (recording,) if write is convert else (recording, forces)
+        with pytest.raises(FileFormatError, match=r"end the name in \.(nc|mcap)"):
+            write(*given, tmp_path / name, **options)
+    (path := tmp_path / "press.mcap").write_text("old")
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_forces(recording, replace(forces, force_n=np.full_like(forces.force_n, np.nan)), path)
+    for name in [name for name in sys.modules if name.split(".")[0] == "mcap"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    with pytest.raises(ImportError, match=r"pip install 'tripillar\[mcap\]'\.$"):
+        convert(recording, path)
+    assert [each.name for each in tmp_path.iterdir()] == ["press.mcap"]
+    assert path.read_text() == "old"

@@ -1,0 +1,119 @@
+"""Names of the stages that jobs call, each loaded when it is first used: to load all of them takes seconds."""
+
+# ruff: noqa: F401, I001
+import ast
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dataset.finite_strain import n_groups, require_finite
+    from dataset.indentation import largest_strain, samples_of as samples_of_contacts, write_contact
+    from dataset.leaves import is_zarr, require_zarr_place
+    from dataset.measurement import ReadingError, Readout
+    from dataset.protocols import INDENT, PROTOCOLS, pad_protocol
+    from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
+    from dataset.simulation import DatasetSettings, require_memory
+    from dataset.stored import StoredSamples, in_memory, read_samples
+    from dataset.table import holds_samples, write_table
+    from dataset.variables import ARRAYS
+    from decoupler.data.columns import Columns, component_named
+    from decoupler.data.enough import ENOUGH, drawn
+    from decoupler.data.load_table import KnownLoad, read_pairs
+    from decoupler.data.pairs import Pairs
+    from decoupler.data.usual_loads import loads_of as loads_of_protocol
+    from decoupler.evaluation.assessment import Assessment, as_plain, assess
+    from decoupler.evaluation.crossval import cross_validate, over_folds, split_folds, summary
+    from decoupler.evaluation.metrics import evaluate as errors_on
+    from decoupler.evaluation.plausibility import doubt, nothing_to_learn
+    from decoupler.export import export_model
+    from decoupler.inverse.posterior import Posterior
+    from decoupler.inverse.sensor_model import SensorModel
+    from decoupler.model.decoupler import Decoupler
+    from decoupler.model.model_file import require_same_sensor, write_model
+    from decoupler.model.settings import NetworkConfig, TrainingConfig
+    from decoupler.touch.assessment import assess_touch
+    from decoupler.touch.decoder import TouchDecoder
+    from decoupler.touch.library import OWN, PRESSES, touch_library
+    from decoupler.touch.morph import Pillars
+    from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
+    from decoupler.training.finite_strain import posterior_of, with_strain_maps
+    from decoupler.training.suited import suited_component, suited_feature, without_stuck
+    from decoupler.training.trainer import train
+    from decoupler.twin.expectation import Expectation
+    from decoupler.twin.identification import LOADS, Twin, acting, identify
+    from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
+    from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
+    from fem.array.response import ArrayResponse, write_response
+    from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
+    from fem.array.solving import ResponseSettings
+    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, press, read_solid
+    from fem.contact.surface import require_bare
+    from fem.methods.plan import make_plan
+    from fem.methods.solving import beyond_linear, follow
+    from fem.pictures.contact import draw_contact
+    from fem.scene.scene import Scene
+    from fem.scene.scene_file import read_scene
+    from fem.scene.solution import Solution, solution_as_plain, write_field
+    from geometry.design_file import states_twin
+    from geometry.mould import write_cad
+    from geometry.pool import open_pool
+    from hardware.boards.simulated import (
+        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, write_truth,
+    )  # fmt: skip
+    from hardware.boards.virtual_board import NO_TERMINALS
+    from hardware.link.frames import Info
+    from hardware.link.reception import LinkStatistics
+    from hardware.readout.averaging import averaged, require_still
+    from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
+    from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
+    from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
+    from hardware.readout.description import SensorDescription
+    from hardware.readout.forces import Forces, LiveSensor, replay
+    from hardware.readout.known_loads import calibrated, doubt_about
+    from hardware.recording import Recording, read_recording
+    from hardware.session import RECORDING_QUEUE, connect, counts_within, hashes_of, live, measure_link, record_scans
+    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
+    from hardware.streams.files import convert, write_forces
+    from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
+    from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
+    from serial.tools.list_ports import comports
+    from tripillar.doctor import Check
+    from tripillar.doctor.known_answers import KNOWN, check_answers
+    from tripillar.doctor.surroundings import check_surroundings
+    from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor, warn_of_test
+    from tripillar.face.measured_loads import loads_of_table, measured_in_recording, measured_live
+    from tripillar.face.tables import (
+        assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,
+        stage_table,
+    )  # fmt: skip
+    from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
+    from tripillar.sweep.finite_samples import simulate_finite
+    from tripillar.sweep.leaves import LeafJob, make_directory
+    from tripillar.sweep.optimize import search, trial_sample, tried
+    from tripillar.sweep.rows import Row, write_parquet
+    from tripillar.sweep.run import are_cached, judge_all, kept_rows
+    from tripillar.sweep.sampling import samples_of as samples_of_sweep
+    from tripillar.sweep.sweep_file import Sweep, read_sweep
+    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.terminal.force_view import print_lines, show_forces
+    from tripillar.terminal.tables import plain_table
+    from tripillar.viewer.page.opening import PageOptions, open_page
+    from tripillar.viewer.showing import require_shown, show_deformed
+    from tripillar.viewer.sights import largest_mm, linear_note, read_body
+
+
+@cache
+def _homes() -> dict[str, tuple[str, str]]:
+    """Module and name there of each name that is imported above."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return {each.asname or each.name: (str(node.module), each.name) for node in imported for each in node.names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _homes():
+        raise AttributeError(f"no stage has the name {name}")
+    module, own = _homes()[name]
+    return getattr(import_module(module), own)
