@@ -104,15 +104,14 @@ def write_truth(motion: Motion, path: Path) -> None:
     write_netcdf(xr.Dataset({"force_n": force_n}, coordinates), path)
 
 
-def counts_over_time(motion: Motion, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
-    """Counts of the board's converter at every step of a motion, (n, rows·cols·3).
+def counts_over_time(exact_ohm: FloatArray, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
+    """Counts of the board's converter at every step of a motion, (n, rows, cols, 3) [Ω] -> (n, rows·cols·3).
 
     Of the imperfections gain, offset and dead pillars count; `crossbar` has the noise and the converter.
     """
-    rows, cols = motion.resistance_ohm.shape[1:3]
-    gain, offset = sensor.gain_and_offset(rows, cols)
-    ohms = gain * motion.resistance_ohm + offset
-    ohms[:, sensor.dead_mask(rows, cols)] = OPEN_OHM
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols)
+    ohms = gain * exact_ohm + offset
+    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 

@@ -217,4 +217,4 @@ def test_what_is_flashed_is_what_was_built(make, tmp_path):
     assert "built with no settings" in make("flash")[1]
     status, said = make("flash", "BOARD=atmega2560", "SCAN_MODE=1")
     assert (status > 0, "avrdude" in said) == (True, False)
-    assert "was built with SCAN_MODE=0, not SCAN_MODE=1: build it again first" in said
+    assert "was built with SCAN_MODE=0 SENSE_OHM=2200, not SCAN_MODE=1: build it again first" in said

@@ -115,7 +115,7 @@ def board(
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
-    counts = stages.counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), own)
+    counts = stages.counts_over_time(motion.resistance_ohm, replace(electronics.crossbar(told), noise=noise), own)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
     with stages.run_board(suited, told, counts, kept) as running:
