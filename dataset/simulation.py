@@ -18,7 +18,7 @@ import psutil
 from dataset.imperfections import Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
-from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES
+from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces
 from dataset.resistance import conducted_lengths, largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
@@ -225,11 +225,6 @@ def read_resistances(
 def _exact(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
     """Resistances [Ω] of pillars of these lengths, effective ones of conduction."""
     return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-
-
-def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
-    """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
-    return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
 
 
 def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:

@@ -13,7 +13,7 @@ from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
-from dataset.variables import COORDINATES, LABELS, VARIABLES
+from dataset.variables import COORDINATES, LABELS, VARIABLES, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
@@ -246,16 +246,5 @@ def _changed(path: Path) -> str:
 def _require_sound(path: Path, arrays: Mapping[str, np.ndarray], first: int = 0) -> None:
     """Refuse numbers that no sensor gives; `first` is the number of the first sample."""
     for name, values in arrays.items():
-        dims, notes, limits = VARIABLES[name]
-        sound, allowed = np.isfinite(values), "finite"
-        if limits is not None:
-            sound = (values >= limits[0]) & (values <= limits[1])
-            allowed = f"finite, {limits[0]:g} to {limits[1]:g} {notes['units']}"
-        if not sound.all():
-            index = np.argwhere(~sound)[0]
-            counted = zip(dims, (first + index[0], *index[1:]), strict=True)
-            place = ", ".join(f"{dim} {COORDINATES[dim][at] if dim in COORDINATES else at}" for dim, at in counted)
-            raise FileFormatError(
-                f"{path}: {name} is {values[tuple(index)]} at {place}; it must be {allowed}: remove that sample or "
-                "measure it again."
-            )
+        if said := senseless(name, values, first=first):
+            raise FileFormatError(f"{path}: {said}: remove that sample or measure it again.")

@@ -44,7 +44,13 @@ Mend = Callable[[Samples], Samples]  #: takes a mistake back
 
 
 def _forces(turn: Callable[[FloatArray], FloatArray]) -> Mend:
-    return lambda data: replace(data, force_n=turn(data.force_n))
+    def mended(data: Samples) -> Samples:
+        """Samples as they are if the array is not square, or if no sensor bears such forces."""
+        force_n = turn(data.force_n)
+        possible = force_n.shape == data.force_n.shape and np.abs(force_n).max() <= MAX_N
+        return replace(data, force_n=force_n) if possible else data
+
+    return mended
 
 
 def _times(*factors: float) -> Mend:
@@ -195,8 +201,6 @@ def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str 
     enough, found = math.log(2.0 / FALSE_ALARMS), {}
     for said, mend in possible.items():
         mended = mend(data)
-        if mended.force_n.shape != data.force_n.shape or np.abs(mended.force_n).max() > MAX_N:
-            continue
         left = _left(mended, component, forward)
         likelier = min(_log_likelier(other, left, data) for other in (as_given, unlinked))
         share = _explained(mended, component, forward, left)

@@ -56,7 +56,7 @@ def assess_touch(
     missed = np.abs(found_n - true_n)
     within = [missed <= np.stack(half) for half in zip(*(each.half_widths_n for each in touches), strict=True)]
     errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "light": None}
+    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}}
     by_force = {}
     for k, (name, own) in enumerate(errors.items()):
         coverage = float(within[0][..., k].mean()), float(within[1][..., k].mean())

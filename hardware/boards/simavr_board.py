@@ -92,7 +92,7 @@ def write_table(path: Path, counts: NDArray[np.integer], step_us: int) -> None:
 
 
 class SimavrBoard:
-    """A simulated board, running while the ``with`` block does.
+    """A simulated board, which runs from when it is made to the end of the ``with`` block.
 
     Parameters
     ----------
@@ -107,14 +107,10 @@ class SimavrBoard:
     options : sequence of str
         More of the program's options, as it lists them with ``--help``.
 
-    Examples
-    --------
-    ::
-
-        with SimavrBoard(elf, "atmega328p", table) as board, serial.Serial(board.port, 1_000_000) as port:
-            port.write(b"?")
-            ...
-            print(board.stop()["min_settle_us"])
+    Raises
+    ------
+    SimavrError, UntrustedError
+        If the program is not built, does not start, or could have been written by others.
     """
 
     def __init__(
@@ -128,39 +124,31 @@ class SimavrBoard:
         program: Path = PROGRAM,
         options: Sequence[str] = (),
     ) -> None:
-        self._program = program
-        self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
-        self._command += ["--link", str(link)] if link else []
-        self._command += [*(["--fast"] if fast else []), *options]
-        self._process: subprocess.Popen[str] | None = None
+        require_own(program, program.parent)
+        command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
+        command += [*(["--link", str(link)] if link else []), *(["--fast"] if fast else []), *options]
         self._statistics: dict[str, Any] | None = None
-        self.port = ""  #: the serial port's path, once started
+        self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - a pipe would fill up unread
+        pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": self._messages}
+        try:
+            self.process = subprocess.Popen(command, encoding="utf-8", **pipes)  #: SIGUSR1 resets the board
+        except OSError as error:
+            self._messages.close()
+            raise SimavrError(
+                f"{program}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
+            ) from error
+        try:
+            self.port = self._answer(self.process.stdout.readline())["port"]  #: the serial port's path
+        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
+            self.__exit__()
+            raise
 
     def __enter__(self) -> Self:
-        require_own(self._program, self._program.parent)
-        self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # not a pipe, which would fill up unread
-        try:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=self._messages,
-                encoding="utf-8",
-            )
-            assert self._process.stdout is not None
-            self.port = self._answer(self._process.stdout.readline())["port"]
-        except OSError as error:
-            self._close()
-            raise SimavrError(
-                f"{self._command[0]}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
-            ) from error
-        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
-            self._close()
-            raise
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._close()
+        with self._messages, self.process:  # closes its output and waits
+            self.process.terminate()  # does nothing if it has ended
 
     def stop(self, at_once: bool = True) -> dict[str, Any]:
         """Stop the board, or wait until it has by its option ``--seconds``, and give its statistics.
@@ -171,32 +159,18 @@ class SimavrBoard:
         behind real time.
         """
         if self._statistics is None:
-            process = self._running()
             if at_once:
-                process.terminate()
-            self._statistics = self._answer(process.communicate()[0])
+                self.process.terminate()
+            self._statistics = self._answer(self.process.communicate()[0])
         return self._statistics
-
-    def _running(self) -> "subprocess.Popen[str]":
-        if self._process is None:
-            raise SimavrError("the simulated board is not running: use it in a 'with' block.")
-        return self._process
 
     def _answer(self, line: str) -> dict[str, Any]:
         if line:
             return dict(json.loads(line))
-        assert self._process is not None
-        self._process.wait()
+        self.process.wait()
         self._messages.seek(0)
         said = self._messages.read().strip().splitlines()
-        raise SimavrError(said[-1] if said else f"{self._command[0]} ended with code {self._process.returncode}.")
-
-    def _close(self) -> None:
-        if self._process:
-            with self._process as process:  # closes its output and waits
-                process.terminate()  # does nothing if it has ended
-            self._process = None
-        self._messages.close()
+        raise SimavrError(said[-1] if said else f"the simulated board ended with code {self.process.returncode}.")
 
 
 class UntrustedError(TriPillarError, PermissionError):

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.imperfections import OPEN_OHM, Imperfections
+from dataset.protocols import forces
 from dataset.resistance import effective_lengths, pillar_resistances
-from dataset.simulation import displacements, forces, require_conducted
+from dataset.simulation import displacements, require_conducted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres

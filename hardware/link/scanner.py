@@ -202,7 +202,6 @@ class Scanner:
         self._baud, self._timeout_s = baud, timeout
         self._changed = threading.Condition()  # guards all below
         self._queue: deque[Scan] = deque(maxlen=queue)
-        self._latest: Scan | None = None
         self._error: BaseException | None = None  # that ended the thread
         self._is_error_raised = self._has_ended = False
         self._closing = threading.Event()
@@ -243,12 +242,6 @@ class Scanner:
         """The next scan; None if there is none within `timeout` seconds, or no more at all."""
         with self._changed:  # waiting frees it
             return self._queue.popleft() if self._wait_for(lambda: bool(self._queue), timeout) else None
-
-    def latest(self) -> Scan | None:
-        """The newest scan, at once; None if there is none yet. Leaves the queue as it is."""
-        with self._changed:
-            self._raise_error()
-            return self._latest
 
     @property
     def info(self) -> Info:
@@ -349,7 +342,6 @@ class Scanner:
                     dropped = max(0, len(queue) + len(scans) - (queue.maxlen or 0))
                     link.reception.counted["dropped"] += dropped
                     queue.extend(scans)
-                    self._latest = scans[-1] if scans else self._latest
                     self._changed.notify_all()
         except PortError as fault:
             self._error = PortError(f"{self._name}: {fault}")  # raised to who takes scans

@@ -27,7 +27,7 @@ def test_what_is_no_scan_of_its_sensor_is_refused_and_what_it_does_not_take_does
     R = DATA.resistance_ohm.copy()
     R[4:, 1, 2, 0] = -1.0
     for ohms, said in (
-        (R, r"pillar z in row 1, col 2 of sample 4 is .* must be finite and above 0"),
+        (R, "resistance_ohm is -1.0 at sample 4, row 1, col 2, pillar z; it must be finite, 1e-09 to"),
         (R[0], r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"),
         (R[:4].transpose(0, 2, 1, 3), "of 3 × 2 units, the model's sensor has 2 × 3"),
     ):

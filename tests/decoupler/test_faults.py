@@ -57,10 +57,6 @@ def swapped_wires(ohms):
     ohms[:, :, [0, 1], 1] = ohms[:, :, [1, 0], 1]
 
 
-def noisy(ohms):
-    ohms[:, 1, 1, 2] *= 1.0 + 30.0 * NOISE * np.random.default_rng(2).standard_normal(len(ohms))
-
-
 def opened(ohms):
     ohms[:, 0, 1, 1] = np.inf
 
@@ -79,7 +75,6 @@ FAULTS = {
     stuck_wire: "row wire 4 stuck",
     swapped: "rows 0 and 1 swapped",
     swapped_wires: "column wires 1 and 3 swapped",
-    noisy: "pillar y of row 1, col 1 noisy",
     opened: "pillar x of row 0, col 1 open",
     opened_wire: "row wire 3 open",
     no_number: "pillar z of row 2, col 2 open",

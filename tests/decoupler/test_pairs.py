@@ -127,7 +127,7 @@ def test_pairs_are_exact_if_of_samples_and_refused_if_they_are_none():
     ohms, newtons = np.full((2, 1, 1, 3), 1e4), np.zeros((2, 1, 1, 3))
     for given, says in (
         ({"resistance_ohm": ohms[:1]}, r"resistance_ohm has shape \(1, 1, 1, 3\), expected \(2, 1, 1, 3\)"),
-        ({"resistance_ohm": -ohms}, r"'pair 0' reads -10000 Ω at pillar 0,0,z"),
+        ({"resistance_ohm": -ohms}, "'pair 0': resistance_ohm is -10000.0 at sample 0, row 0, col 0, pillar z"),
         ({"resistance_ohm": np.nan * ohms}, "no pillar of any pair was read"),
         ({"resistance_ohm": ohms, "unknown_n": (np.zeros((0, 1, 1, 3)),)}, "1 unknown_n and 2 names"),
     ):

@@ -89,6 +89,13 @@ def test_what_is_wrong_is_named(name):
     assert doubt(data[:10], ALL, JOINT) is not None
 
 
+def test_arrays_that_are_not_square_have_no_rows_for_columns():
+    pairs = labelled(sensor(1, 2), "xyz", n_samples=30, seed=1)
+    joint = SensorModel.of(response(sensor(1, 2)), ALL)
+    assert doubt(pairs, ALL, joint) is None
+    assert "Fz seems" in doubt(replace(pairs, force_n=pairs.force_n * [1, 1, -1]), ALL, joint)
+
+
 def test_kilohms_are_noticed_without_a_design():
     """One pair is enough; other sizes may be another rubber's."""
     kilohms = turned(ohm=lambda R: 1e-3 * R)

@@ -90,11 +90,11 @@ def test_a_unit_that_was_never_loaded_is_not_stuck_nor_are_most_pillars():
 def test_numbers_that_no_sensor_gives_are_named():
     data = samples(n=4)
     data.force_n[2, 1, 0, 2] = 1e300
-    with pytest.raises(SampleError, match=r"force fz in row 1, col 0 of sample 2 is 1e\+300 N, must be"):
+    with pytest.raises(SampleError, match=r"force_n is 1e\+300 at sample 2, row 1, col 0, axis z; it must be"):
         force_columns(data.force_n, ALL)
     for ohm in (1e300, np.nan, 0.0):
         data.resistance_ohm[3, 0, 0, 1] = ohm
-        with pytest.raises(SampleError, match=r"pillar x in row 0, col 0 of sample 3 is .* Ω, must be finite"):
+        with pytest.raises(SampleError, match=r"resistance_ohm is .* at sample 3, row 0, col 0, pillar x; it"):
             pillar_columns(data.resistance_ohm, ALL)
 
 

@@ -142,7 +142,7 @@ def test_a_board_that_hangs_is_restarted_by_its_watchdog(board):
     with heard(board) as (running, listener):
         assert listener.ask(b"!") == Errors(reset_cause=1 << 0)  # power
         last = listener.take_frames(10)[-1]
-        running._running().send_signal(signal.SIGUSR2)
+        running.process.send_signal(signal.SIGUSR2)
         listener.take(lambda self: self.frames[-1].sequence < last.sequence)
         assert listener.ask(b"!") == Errors(reset_cause=1 << 3)
         assert listener.ask(b"?") == CHIP
@@ -183,7 +183,7 @@ def test_the_reset_button_starts_the_sequence_and_the_table_again(board):
     with heard(board, counts=np.repeat([100, 200], 144).reshape(2, 12, 12), step_us=200_000) as (running, listener):
         listener.ask(b"R100\n")
         listener.take(lambda self: self.frames and self.frames[-1].counts[0] == 200)
-        running._running().send_signal(signal.SIGUSR1)
+        running.process.send_signal(signal.SIGUSR1)
         listener.take(lambda self: self.decoder.statistics.restarts == 1)
         assert listener.ask(b"?") == CHIP
     sequence = [frame.sequence for frame in listener.frames]

@@ -154,13 +154,11 @@ def test_times_are_when_the_board_scanned():
     assert met == type(stats)()  # nothing else was met
 
 
-def test_get_and_latest_wait_for_nothing_that_is_not_there_and_latest_leaves_the_queue():
+def test_nothing_is_waited_for_longer_than_said():
     port = ScriptedPort(HEAD, finite=False)
     with Scanner(port) as scanner:
-        assert (scanner.latest(), scanner.get(0), scanner.get(0.01)) == (None, None, None)
+        assert (scanner.get(0), scanner.get(0.01)) == (None, None)
         port.add(*(a_wire(k) for k in range(5)))
-        comes_about(scanner, lambda: scanner.stats.ok == 5)
-        assert scanner.latest().frame.sequence == 4
         assert sequences(take(scanner, 5)) == [0, 1, 2, 3, 4]
 
 
@@ -233,7 +231,7 @@ def test_what_ends_the_reading_is_raised_after_the_scans_before_it():
     """Also when it is no fault of the port, and again as often as scans are asked for; on leaving if not before."""
     with Scanner(ScriptedPort(HEAD, a_wire(0), KeyError("a bug"))) as scanner:
         assert scanner.get().frame.sequence == 0
-        for ask in (scanner.get, scanner.latest, lambda: list(scanner)):
+        for ask in (scanner.get, lambda: list(scanner)):
             with pytest.raises(KeyError, match="a bug"):
                 ask()
     with pytest.raises(KeyError, match="a bug"), Scanner(ScriptedPort(HEAD, KeyError("a bug"))) as scanner:

@@ -10,9 +10,9 @@ import numpy as np
 
 from dataset import Samples
 from dataset.measurement import ReadingError, measured
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import effective_lengths, largest_factors, pillar_resistances
-from dataset.simulation import displacements, forces
+from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
 from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.limits import cramer_rao

@@ -114,8 +114,8 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 continue
             shown = time.monotonic()
             notes = [scanner.trouble] if scanner.trouble else []
-            if not streams and (latest := scanner.latest()) is not None:
-                frame = sensor.forces(latest, RENEWED_S)
+            if newest and not streams:
+                frame = sensor.forces(newest[-1], RENEWED_S)
             if frame is None:
                 screen.update(Group("waiting for scans", *notes), refresh=True)
                 continue

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dataset.protocols import FRICTION, PROTOCOLS
+from dataset.protocols import FRICTION, PROTOCOLS, forces
 from dataset.resistance import largest_factors
-from dataset.simulation import DatasetSettings, displacements, forces, simulate
+from dataset.simulation import DatasetSettings, displacements, simulate
 from decoupler.data.columns import Scaling, component_named
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig

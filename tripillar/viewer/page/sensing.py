@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from dataset.measurement import measured
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import (
     conducted_lengths,
     largest_factors,
@@ -19,7 +19,7 @@ from dataset.resistance import (
     pillar_strains,
     rest_resistances,
 )
-from dataset.simulation import displacements, forces
+from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.touch.touch_file import AnyDecoder
