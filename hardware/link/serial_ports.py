@@ -37,6 +37,7 @@ _TIMEOUT_S = 0.1  # of a read, which bounds how long closing takes
 _WRITE_TIMEOUT_S = 0.05  # a board that does not listen must not hold up the reading
 _SOCKET = "socket://"
 _ADVICE = dict.fromkeys((errno.EAGAIN, errno.EBUSY), "in use by another program: close that one first.")
+_ADVICE[errno.EISDIR] = f"a folder, not a port: name a device as {EXAMPLE}."
 _ADVICE |= dict.fromkeys(
     (errno.EACCES, errno.EPERM),
     "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew.",

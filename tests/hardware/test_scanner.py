@@ -54,7 +54,7 @@ def no_permission(url, **options):
         ("missing", "missing: no such port; there are: /dev/ttyUSB0, /dev/ttyUSB1. Plug the board in"),
         ("owned", "no permission: join the group that owns it, as with 'sudo usermod -aG dialout"),
         ("/dev/null", "no serial port"),
-        ("/", "no serial port .* Is a directory"),
+        ("/", "a folder, not a port"),
         ("carrier://pigeon", "protocol 'carrier' not known.*: name a device as /dev/ttyUSB0, or socket://HOST:PORT"),
         ("socket://nowhere", "no connection .*: give socket://HOST:PORT of a running server"),
         ("socket://127.0.0.1:9", "no connection"),

@@ -133,7 +133,7 @@ sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leav
 sweep small.toml --optimize --train -> --train and --retry are of sweeps
 info '' -> no port was named
 info missing -> missing: no such port; there are
-info dir -> dir: no serial port
+info dir -> dir: a folder, not a port
 info empty -> the file is empty
 info data.nc -> data.nc: not a recording
 info foo://bar -> protocol 'foo' not known): name a device as /dev/ttyUSB0, or socket://HOST:PORT
