@@ -88,7 +88,7 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide) -> Motion:
     """One period of a script, by superposing the array's response."""
     require_conducted(response)
     design, sizes = response.design, (-1, response.design.array.rows, response.design.array.cols, 3)
-    traction = script.tractions(np.arange(round(script.seconds / STEP_S)) * STEP_S, design)
+    traction = script.tractions(STEP_S * np.arange(round(script.seconds / STEP_S), dtype=np.float64), design)
     newtons = traction * design.pad.size_mm**2
     lengths = effective_lengths(response, displacements(response, traction), newtons)
     ohms = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)

@@ -64,6 +64,7 @@ class Link:
         self.wanted_hz: int | None = None  #: the rate that was set, which a reset makes the board forget
         self.fault: str | None = None  #: why nothing comes, in one line; what `Reception` refuses has its own
         self.is_finished = False  #: the port says that nothing will come any more
+        self._is_silent = False  # nothing has come since the connection
         self._port: Port | None = None
         self._open_again, self._timeout_s, self._protocol = open_again, timeout_s, protocol
         self._clock, self._wait = clock, wait

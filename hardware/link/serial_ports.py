@@ -81,7 +81,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     try:
         return _SocketPort(url, **options) if url.startswith(_SOCKET) else serial.serial_for_url(url, **options)
     except PORT_FAULTS as fault:
-        code = getattr(fault, "errno", None)
+        code = getattr(fault, "errno", None) or 0
         if not url:
             cause = f"no port was named: give a device as {EXAMPLE}."
         elif url.startswith(_SOCKET):

@@ -215,8 +215,8 @@ class VirtualSensor:
         self._offset[chosen] = settings.offset_ohm * like.normal_(generator=self._generator)
         self.dead = self.dead.index_copy(0, chosen, like.uniform_(generator=self._generator) < self.dead_probability)
         if self._twin is not None:
-            size = {"size": (len(chosen),), "generator": self._generator, "device": self.device}
-            self._member[chosen] = torch.randint(self._twin.members, **size)
+            numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
+            self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
         rest_ohm = self._gain * self.resistances(torch.zeros_like(self._gain)) + self._offset
         if bool((rest_ohm <= 0.0).any()):
             raise DesignError(
