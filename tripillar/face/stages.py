@@ -91,15 +91,15 @@ if TYPE_CHECKING:
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
     from tripillar.sweep.finite_samples import simulate_finite
     from tripillar.sweep.leaves import LeafJob, make_directory
-    from tripillar.sweep.optimize import search, trial_sample, tried
+    from tripillar.sweep.optimize import search
     from tripillar.sweep.rows import Row, write_parquet
-    from tripillar.sweep.run import are_cached, judge_all, kept_rows
+    from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
     from tripillar.terminal.force_view import print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import PageOptions, open_page
+    from tripillar.viewer.page.opening import open_page
     from tripillar.viewer.showing import require_shown, show_deformed
     from tripillar.viewer.sights import largest_mm, linear_note, read_body
 
