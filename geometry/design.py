@@ -17,14 +17,21 @@ from geometry.layout import SONG2018, Layout, footprint, min_span
 
 
 def quantity(
-    default: Any, meaning: str, optional: bool = False, above_0: bool = False, of: Sequence[str] = (), count: int = 1
+    default: Any,
+    meaning: str,
+    optional: bool = False,
+    above_0: bool = False,
+    of: Sequence[str] = (),
+    count: int = 1,
+    within: str = "",
 ) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A text is one `of` some, a vector has `count` numbers. `require_sound` checks all this.
+    A text is one `of` some, a vector has `count` numbers, a number is `within` an interval such as "[0, 1)".
+    `require_sound` checks all this.
     """
-    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "of": of, "count": count}
+    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "of": of, "count": count, "within": within}
     return field(default=default, metadata=asked)
 
 
@@ -44,28 +51,45 @@ def require_sound(
     for spec in fields(values):
         value, asked, said = getattr(values, spec.name), spec.metadata, ""
         count = asked.get("count", 1)
-        if (count == 1 and spec.type not in (int, float)) or (value is None and spec.default is None):
+        kind = next((one for one in (int, float) if spec.type in (one, one | None)), None)
+        if (count == 1 and kind is None) or (value is None and spec.default is None):
             if asked.get("of") and value not in asked["of"]:
                 said = f"one of {', '.join(asked['of'])}"
         else:
             is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
             given = [value] if count == 1 else list(value) if is_list else []
-            kinds = (int, np.integer) if spec.type is int else (int, float, np.integer, np.floating)
+            kinds = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
             least, largest = limits_mm if spec.name.endswith("_mm") else LIMITS
             if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
-                one = f"a {'whole' if spec.type is int else 'finite'} number"
+                one = f"a {'whole' if kind is int else 'finite'} number"
                 said = one if count == 1 else f"{count} finite numbers"
             elif asked.get("above 0") and not min(given) > 0:
                 said = "above 0"
             elif asked.get("above 0") and not least <= min(given) <= max(given) <= largest:
                 said = f"from {least:g} to {largest:g}"
-            elif spec.type is not int and max(map(abs, given)) > largest:
+            elif kind is not int and max(map(abs, given)) > largest:
                 said = f"at most {largest:g} in size"
-            else:
-                made = int if spec.type is int else float
+            elif within := asked.get("within"):
+                said = _beyond(within, given[0])
+            if not said:
+                made = int if kind is int else float
                 object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
         if said:
             raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
+
+
+def _beyond(interval: str, value: float) -> str:
+    """What numbers must be, of an interval that does not hold this one; empty of one that does.
+
+    >>> _beyond("[0, 1)", 1.0), _beyond("(0, inf)", 1.0)
+    ('from 0 to below 1', '')
+    """
+    low, high = (float(end) for end in interval[1:-1].split(","))
+    above, below = interval[0] == "(", interval[-1] == ")"
+    if (value > low or (value == low and not above)) and (value < high or (value == high and not below)):
+        return ""
+    ends = f" and below {high:g}" if above and below else f" to {'below ' * below}{high:g}"
+    return f"{'above' if above else 'from'} {low:g}" + ("" if high == np.inf else ends)
 
 
 def is_finite(value: Any) -> bool:
@@ -166,8 +190,6 @@ class Material:
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 
-MAX_DRIFT = 0.5  #: largest standard deviation of a drift: two of them leave a pillar no resistance
-MAX_DRIFT_OHM = 5e3  #: largest standard deviation of an offset, half a pillar's usual resistance
 MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
 EQUATIONS = ("eq1", "conduction")
 
@@ -182,25 +204,20 @@ class Drifts:
         "-15 % hot and +10 % hot and humid (Interlink, FSR 400 data sheet); 12 % in 48 h under load, 2.5 % of an ink",
         "of low drift (Sensitronics). After a warm-up 0.005, 0.005, 0.002 may do. Measure yours: unloaded, an hour.",
     )
+    # two of the largest relative ones leave a pillar no resistance; the largest offset is half a pillar's usual one
     drift: float = quantity(
-        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True
+        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True, within="[0, 0.5]"
     )
-    drift_tilt: float = quantity(0.0, "standard deviation of one linear over the array along x and y, at the rim", True)
-    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True)
-    drift_offset_ohm: float = quantity(0.0, "standard deviation of one that adds as much to all readings [Ω]", True)
+    drift_tilt: float = quantity(
+        0.0, "standard deviation of one linear over the array along x and y, at the rim", True, within="[0, 0.5]"
+    )
+    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True, within="[0, 0.5]")
+    drift_offset_ohm: float = quantity(
+        0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within="[0, 5000]"
+    )
 
     def __post_init__(self) -> None:
         require_sound(self)
-        for spec in fields(Drifts):
-            value = getattr(self, spec.name)
-            if spec.name.endswith("_ohm"):
-                if not 0 <= value <= MAX_DRIFT_OHM:
-                    raise DesignError(f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT_OHM:g} Ω.")
-            elif not 0 <= value <= MAX_DRIFT:
-                raise DesignError(
-                    f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT:g}: a standard deviation relative to the "
-                    "resistance; 0.005 is 0.5 %."
-                )
 
     def with_drifts_of(self, other: "Drifts | None") -> Self:
         """A copy with the larger of each drift that both state."""
