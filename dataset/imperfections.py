@@ -22,7 +22,7 @@ from geometry.wiring import crossing_of_pillar, crossings
 
 OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
 
-SEEDS = f"[0, {2**63})"  #: of random numbers: what files can hold
+SEEDS = (0, 2**63 - 1)  #: of random numbers: what files can hold
 
 Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 
@@ -31,8 +31,10 @@ Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 class Imperfections(ReadingError):
     """One physical specimen and how it is read; the default is a perfect sensor. Wires are as in `geometry.wiring`."""
 
-    gain_spread: float = quantity(0.0, "spread of the pillars' gains: each is uniform in 1 ± this", within="[0, 1)")
-    offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within="[0, 1e6]")
+    gain_spread: float = quantity(
+        0.0, "spread of the pillars' gains: each is uniform in 1 ± this", within=(0, 1), below=True
+    )
+    offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within=(0, 1e6))
     specimen: int = quantity(0, "seed of gains and offsets; each is another specimen", within=SEEDS)
     dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
     dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")

@@ -12,8 +12,7 @@ import numpy as np
 
 from dataset.resistance import largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import Samples
-from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
-from fem.contact.shapes import Turned
+from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
 from geometry.storage.netcdf import write_netcdf
@@ -103,8 +102,8 @@ def drawn_press(
     turn = generator.uniform(0.0, 180.0)
     shapes: tuple[Shape, ...] = (
         Sphere(height * generator.uniform(*RADIUS)),
-        Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH), turn),
-        Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE)), turn_deg=turn),
+        Turned(Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH)), turn),
+        Turned(Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE))), turn),
     )
     angle = generator.uniform(0.0, 2 * np.pi)
     slide = height * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)

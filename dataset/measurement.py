@@ -37,8 +37,8 @@ class Readout(Protocol):
 class ReadingError(Drifts):
     """Errors of a reading: what each pillar has by itself, and the drifts that pillars share; drawn anew for each."""
 
-    noise: float = quantity(0.0, "standard deviation of a reading, relative to the resistance", within="[0, inf)")
-    bits: int | None = quantity(None, "bits of the converter; default: exact readings", within="[4, 24]")
+    noise: float = quantity(0.0, "standard deviation of a reading, relative to the resistance", within=(0, math.inf))
+    bits: int | None = quantity(None, "bits of the converter; default: exact readings", within=(4, 24))
 
     @property
     def is_exact(self) -> bool:

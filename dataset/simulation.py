@@ -45,9 +45,11 @@ class DatasetSettings(Imperfections):
     """Settings of a dataset: its loads, and the sensor that measures them."""
 
     protocol: str = quantity(MISSING, "kind of loads", of=tuple(SUMMARIES))
-    samples: int = quantity(MISSING, "number of samples", within=f"[1, {MAX_SAMPLES}]")
+    samples: int = quantity(MISSING, "number of samples", within=(1, MAX_SAMPLES))
     seed: int = quantity(0, "seed of all that is random", within=SEEDS)
-    cap: float = quantity(0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample", within="(0, 1)")
+    cap: float = quantity(
+        0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample", above_0=True, within=(0, 1), below=True
+    )
 
 
 def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:

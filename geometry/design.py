@@ -21,18 +21,19 @@ def quantity(
     meaning: str,
     optional: bool = False,
     above_0: bool = False,
+    within: tuple[float, float] | None = None,
+    below: bool = False,
     of: Sequence[str] = (),
     count: int = 1,
-    within: str = "",
 ) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A text is one `of` some, a vector has `count` numbers, a number is `within` an interval such as "[0, 1)".
-    `require_sound` checks all this.
+    A number is `within` bounds, of which it is `below` the upper one, a text one `of` some, a vector has `count`
+    numbers. `require_sound` checks all this.
     """
-    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "of": of, "count": count, "within": within}
-    return field(default=default, metadata=asked)
+    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "within": within, "of": of, "count": count}
+    return field(default=default, metadata=asked | {"below": below})
 
 
 positive = partial(quantity, above_0=True)  #: a quantity above 0
@@ -69,27 +70,15 @@ def require_sound(
                 said = f"from {least:g} to {largest:g}"
             elif kind is not int and max(map(abs, given)) > largest:
                 said = f"at most {largest:g} in size"
-            elif within := asked.get("within"):
-                said = _beyond(within, given[0])
-            if not said:
+            elif (within := asked.get("within")) and not (
+                within[0] <= min(given) <= max(given) <= within[1] and not (asked["below"] and max(given) == within[1])
+            ):
+                said = f"from {within[0]:g} to {'below ' * asked['below']}{within[1]:g}"
+            else:
                 made = int if kind is int else float
                 object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
         if said:
             raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
-
-
-def _beyond(interval: str, value: float) -> str:
-    """What numbers must be, of an interval that does not hold this one; empty of one that does.
-
-    >>> _beyond("[0, 1)", 1.0), _beyond("(0, inf)", 1.0)
-    ('from 0 to below 1', '')
-    """
-    low, high = (float(end) for end in interval[1:-1].split(","))
-    above, below = interval[0] == "(", interval[-1] == ")"
-    if (value > low or (value == low and not above)) and (value < high or (value == high and not below)):
-        return ""
-    ends = f" and below {high:g}" if above and below else f" to {'below ' * below}{high:g}"
-    return f"{'above' if above else 'from'} {low:g}" + ("" if high == np.inf else ends)
 
 
 def is_finite(value: Any) -> bool:
@@ -134,14 +123,12 @@ MAX_UNITS = 255  #: along x or y: what a board's frames can state
 class Array:
     """A rows × cols grid of identical units on one slab."""
 
-    rows: int = positive(6, "units along y")
-    cols: int = positive(6, "units along x")
+    rows: int = quantity(6, "units along y", within=(1, MAX_UNITS))
+    cols: int = quantity(6, "units along x", within=(1, MAX_UNITS))
     pitch_mm: float = positive(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
     def __post_init__(self) -> None:
         require_sound(self)
-        if max(self.rows, self.cols) > MAX_UNITS:
-            raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MAX_UNITS} each.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +177,8 @@ class Material:
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 
-MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
+DRIFTS = (0.0, 0.5)  #: bounds of a drift's standard deviation: two of the largest leave a pillar no resistance
+ELASTORESISTANCES = (-10.0, 10.0)  #: of either coefficient: beyond, strain leaves no resistivity above 0
 EQUATIONS = ("eq1", "conduction")
 
 
@@ -204,16 +192,15 @@ class Drifts:
         "-15 % hot and +10 % hot and humid (Interlink, FSR 400 data sheet); 12 % in 48 h under load, 2.5 % of an ink",
         "of low drift (Sensitronics). After a warm-up 0.005, 0.005, 0.002 may do. Measure yours: unloaded, an hour.",
     )
-    # two of the largest relative ones leave a pillar no resistance; the largest offset is half a pillar's usual one
     drift: float = quantity(
-        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True, within="[0, 0.5]"
+        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True, within=DRIFTS
     )
     drift_tilt: float = quantity(
-        0.0, "standard deviation of one linear over the array along x and y, at the rim", True, within="[0, 0.5]"
+        0.0, "standard deviation of one linear over the array along x and y, at the rim", True, within=DRIFTS
     )
-    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True, within="[0, 0.5]")
+    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True, within=DRIFTS)
     drift_offset_ohm: float = quantity(
-        0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within="[0, 5000]"
+        0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
     )
 
     def __post_init__(self) -> None:
@@ -237,21 +224,19 @@ class Electrics(Drifts):
     """
 
     model: str = quantity("eq1", "eq1: R = ρ l²/V; conduction: potentials in the deformed pillars", True, of=EQUATIONS)
-    elastoresistance_along: float = quantity(0.0, "m₁₁ of the pillars' rubber, conduction only", True)
-    elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", True)
+    elastoresistance_along: float = quantity(
+        0.0, "m₁₁ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
+    )
+    elastoresistance_across: float = quantity(
+        0.0, "m₁₂ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = (self.elastoresistance_along, self.elastoresistance_across)
-        if self.model == "eq1" and any(given):
+        if self.model == "eq1" and (self.elastoresistance_along or self.elastoresistance_across):
             raise DesignError(
                 "eq. 1 has no elastoresistance: write model = 'conduction' in [electrics], or leave "
                 "elastoresistance_along and elastoresistance_across at 0."
-            )
-        if max(map(abs, given)) > MAX_ELASTORESISTANCE:
-            raise DesignError(
-                f"elastoresistance_along={given[0]:g}, elastoresistance_across={given[1]:g} must each be from "
-                f"-{MAX_ELASTORESISTANCE:g} to {MAX_ELASTORESISTANCE:g}: beyond, strain leaves no resistivity above 0."
             )
 
     @property

@@ -1,5 +1,6 @@
 """Settings of a training: the form of the network, and how it is trained. Loads no torch."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -34,7 +35,7 @@ class TrainingError(TriPillarError, ArithmeticError):
 class NetworkConfig:
     """Form of a network with one tanh hidden layer; the data give its inputs and outputs."""
 
-    hidden: int = quantity(17, "hidden nodes: the paper's best; its eq. 16 gives 10 to 19", within=f"[0, {MAX_HIDDEN}]")
+    hidden: int = quantity(17, "hidden nodes: the paper's best; its eq. 16 gives 10 to 19", within=(0, MAX_HIDDEN))
     net: Net = quantity("skip", "plain is the paper's; skip adds a linear map of the inputs", of=get_args(Net))
     #: √R is proportional to a pillar's length
     feature: Feature = quantity("root", "inputs: R, √R, or the response's own inverse", of=get_args(Feature))
@@ -52,18 +53,20 @@ class TrainingConfig:
     trainer: Trainer = quantity(
         "varpro", "variable projection, Levenberg-Marquardt, or the paper's momentum rule", of=get_args(Trainer)
     )
-    goal_mse: float | None = quantity(None, "stop when reached; default: the trainer's own", within="[0, inf)")
-    max_iterations: int = quantity(0, "stop at the latest then; 0: the trainer's own", within="[0, inf)")
+    goal_mse: float | None = quantity(None, "stop when reached; default: the trainer's own", within=(0, math.inf))
+    max_iterations: int = quantity(0, "stop at the latest then; 0: the trainer's own", within=(0, math.inf))
     patience: int = quantity(
-        0, "stop if so many iterations have not gained least_gain; 0: the trainer's own", within="[0, inf)"
+        0, "stop if so many iterations have not gained least_gain; 0: the trainer's own", within=(0, math.inf)
     )
-    least_gain: float = quantity(0.02, "smallest relative fall of the error; 0 never gives up", within="[0, 1)")
+    least_gain: float = quantity(
+        0.02, "smallest relative fall of the error; 0 never gives up", within=(0, 1), below=True
+    )
     held_out: float = quantity(
-        0.1, "share of samples that variable projection of a skip net keeps for validation", within="[0, 0.5]"
+        0.1, "share of samples that variable projection of a skip net keeps for validation", within=(0, 0.5)
     )
-    seed: int = quantity(0, "seed of the random start", within="[0, inf)")
+    seed: int = quantity(0, "seed of the random start", within=(0, math.inf))
     learning_rate: float = quantity(1.0, "α of eq. 15, momentum rule only", above_0=True)
-    momentum: float = quantity(0.5, "η of eq. 15, momentum rule only", within="[0, 1)")
+    momentum: float = quantity(0.5, "η of eq. 15, momentum rule only", within=(0, 1), below=True)
 
     def __post_init__(self) -> None:
         require_sound(self)

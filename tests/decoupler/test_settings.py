@@ -9,13 +9,13 @@ from decoupler import NetworkConfig, TrainingConfig
 from geometry import DesignError
 
 WIRES, PLACES = "must hold numbers of wires from 0 on", "must hold a row and a column from 0 on"
-SEED, FINITE, WHOLE = "must be from 0 to below 9.22337e+18", "must be a finite number", "must be a whole number"
+SEED, FINITE, WHOLE = "must be from 0 to 9.22337e+18", "must be a finite number", "must be a whole number"
 REFUSED = {
     DatasetSettings: {
         "protocol": {"must be one of independent-fz, ": ["contact-fy"]},
         "samples": {"must be from 1 to 1e+09": [0, 2**31], WHOLE: [2.5, True, "10"]},
         "seed": {SEED: [-1, 2**63], WHOLE: [1.5]},
-        "cap": {"must be above 0 and below 1": [0.0, 1.0], FINITE: [math.nan]},
+        "cap": {"must be above 0": [0.0], "must be from 0 to below 1": [1.0], FINITE: [math.nan]},
         "noise": {"must be from 0": [-0.001], "must be from 0 to 0.1": [0.11], FINITE: ["loud"]},
         "bits": {"must be from 4 to 24": [3, 25], WHOLE: [12.5]},
         "drift": {"must be from 0 to 0.5": [-0.001, 0.51], FINITE: [math.nan, "much"]},

@@ -14,7 +14,7 @@ from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, Pillars, fitted
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
-from fem.contact import Cylinder, press, surface_compliance
+from fem.contact import Cylinder, Turned, press, surface_compliance
 from geometry.design import Array, SensorDesign
 from geometry.errors import FileFormatError
 
@@ -52,7 +52,9 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
         for bit, axis in ((1, 0), (2, 1)):
             if symmetry & bit:
                 turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
-        return press(surface, Cylinder(6.0, 9.0, turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5)
+        return press(
+            surface, Turned(Cylinder(6.0, 9.0), turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
+        )
 
     solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
     moved = decoder.library.grid.pressed_mm(*turned)
@@ -112,7 +114,8 @@ def test_two_contacts_are_told_apart(decoder):
     """One near an electrode of each of two opposite units, solved alone: together they are no press of the library."""
     surface = surface_compliance(DESIGN)[0]
     both = [
-        press(surface, Cylinder(4.0, 4.0, 30.0), 0.8, at_mm=at, friction=0.3) for at in ((-18.0, -12.0), (11.0, 17.0))
+        press(surface, Turned(Cylinder(4.0, 4.0), 30.0), 0.8, at_mm=at, friction=0.3)
+        for at in ((-18.0, -12.0), (11.0, 17.0))
     ]
     moved = sum(one.electrode_mm.reshape(1, -1) for one in both)
     found = decoder.touched(decoder.sensing.reading(moved)[0])
