@@ -35,8 +35,8 @@ class Link:
     """The scans of one board on an open port, which `open_again` opens anew once it has gone.
 
     Without `open_again` the port's loss is raised. `read` is for one thread and waits as long as the port does; `take`
-    and all that is asked of a link otherwise may be put under a lock. A silence of `timeout_s` is a stall. `clock` and `wait` are as ``time.perf_counter`` and
-    ``time.sleep``; a `wait` that returns True ends the attempts to open.
+    and all that is asked of a link otherwise may be put under a lock. A silence of `timeout_s` is a stall. `clock` and
+    `wait` are as ``time.perf_counter`` and ``time.sleep``; a `wait` that returns True ends the attempts to open.
     """
 
     def __init__(
