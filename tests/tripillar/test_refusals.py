@@ -130,7 +130,7 @@ sweep key.toml --optimize -> key.toml: [[vary]] 1: unknown key 'pitch'
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --workers 0 -> --workers 0 must be at least 1
 sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leave --trials out
-sweep small.toml --optimize --train -> --train and --retry are of sweeps
+sweep small.toml --optimize --retry -> --retry is of sweeps
 info '' -> no port was named
 info missing -> missing: no such port; there are
 info dir -> dir: a folder, not a port
