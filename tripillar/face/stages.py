@@ -60,12 +60,11 @@ if TYPE_CHECKING:
     from geometry.mould import write_cad
     from geometry.pool import open_pool
     from hardware.boards.simulated import (
-        PressAndSlide, counts_over_time, press_and_slide, run_board, scene_motion, suited_kind, write_truth,
+        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, write_truth,
     )  # fmt: skip
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
-    from hardware.link.serial_ports import list_ports
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -79,6 +78,7 @@ if TYPE_CHECKING:
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
+    from serial.tools.list_ports import comports
     from tripillar.doctor import Check
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
