@@ -81,7 +81,7 @@ def info(
     return result
 
 
-@job()
+@job(mcap=None, rrd=None)
 def watch(
     port: str,
     /,
