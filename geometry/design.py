@@ -282,7 +282,7 @@ class SensorDesign:
         """Its numbers and words with their meanings as a table, for notebooks."""
         parts = [(f"{part.name}.", getattr(self, part.name)) for part in fields(self) if is_dataclass(part.type)]
         rows = [
-            f"<tr><td>{name}{spec.name}</td><td>{getattr(part, spec.name)}</td><td>{escape(spec.metadata['meaning'])}</td>"
+            f"<tr><td>{name}{spec.name}<td>{getattr(part, spec.name)}<td>{escape(spec.metadata['meaning'])}"
             for name, part in (("", self), *parts)
             for spec in fields(part)
             if spec.type in (int, float, str)

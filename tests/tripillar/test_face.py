@@ -84,10 +84,10 @@ def test_what_is_of_another_type_or_name_is_refused(call, says):
         call()
 
 
-def test_notebooks_show_what_samples_and_designs_are(tmp_path):
+def test_notebooks_show_what_samples_evaluations_and_designs_are(tmp_path, shared_cache):
     """Samples, stored ones, evaluations and designs: in a line or a few, with size and kind, no array printed."""
     design = replace(tp.SensorDesign(), array=replace(tp.SensorDesign().array, rows=1, cols=2))
-    samples = tp.dataset(tp.response(design, method="layer"), "contact-fz", 60, out=tmp_path / "samples.zarr")
+    samples = tp.dataset(design, "contact-fz", 60, out=tmp_path / "samples.zarr")
     assessed = tp.evaluate(tp.train(samples, net="plain", feature="root", **QUICK), samples, limits=False)
     for thing, said in (
         (design, "pitch_mm"),

@@ -218,8 +218,8 @@ def evaluate(
     Returns
     -------
     dict of Assessment
-        By force, shown as a line each: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and limit, and more; with
-        folds the errors alone, their mean over the folds.
+        By force, shown as a line each: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and
+        limit, and more; with folds the errors alone, their mean over the folds.
 
     Raises
     ------
@@ -323,7 +323,8 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     """The samples of one source, or of several joined; at finite strain with their displacements."""
     several = [samples_of(each) for each in sources]
     for each in several:
-        stages.require_samples("samples", each)
+        if not isinstance(each, stages.StoredSamples):
+            stages.require_samples("samples", each)
     if any(each.is_finite.any() for each in several):  # these learn from displacements, too
         several = [samples_of(each, labels_only=False) for each in sources]
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
