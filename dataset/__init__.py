@@ -3,7 +3,7 @@
 In: a response (influence matrix) and a load protocol. Out: `Samples`, that is tractions, forces, displacements, pillar
 lengths and resistances of many samples, in memory, as a NetCDF file or a zarr directory. Begin with `simulation.py`,
 which goes from loads (`protocols.py`) to resistances as a real sensor reads them (`imperfections.py`), and with
-`variables.py`, which says what samples hold. Names that need the finite elements or torch are loaded when asked for.
+`variables.py`, which says what samples hold. Names that need the finite elements are loaded when asked for.
 """
 
 from importlib import import_module
@@ -17,7 +17,6 @@ from dataset.stored import StoredSamples, in_memory, read_samples
 
 if TYPE_CHECKING:
     from dataset.simulation import DatasetSettings, measured_again, simulate
-    from dataset.torch_samples import TorchSamples
 
 __all__ = [
     "OPEN_OHM",
@@ -27,7 +26,6 @@ __all__ = [
     "SampleError",
     "Samples",
     "StoredSamples",
-    "TorchSamples",
     "counts_from_resistance",
     "in_memory",
     "measured",
@@ -40,11 +38,8 @@ __all__ = [
     "simulate",
 ]
 
-_LAZY = dict.fromkeys(["DatasetSettings", "measured_again", "simulate"], "dataset.simulation")
-_LAZY["TorchSamples"] = "dataset.torch_samples"
-
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
+    if name in ("DatasetSettings", "measured_again", "simulate"):
+        return getattr(import_module("dataset.simulation"), name)
     raise AttributeError(f"module 'dataset' has no name '{name}'; it has {', '.join(__all__)}.")

@@ -27,11 +27,7 @@ Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections(ReadingError):
-    """One physical specimen and how it is read; the default is a perfect sensor.
-
-    Wires as in `geometry.wiring`: row wire 2i carries the z and x pillars of array row i, 2i+1 its y pillars; column
-    wire 2j carries the z and y pillars of array column j, 2j+1 its x pillars.
-    """
+    """One physical specimen and how it is read; the default is a perfect sensor. Wires are as in `geometry.wiring`."""
 
     gain_spread: float = quantity(0.0, "spread of the pillars' gains: each is uniform in 1 ± this")
     offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]")
@@ -102,17 +98,12 @@ class Imperfections(ReadingError):
     def apply(
         self, exact_ohm: FloatArray, generator: np.random.Generator, readout: Readout | None = None
     ) -> FloatArray:
-        """Resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
+        """Exact resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
 
-        Takes exact ones of the z, x and y pillars as designed; gives measured ones, finite and above 0, `OPEN_OHM`
-        where a pillar cannot be read. A `readout` is electronics in place of a converter that reads each pillar alone;
-        a dead pillar is open to them. The generator gives one number of noise a resistance whatever the settings.
-
-        Raises
-        ------
-        DesignError
-            If the array has no such pillar or wire, an offset outweighs a resistance, the converter cannot tell
-            one, or `bits` are not those of the readout. Dead pillars are exempt from the second and third.
+        They are finite and above 0, `OPEN_OHM` where a pillar cannot be read. A `readout` is electronics in place of a
+        converter that reads each pillar alone; a dead pillar is open to them. The generator gives one number of noise a
+        resistance whatever the settings. A pillar or wire that the array does not have, an offset that outweighs a
+        resistance, one that the converter cannot tell, or other `bits` than the readout's are a `DesignError`.
         """
         if readout is not None and readout.bits != self.bits:
             raise DesignError(f"bits={self.bits}, but the readout's converter has {readout.bits}: give both the same.")

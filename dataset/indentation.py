@@ -12,8 +12,7 @@ import numpy as np
 
 from dataset.resistance import largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import Samples
-from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
-from fem.contact.shapes import Turned
+from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
 from geometry.storage.netcdf import write_netcdf
@@ -30,9 +29,8 @@ _MAKING = Lock()
 def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
-    It gives their tractions (m, n_units, 3) [MPa], the force on each unit's share of the top over its pad's area,
-    displacements (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on. A sample
-    depends on seed, block and number.
+    It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
+    (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
     """
 
     def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
@@ -104,8 +102,8 @@ def drawn_press(
     turn = generator.uniform(0.0, 180.0)
     shapes: tuple[Shape, ...] = (
         Sphere(height * generator.uniform(*RADIUS)),
-        Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH), turn),
-        Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE)), turn_deg=turn),
+        Turned(Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH)), turn),
+        Turned(Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE))), turn),
     )
     angle = generator.uniform(0.0, 2 * np.pi)
     slide = height * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)

@@ -97,8 +97,7 @@ def write_header(
     import zarr
 
     n, rows, cols = shape
-    said = {name: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
-            for name, value in attributes.items()}  # fmt: skip
+    said = {name: getattr(value, "tolist", lambda value=value: value)() for name, value in attributes.items()}
     said |= {LEAF_SIZE: LEAF, "content_hash": leaves_hash(hashes)}
     said[HEADER_HASH] = digest(said)
     group = zarr.create_group(folder, zarr_format=2, overwrite=False, attributes=said)

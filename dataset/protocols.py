@@ -137,6 +137,11 @@ SUMMARIES = {name: protocol.summary for name, protocol in PROTOCOLS.items()} | {
 }
 
 
+def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
+    """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
+    return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
+
+
 def pad_protocol(name: str) -> Protocol:
     """The protocol of that name, refused if it does not load pads."""
     if name == INDENT:

@@ -34,7 +34,7 @@ class SampleError(TriPillarError, ValueError):
 
 
 class AnySamples:
-    """Base of samples in memory and on disk: the sensor that they are of, and how it was read."""
+    """Samples in memory or on disk: the sensor that they are of, and how it was read."""
 
     design: SensorDesign | None  #: None if it is not known
     noise: float  #: relative standard deviation of the resistances; 0 if not known
@@ -70,7 +70,6 @@ class AnySamples:
 
     @property
     def _own_errors(self) -> ReadingError:
-        """Errors that readings were drawn with."""
         stated = stated_imperfections(self.made_from, *self.shape)
         return ReadingError(noise=self.noise, bits=self.bits).with_drifts_of(stated)
 
@@ -90,22 +89,13 @@ class AnySamples:
     def attributes(self) -> dict[str, Any]:
         """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
         stated, said = stated_imperfections(self.made_from, *self.shape), dict(self.made_from)
-        if self.noise != stated.noise:
-            said["noise"] = self.noise
-        if self.bits != stated.bits:
-            said["bits"] = self.bits
+        own = {"noise": self.noise, "bits": self.bits}
+        said |= {name: value for name, value in own.items() if value != getattr(stated, name)}
         if not np.array_equal(_dead(self), stated.dead_mask(*self.shape)):
             said = {name: value for name, value in said.items() if not name.startswith("dead_")}
             said["dead_pillars"] = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
         design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
-
-    @property
-    def title(self) -> str:
-        """One line for people."""
-        rows, cols = self.shape
-        protocol = self.made_from.get("protocol", "protocol not known")
-        return f"{len(self):,} samples of {rows} × {cols} units, {protocol}"
 
     def described(self) -> dict[str, str]:
         """Variables that are held and attributes that are known, by name, in words."""
@@ -116,13 +106,17 @@ class AnySamples:
         told = {name: str(value) for name, value in self.attributes().items() if name != "design"}
         return held | told | ({"design": "not known"} if self.design is None else {})
 
+    def _title(self) -> str:
+        rows, cols = self.shape
+        return f"{len(self):,} samples of {rows} × {cols} units, {self.made_from.get('protocol', 'protocol not known')}"
+
     def __repr__(self) -> str:
-        return "\n".join([self.title, *(f"  {name:19} {text}" for name, text in self.described().items())])
+        return "\n".join([self._title(), *(f"  {name:19} {text}" for name, text in self.described().items())])
 
     def _repr_html_(self) -> str:
         """A table for notebooks."""
         rows = [f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.described().items()]
-        return f"<table><caption>{escape(self.title)}</caption>{''.join(rows)}</table>"
+        return f"<table><caption>{escape(self._title())}</caption>{''.join(rows)}</table>"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -229,12 +223,8 @@ class Samples(AnySamples):
     def write(self, path: Path, dtype: str = "float64") -> None:
         """Write a dataset file, whole or not at all: NetCDF, or a zarr directory where the path ends in .zarr.
 
-        Raises
-        ------
-        DesignError
-            If `dtype` is neither float64 nor, in a zarr directory, float32.
-        FileFormatError, NotWrittenError
-            If something else is at that place, or it cannot be written to.
+        A `dtype` other than float64, in a zarr directory float32, is a `DesignError`; a place that is taken or cannot
+        be written to is a `FileFormatError` or a `NotWrittenError`.
         """
         path = Path(path)
         require_dtype(dtype, path)
@@ -245,15 +235,10 @@ class Samples(AnySamples):
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
-    """Samples of one sensor, read in one way, as one data set; what a part does not hold, the whole does not.
+    """Samples of one sensor, read in one way, as one data set; others are a `SampleError`.
 
-    Raises
-    ------
-    SampleError
-        If the parts are of other designs or readings, or none is given.
+    What a part does not hold, the whole does not.
     """
-    if not parts:
-        raise SampleError("no samples to join: give at least one data set.")
     first = parts[0]
     for number, part in enumerate(parts[1:], 2):
         for name, said in (("design", "design"), ("noise", "noise"), ("bits", "bits"), ("errors", "drift")):
@@ -291,6 +276,6 @@ def require_dtype(dtype: str, path: Path) -> None:
         raise DesignError(f"dtype={dtype} belongs to zarr directories, NetCDF is float64: end {path} in .zarr.")
 
 
-def require_samples(name: str, value: object) -> None:
-    """Refuse an argument that is no `Samples`."""
-    require_type(name, value, Samples, "make them with dataset.simulate, or read them with dataset.read_samples")
+def require_samples(name: str, value: object, kind: type[AnySamples] = Samples) -> None:
+    """Refuse an argument that is no samples of that kind."""
+    require_type(name, value, kind, "make them with dataset.simulate, or read them with dataset.read_samples")

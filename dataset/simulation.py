@@ -18,7 +18,7 @@ import psutil
 from dataset.imperfections import Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
-from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES
+from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces
 from dataset.resistance import conducted_lengths, largest_strains, pillar_lengths, pillar_resistances
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
@@ -80,23 +80,20 @@ def simulate(
     Parameters
     ----------
     response : ArrayResponse
-        Influence matrix and design of the sensor.
     settings : DatasetSettings
-        Protocol, number, seed, cap, and the imperfections of sensor and measurement.
     progress : function
         Called with the number of samples each block adds.
     readout : Readout, optional
         Electronics that resistances pass through, such as a crossbar with its crosstalk.
     only : sequence of str, optional
-        Variables to keep beside forces and resistances, which saves memory; default: all. Another name is a
-        `SampleError`.
+        Variables to keep beside forces and resistances, which saves memory; default: all.
 
     Raises
     ------
     LoadError
         If a sample's strain passes the cap in `MAX_ROUNDS` draws on end.
-    DesignError
-        As `Imperfections.apply` does.
+    DesignError, SampleError
+        As `Imperfections.apply` does; if `only` names no variable.
     """
     require_type("settings", settings, DatasetSettings, "say the protocol and the number of samples")
     whole = range(settings.samples)
@@ -121,7 +118,6 @@ def simulate_part(
     arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in shapes.items()}
 
     def fill(start: int) -> tuple[int, int]:
-        """Make one block, keep what is wanted of it; the number kept and how often those were redrawn."""
         kept = min(BLOCK, n - start)
         block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout, kept)
         for name, values in arrays.items():
@@ -182,9 +178,8 @@ def measured_again(
 ) -> Samples:
     """Measure the same loads with a sensor of these imperfections, however `samples` were measured.
 
-    Starts from the lengths, which are exact, and draws noise as a dataset of that seed does: the outcome is to the last
-    bit what `simulate` gives with the same loads, imperfections, seed and readout. Samples without lengths or design
-    are a `SampleError`; other errors are those of `Imperfections.apply`.
+    From the lengths, which are exact: to the last bit what `simulate` gives with the same loads, imperfections, seed
+    and readout. Samples without lengths or design are a `SampleError`; other errors are those of `Imperfections.apply`.
     """
     require_samples("samples", samples)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
@@ -197,7 +192,7 @@ def measured_again(
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
-        resistance_ohm=measured_resistances(lengths, design, imperfections, seed, readout),
+        resistance_ohm=read_resistances(_exact(lengths, design), imperfections, seed, readout),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
@@ -209,26 +204,13 @@ def require_conducted(response: ArrayResponse) -> None:
         raise DesignError("the design asks for conduction, its response holds none: make the response again.")
 
 
-def measured_resistances(
-    length_mm: FloatArray,
-    design: SensorDesign,
-    imperfections: Imperfections,
-    seed: int,
-    readout: Readout | None,
-    first: int = 0,
-) -> FloatArray:
-    """Resistances (n, rows, cols, 3) [Ω] of pillars of these lengths, as a sensor of these imperfections reads them.
-
-    Lengths of conduction are effective ones. Samples are those from number `first` on.
-    """
-    exact_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-    return read_resistances(exact_ohm, imperfections, seed, readout, first)
-
-
 def read_resistances(
     exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None, first: int = 0
 ) -> FloatArray:
-    """The same of exact resistances (n, rows, cols, 3) [Ω]; each block has a stream of noise that no loads use."""
+    """Exact resistances (n, rows, cols, 3) [Ω] as a sensor of these imperfections reads them, from sample `first` on.
+
+    Each block has a stream of noise that no loads use.
+    """
     blocks = [
         imperfections.apply(
             exact_ohm[start : start + BLOCK],
@@ -240,9 +222,9 @@ def read_resistances(
     return np.concatenate(blocks)
 
 
-def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
-    """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
-    return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
+def _exact(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
+    """Resistances [Ω] of pillars of these lengths, effective ones of conduction."""
+    return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
 
 
 def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
@@ -266,11 +248,7 @@ def labelled(
     readout: Readout | None,
     first: int = 0,
 ) -> dict[str, Any]:
-    """All variables (n, rows, cols, ...) of samples from number `first` on.
-
-    Takes tractions (n, n_units, 3) [MPa], displacements (n, n_units, 2, 3) [mm], and effective lengths (n, n_units, 3)
-    [mm] of conduction.
-    """
+    """All variables (n, rows, cols, ...) of samples from number `first` on; of conduction with effective lengths."""
     grid = (len(traction_mpa), design.array.rows, design.array.cols)
     traction, displacement = traction_mpa.reshape(*grid, 3), displacement_mm.reshape(*grid, 2, 3)
     length = pillar_lengths(displacement, design.unit)
@@ -280,7 +258,7 @@ def labelled(
         "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": measured_resistances(effective, design, settings, settings.seed, readout, first),
+        "resistance_ohm": read_resistances(_exact(effective, design), settings, settings.seed, readout, first),
     } | ({} if effective_mm is None else {"effective_length_mm": effective})
 
 
@@ -291,11 +269,10 @@ def below_cap(
     settings: DatasetSettings,
     design: SensorDesign,
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Draw n samples, and those again that are not accepted.
+    """Draw n samples, and those again that are not accepted: arrays (n, ...) and how often each was drawn again (n,).
 
     `draw` takes the numbers (m,) of those that are wanted and how often they were drawn before; it gives arrays
-    (m, ...) and which samples are accepted (m,). Returns arrays (n, ...) and how often each was drawn again (n,). A
-    sample drawn in vain in all rounds is a `LoadError`.
+    (m, ...) and which samples are accepted (m,). A sample drawn in vain in all rounds is a `LoadError`.
     """
     waiting, redrawn = np.arange(n), np.zeros(n, dtype=np.int64)
     kept: list[np.ndarray] = []
@@ -317,11 +294,7 @@ def below_cap(
 def _block(
     response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
-    """All samples of one block by the name of their variable, and how often each was redrawn.
-
-    A whole block is made even when only the first `kept` are wanted, so that no sample depends on how many are; but
-    contacts, each drawn alone, only as far as wanted: the others carry no load.
-    """
+    """All samples of one block by variable, and how often each was redrawn; contacts only as far as wanted."""
     design = response.design
     pressed = indented(design, settings.seed, number, kept)
 

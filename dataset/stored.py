@@ -13,7 +13,7 @@ from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
-from dataset.variables import COORDINATES, LABELS, VARIABLES
+from dataset.variables import COORDINATES, LABELS, VARIABLES, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
@@ -30,16 +30,11 @@ IN_MEMORY = 0.7  #: largest part of the free memory that samples may take
 
 
 class StoredSamples(AnySamples):
-    """Samples in a zarr directory, read as they are used, so that memory need not hold them.
+    """Samples in a zarr directory, read as they are used, so that memory need not hold them; `read_samples` opens it.
 
-    Opened by `read_samples`. ``len(stored)``, ``stored[a:b]`` and ``stored[numbers]`` work as with `Samples` and give
-    `Samples`, in float64 whatever the type of the file; code that takes both goes through `blocks`. Every leaf of
-    `LEAF` samples is checked when it is read: its hash, where the directory states one, and its numbers.
-
-    Raises
-    ------
-    FileFormatError
-        On opening, if the directory is foreign or its headers are damaged; on reading, if a leaf is.
+    Parts of it are `Samples`, in float64 whatever the type of the file. Every leaf of `LEAF` samples is checked when it
+    is read: its hash, where the directory states one, and its numbers. A foreign or damaged directory is a
+    `FileFormatError` on opening, a damaged leaf on reading.
     """
 
     def __init__(self, path: Path, labels_only: bool = False) -> None:
@@ -130,10 +125,11 @@ class StoredSamples(AnySamples):
         return xr.open_zarr(self.path, chunks=chunks, consolidated=False, decode_times=False)
 
 
-def in_memory(samples: Samples | StoredSamples) -> Samples:
+def in_memory(samples: AnySamples) -> Samples:
     """All samples in memory; a `SampleError` if they take more than `IN_MEMORY` of the memory that is free."""
     if isinstance(samples, Samples):
         return samples
+    assert isinstance(samples, StoredSamples)
     import psutil
 
     needed = 2 * sum(8 * values.size for values in samples._data.data_vars.values())  # with a copy of what is used
@@ -150,15 +146,9 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
     Resistances and forces must be there; tractions, displacements and lengths may be missing, and `labels_only` leaves
-    them in the file. Axes and pillars may be unlabelled, x, y, z and z, x, y then. Columns of a CSV table are named as
-    `dataset.table` names them. Attributes are free in files of others: one that is missing or makes no sense counts as
-    not stated.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is damaged or foreign, states another hash than its content's, lacks an axis or a pillar, or holds
-        what no sensor gives.
+    them in the file. Axes and pillars may be unlabelled, x, y, z and z, x, y then. An attribute that is missing or
+    makes no sense counts as not stated. A file that is damaged or foreign, states another hash than its content's,
+    lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
     if is_zarr(path):
@@ -256,16 +246,5 @@ def _changed(path: Path) -> str:
 def _require_sound(path: Path, arrays: Mapping[str, np.ndarray], first: int = 0) -> None:
     """Refuse numbers that no sensor gives; `first` is the number of the first sample."""
     for name, values in arrays.items():
-        dims, notes, limits = VARIABLES[name]
-        sound, allowed = np.isfinite(values), "finite"
-        if limits is not None:
-            sound = (values >= limits[0]) & (values <= limits[1])
-            allowed = f"finite, {limits[0]:g} to {limits[1]:g} {notes['units']}"
-        if not sound.all():
-            index = np.argwhere(~sound)[0]
-            counted = zip(dims, (first + index[0], *index[1:]), strict=True)
-            place = ", ".join(f"{dim} {COORDINATES[dim][at] if dim in COORDINATES else at}" for dim, at in counted)
-            raise FileFormatError(
-                f"{path}: {name} is {values[tuple(index)]} at {place}; it must be {allowed}: remove that sample or "
-                "measure it again."
-            )
+        if said := senseless(name, values, first=first):
+            raise FileFormatError(f"{path}: {said}: remove that sample or measure it again.")

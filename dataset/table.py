@@ -1,98 +1,74 @@
-"""Samples as a table, a row a sample, a column a number: CSV, written and read whoever made it, and Parquet."""
+"""Samples as a CSV table, a row a sample, a column a number: written, and read whoever made it."""
 
-import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dataset.leaves import LEAF
 from dataset.samples import AnySamples
 from dataset.variables import COORDINATES, LABELS, VARIABLES
-from geometry.errors import FileFormatError, needing
+from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from geometry.storage.text_file import why_unreadable
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-ROWS_AT_ONCE = 4 * LEAF  #: rows of a group of a Parquet file: 28 MB of forces and resistances of 36 units in float32
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_[a-z]_(?:n|ohm)")
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"
 
 
-def columns_of(data: AnySamples) -> dict[str, dict[str, str]]:
-    """Columns of the table of some samples, by name: variable, place, unit and meaning of each.
+def columns_of(variables: Iterable[str], rows: int, cols: int) -> list[str]:
+    """Names of the columns of variables of an array: quantity, place and unit.
 
-    >>> from dataset.samples import Samples
-    >>> samples = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.full((5, 1, 1, 3), 1e4))
-    >>> list(columns_of(samples))[2:4], columns_of(samples)["force_0_0_z_n"]["axis"]
-    (['force_0_0_z_n', 'resistance_0_0_z_ohm'], 'z')
+    >>> columns_of(["force_n", "resistance_ohm"], 1, 1)[2:4]
+    ['force_0_0_z_n', 'resistance_0_0_z_ohm']
     """
-    return _columns(data.variables, *data.shape)
+
+    def named(variable: str) -> Iterator[str]:
+        labels = {"row": range(rows), "col": range(cols), **COORDINATES}
+        dims = VARIABLES[variable].dims[1:]
+        quantity, *unit = variable.rsplit("_", 1) if dims else [variable]
+        for place in product(*(labels[dim] for dim in dims)):
+            yield "_".join([quantity, *(str(label).lower() for label in place), *unit])
+
+    return [name for variable in variables for name in named(variable)]
 
 
-def _columns(variables: Iterable[str], rows: int, cols: int) -> dict[str, dict[str, str]]:
-    found = {}
-    labels: dict[str, Sequence[int | str]] = {"row": range(rows), "col": range(cols), **COORDINATES}
-    for variable in variables:
-        dims, notes, _ = VARIABLES[variable]
-        quantity, *unit = variable.rsplit("_", 1) if len(dims) > 1 else [variable]
-        said = {"variable": variable, "units": notes.get("units", "1"), "note": notes["note"]}
-        for place in product(*(map(str, labels[dim]) for dim in dims[1:])):
-            name = "_".join([quantity, *map(str.lower, place), *unit])
-            found[name] = said | dict(zip(dims[1:], place, strict=True))
-    return found
+def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = lambda samples: None) -> list[str]:
+    """Write samples as CSV, whole or not at all, with the digits that give back each number; its columns.
 
-
-def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = lambda samples: None) -> None:
-    """Write samples as a table, whole or not at all: Parquet or CSV, as the path ends; of each block `counted` is told.
-
-    Parquet holds in the metadata of each field what `columns_of` says of it, and in the schema's ``tripillar`` the hash
-    of the content and the attributes of the data set (JSON). CSV has the header alone.
-
-    Raises
-    ------
-    FileFormatError, NotWrittenError
-        If the path ends otherwise, or cannot be written to.
-    MissingPackageError
-        If pyarrow is not installed.
+    `counted` is told the number of samples of each block. A path that ends otherwise, or that cannot be written to, is
+    a `FileFormatError` or a `NotWrittenError`.
     """
     path = Path(path)
-    if path.suffix not in (".parquet", ".csv"):
-        raise FileFormatError(f"{path}: no form of a table: end the name in .parquet or .csv.")
+    if path.suffix != ".csv":
+        raise FileFormatError(f"{path}: no form of a table: end the name in .csv.")
     import pandas as pd
 
-    form = _parquet if path.suffix == ".parquet" else _csv
-    columns = columns_of(data)
-    with replacing(path) as temporary, form(data, columns, temporary) as write:
-        for block in data.blocks(ROWS_AT_ONCE):
+    columns = columns_of(data.variables, *data.shape)
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        for block in data.blocks(4 * LEAF):
             numbers = [values.reshape(len(block), -1) for values in block.arrays().values()]
-            write(pd.DataFrame(np.concatenate(numbers, axis=1, dtype=data.dtype), columns=list(columns)))
+            rows = pd.DataFrame(np.concatenate(numbers, axis=1, dtype=data.dtype), columns=columns)
+            rows.to_csv(file, index=False, header=file.tell() == 0)
             counted(len(block))
+    return columns
 
 
 def read_csv(path: Path) -> dict[str, FloatArray]:
     """Forces [N] and resistances [Ω] of a table, each (n, rows, cols, 3); other columns are left out.
 
-    Numbers between semicolons may have a decimal comma.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, lacks a column, or something in it is no number; the message says which.
+    Numbers between semicolons may have a decimal comma. A file that is missing, lacks a column or holds what is no
+    number is a `FileFormatError` that says which.
     """
     import pandas as pd
 
     header, separator = _header_of(path)
     units = [(int(place[1]), int(place[2])) for place in map(COLUMN.fullmatch, header) if place]
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
-    expected = _columns(LABELS, rows, cols)
+    expected = columns_of(LABELS, rows, cols)
     missing = [name for name in expected if name not in header]
     if missing:
         size = f" of {rows} × {cols} units" if units else ""
@@ -100,7 +76,7 @@ def read_csv(path: Path) -> dict[str, FloatArray]:
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
-        arrays = dict(zip(LABELS, np.split(table[list(expected)].to_numpy(np.float64), 2, axis=1), strict=True))
+        arrays = dict(zip(LABELS, np.split(table[expected].to_numpy(np.float64), 2, axis=1), strict=True))
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
@@ -122,23 +98,3 @@ def _header_of(path: Path) -> tuple[list[str], str]:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     separator = max(",;\t", key=line.count)
     return [name.strip().strip('"') for name in line.split(separator)], separator
-
-
-@contextmanager
-def _parquet(data: AnySamples, columns: Mapping[str, Any], path: Path) -> Iterator[Callable[["pd.DataFrame"], None]]:
-    """An open file: a function that writes rows into it."""
-    with needing("Parquet", "parquet"):
-        import pyarrow as pa
-        from pyarrow.parquet import ParquetWriter
-    told = json.dumps(data.attributes() | {"content_hash": data.content_hash}, default=lambda value: value.tolist())
-    fields = [pa.field(name, getattr(pa, str(data.dtype))(), metadata=said) for name, said in columns.items()]
-    schema = pa.schema(fields, metadata={"tripillar": told})
-    with ParquetWriter(path, schema, compression="zstd") as writer:
-        yield lambda rows: writer.write_table(pa.Table.from_pandas(rows, schema, preserve_index=False))
-
-
-@contextmanager
-def _csv(data: AnySamples, columns: Mapping[str, Any], path: Path) -> Iterator[Callable[["pd.DataFrame"], None]]:
-    """The same of CSV, with the digits that give back each number."""
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        yield lambda rows: rows.to_csv(file, index=False, header=file.tell() == 0)

@@ -1,7 +1,9 @@
 """Variables of a dataset: their dims, units and limits, the same in memory, NetCDF, zarr and tables."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from geometry.layout import AXES, ELECTRODES, PILLARS
@@ -17,9 +19,7 @@ class Variable(NamedTuple):
 
     dims: tuple[str, ...]
     notes: dict[str, Any]  #: its attributes
-    limits: tuple[float, float] | None = (
-        None  #: beyond which no sensor gives a number; None where any finite one will do
-    )
+    limits: tuple[float, float] | None = None  #: beyond which no sensor gives a number; None: any finite one will do
 
     def shape(self, rows: int, cols: int) -> tuple[int, ...]:
         """Shape of one sample of an array."""
@@ -56,9 +56,28 @@ VARIABLES = {
     "iterations": Variable(("sample",), {"units": "1", "note": "solves of the sample, one factor for all"}),
 }
 LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
-ARRAYS = tuple(
-    name for name, variable in VARIABLES.items() if "row" in variable.dims
-)  #: those with a place on the array
+#: those with a place on the array
+ARRAYS = tuple(name for name, variable in VARIABLES.items() if "row" in variable.dims)
+
+
+def senseless(
+    name: str, values: np.ndarray, labels: Mapping[str, Sequence[str]] = COORDINATES, first: int = 0
+) -> str | None:
+    """The first number of a variable (n, ...) that no sensor gives, and what is allowed; None if there is none.
+
+    `labels` of its last dim where it holds some of the pillars or axes alone; `first` is the number of its sample 0.
+    """
+    dims, notes, limits = VARIABLES[name]
+    low, high = limits or (-np.finfo(float).max, np.finfo(float).max)
+    if not values.size or low <= values.min() <= values.max() <= high:  # NaN is neither
+        return None
+    index = np.argwhere(~((values >= low) & (values <= high)))[0]
+    place = ", ".join(
+        f"{dim} {labels[dim][at] if dim in labels else at}"
+        for dim, at in zip(dims, (first + index[0], *index[1:]), strict=True)
+    )
+    allowed = "finite" if limits is None else f"finite, {low:g} to {high:g} {notes['units']}"
+    return f"{name} is {values[tuple(index)]} at {place}; it must be {allowed}"
 
 
 def coordinates(names: Iterable[str]) -> dict[str, list[str]]:

@@ -34,8 +34,6 @@ def largest_change(one: Answer, other: Answer, reference: Answer) -> float:
 def richardson_factor(coarse: float, fine: float, rate: float) -> float:
     """Error of the finer of two levels over the change between them, for errors ~ level^(−rate).
 
-    Examples
-    --------
     >>> round(richardson_factor(2, 4, rate=2) * (1 / 2**2 - 1 / 4**2) * 4**2, 6)
     1.0
     """

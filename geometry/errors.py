@@ -47,11 +47,11 @@ def require_type(name: str, value: object, kind: type, mend: str) -> None:
 def needing(user: str, extra: str) -> Iterator[None]:
     """Around imports: a missing package is refused as a `MissingPackageError` that names the extra to install.
 
-    >>> with needing("Parquet", "parquet"):
+    >>> with needing("MCAP", "mcap"):
     ...     import no_such_package
     Traceback (most recent call last):
-    geometry.errors.MissingPackageError: Parquet needs a package that is not installed (No module named \
-'no_such_package'): pip install 'tripillar[parquet]'.
+    geometry.errors.MissingPackageError: MCAP needs a package that is not installed (No module named \
+'no_such_package'): pip install 'tripillar[mcap]'.
     """
     try:
         yield

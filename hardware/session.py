@@ -8,8 +8,8 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,12 +137,12 @@ def live(
         yield LiveSensor(scanner, decoder, known)
 
 
-def scans_within(scanner: Scanner, seconds: float = math.inf) -> Iterator[Scan | None]:
+def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:
     """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
     end_s = time.monotonic() + seconds
-    with ended_by_signal() as is_ended:
-        while not is_ended() and time.monotonic() < end_s:
-            scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
+    with ended_by_signal() if ends_by_signal else nullcontext(lambda: False) as is_ended:
+        while not is_ended() and (left_s := end_s - time.monotonic()) > 0.0:
+            scan = scanner.get(timeout=min(BATCH_S, left_s))
             if scan is None and scanner.ended:
                 return
             yield scan
@@ -177,11 +177,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
-    taken, end_s = [], time.monotonic() + seconds
-    while (left_s := end_s - time.monotonic()) > 0.0 and not scanner.ended:
-        scan = scanner.get(timeout=min(BATCH_S, left_s))
-        if scan is not None:
-            taken.append(scan.frame.counts)
+    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False) if scan]
     if not taken or scanner.trouble:
         came = f"{len(taken)} scans" if taken else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
@@ -246,21 +242,15 @@ def record_scans(
     return recorder.frames, statistics
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinkQuality:
-    """Measured quality of a board's link."""
-
-    seconds: float
-    scans: int
-    rate_hz: float  #: of scans received, by the host's clock
-    device_rate_hz: float  #: of scans made, by the board's
-    jitter_us: float  #: standard deviation of arrivals about the board's clock
-    latency_ms: dict[str, float] | None  #: last byte read -> forces: median, p99, worst
-    statistics: dict[str, Any]
-
-
-def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) -> LinkQuality:
+def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) -> dict[str, Any]:
     """Read a board for some seconds, with the forces of every scan if there is a sensor.
+
+    Returns
+    -------
+    dict
+        ``seconds``, ``scans``, the ``rate_hz`` of scans received by the host's clock and the ``device_rate_hz`` of
+        scans made by the board's, ``jitter_us`` (standard deviation of arrivals about the board's clock),
+        ``latency_ms`` of a sensor (last byte read -> forces: median, p99, worst) and the link's ``statistics``.
 
     Raises
     ------
@@ -283,15 +273,15 @@ def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) ->
     ticks_us = np.array(device_us, dtype=np.uint32)
     steps_s = 1e-6 * (ticks_us[1:] - ticks_us[:-1])  # u32 differences wrap as the board's clock does
     waits_s = np.diff(arrivals)
-    return LinkQuality(
-        seconds=arrivals[-1] - arrivals[0],
-        scans=len(arrivals),
-        rate_hz=float(1.0 / waits_s.mean()),
-        device_rate_hz=float(1.0 / steps_s.mean()) if steps_s.any() else 0.0,
-        jitter_us=float(1e6 * (waits_s - steps_s).std() / np.sqrt(2.0)),
-        latency_ms=None if sensor is None else milliseconds(np.array(latencies)),
-        statistics=asdict(scanner.stats),
-    )
+    return {
+        "seconds": arrivals[-1] - arrivals[0],
+        "scans": len(arrivals),
+        "rate_hz": float(1.0 / waits_s.mean()),
+        "device_rate_hz": float(1.0 / steps_s.mean()) if steps_s.any() else 0.0,
+        "jitter_us": float(1e6 * (waits_s - steps_s).std() / np.sqrt(2.0)),
+        "latency_ms": None if sensor is None else milliseconds(np.array(latencies)),
+        "statistics": asdict(scanner.stats),
+    }
 
 
 def milliseconds(latency_s: FloatArray) -> dict[str, float]:

@@ -25,7 +25,7 @@ Break = Callable[[FaultTest, FloatArray, np.random.Generator], Broken]
 
 
 def pillar(kind: str, name: str) -> Break:
-    """A pillar of this name that is stuck, noisy, open, or has another gain."""
+    """A pillar of this name that is stuck, open, or has another gain."""
 
     def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
         unit, number = int(generator.integers(test.rows * test.cols)), PILLARS.index(name)
@@ -37,7 +37,7 @@ def pillar(kind: str, name: str) -> Break:
 
 
 def wire(kind: str, side: str) -> Break:
-    """A wire of a row or column whose pillars are stuck, noisy or open."""
+    """A wire of a row or column whose pillars are stuck or open."""
 
     def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
         wires = [(name, which) for name, which in test.wires if name.startswith(side)]
@@ -54,10 +54,8 @@ def spoilt(kind: str, ohms: FloatArray, which: list[int], generator: np.random.G
         ohms[:, which] = ohms[0, which]
     elif kind == "open":
         ohms[:, which] = np.inf
-    elif kind == "gain":
-        ohms[:, which] *= 1.02
     else:
-        ohms[:, which] *= 1.0 + 10.0 * NOISE * generator.standard_normal((len(ohms), len(which)))
+        ohms[:, which] *= 1.02
 
 
 def swap(side: str) -> Break:
@@ -79,9 +77,6 @@ FAULTS: dict[str, Break] = {
     "two columns swapped": swap("columns"),
     "two row wires of a kind swapped": swap("row wires"),
     "two column wires of a kind swapped": swap("column wires"),
-    **{f"ten times the noise on one {name} pillar": pillar("noisy", name) for name in PILLARS},
-    "ten times the noise on one row wire": wire("noisy", "row"),
-    "ten times the noise on one column wire": wire("noisy", "column"),
     "one z pillar open": pillar("open", "z"),
     "one row wire open": wire("open", "row"),
     "one z pillar 2 % up": pillar("gain", "z"),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError
 from dataset.samples import SampleError, Samples
-from dataset.variables import MAX_N, MAX_OHM, MIN_OHM
+from dataset.variables import senseless
 from geometry.errors import DesignError
 from geometry.layout import AXES, PILLARS, FloatArray
 
@@ -65,18 +65,8 @@ def pillar_columns(
 ) -> FloatArray:
     """The resistances a component takes, (n, rows, cols, 3) -> (n, rows·cols·n_pillars) [Ω].
 
-    Parameters
-    ----------
-    resistance_ohm : array, shape (n_samples, rows, cols, 3)
-    component : Component
-        Pillars that it does not take are not looked at.
-    dead : array, shape (rows, cols, 3), optional
-        Pillars that cannot be read: neither are these, and `DEAD_OHM` is put in their place.
-
-    Raises
-    ------
-    SampleError
-        If the shape is another, or one of the component's resistances is not finite, not above 0 or no sensor's.
+    Pillars that it does not take are not looked at, nor are `dead` ones (rows, cols, 3), in whose place `DEAD_OHM` is
+    put. Another shape, or a resistance that is no sensor's, is a `SampleError`.
     """
     if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
         raise SampleError(
@@ -90,15 +80,8 @@ def pillar_columns(
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
         taken = np.where(dead[..., pillars], DEAD_OHM, taken)
-    if taken.size and not MIN_OHM <= taken.min() <= taken.max() <= MAX_OHM:  # NaN is neither
-        sound = (taken >= MIN_OHM) & (taken <= MAX_OHM)
-        sample, row, col, pillar = np.argwhere(~sound)[0]
-        raise SampleError(
-            f"resistance of pillar {component.pillars[pillar]} in row {row}, col {col} of sample {sample} is "
-            f"{taken[sample, row, col, pillar]:g} Ω, must be finite and above 0, "
-            f"{MIN_OHM:g} to {MAX_OHM:g} Ω: "
-            "leave that sample out or mend the pillar."
-        )
+    if said := senseless("resistance_ohm", taken, {"pillar": component.pillars}):
+        raise SampleError(f"{said}: leave that sample out or mend the pillar.")
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
 
 
@@ -112,13 +95,8 @@ def readable_columns(component: Component, dead: NDArray[np.bool_] | None, n_col
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
     """The forces a component gives, (n, rows, cols, 3) -> (n, rows·cols·n_axes) [N]."""
     taken = np.asarray(force_n[..., [AXES.index(axis) for axis in component.axes]], dtype=np.float64)
-    if taken.size and not -MAX_N <= taken.min() <= taken.max() <= MAX_N:  # NaN is neither
-        sample, row, col, axis = np.argwhere(~(np.abs(taken) <= MAX_N))[0]
-        raise SampleError(
-            f"force {component.forces[axis]} in row {row}, col {col} of sample {sample} is "
-            f"{taken[sample, row, col, axis]:g} N, must be finite, at most {MAX_N:g} N either way: "
-            "leave that sample out."
-        )
+    if said := senseless("force_n", taken, {"axis": component.axes}):
+        raise SampleError(f"{said}: leave that sample out.")
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from dataset.samples import SampleError, Samples
-from dataset.variables import MAX_N, MAX_OHM, MIN_OHM
-from geometry.layout import AXES, PILLARS, FloatArray
+from dataset.variables import senseless
+from geometry.layout import AXES, FloatArray
 from geometry.storage.files import digest
 
 
@@ -53,20 +53,15 @@ class Pairs:
         object.__setattr__(self, "unknown_n", self.unknown_n or (np.zeros((0, *shape[1:])),) * shape[0])
         if len(self.unknown_n) != shape[0] or len(self.names) != shape[0]:
             raise SampleError(f"{len(self.unknown_n)} unknown_n and {len(self.names)} names, expected {shape[0]} each.")
-        for name, force_n, unknown_n in zip(self.names, self.force_n, self.unknown_n, strict=True):
+        for k, (name, unknown_n) in enumerate(zip(self.names, self.unknown_n, strict=True)):
             if unknown_n.ndim != 4 or unknown_n.shape[1:] != shape[1:]:
                 raise SampleError(f"unknown_n of '{name}' has shape {unknown_n.shape}, expected (k, *{shape[1:]}).")
-            if not (np.abs(force_n) <= MAX_N).all() or not np.isfinite(unknown_n).all():
-                raise SampleError(f"a force of '{name}' is not finite or above {MAX_N:g} N: correct or leave it out.")
-        read = np.isfinite(self.resistance_ohm)
-        sound = (self.resistance_ohm >= MIN_OHM) & (self.resistance_ohm <= MAX_OHM) | np.isnan(self.resistance_ohm)
-        if not sound.all():
-            pair, row, col, pillar = np.argwhere(~sound)[0]
-            raise SampleError(
-                f"'{self.names[pair]}' reads {self.resistance_ohm[pair, row, col, pillar]:g} Ω at pillar "
-                f"{row},{col},{PILLARS[pillar]}, must be {MIN_OHM:g} to {MAX_OHM:g} Ω, or missing."
-            )
-        if not read.any():
+            ohms = self.resistance_ohm[k : k + 1]
+            read = np.where(np.isnan(ohms), 1.0, ohms)
+            said = senseless("force_n", self.force_n[k : k + 1]) or senseless("resistance_ohm", read)
+            if said or not np.isfinite(unknown_n).all():
+                raise SampleError(f"'{name}': {said or 'unknown_n is not finite'}: correct it or leave it out.")
+        if np.isnan(self.resistance_ohm).all():
             raise SampleError("no pillar of any pair was read: measure resistances under these loads.")
 
     @classmethod

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dataset.protocols import MAX_TOUCHED, PROTOCOLS
+from dataset.protocols import MAX_TOUCHED, PROTOCOLS, forces
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
 
@@ -19,8 +19,7 @@ RIDGE = 1e-3  #: of the covariance of a protocol's loads, over its mean variance
 
 def loads_of(protocol: str, design: SensorDesign, count: int) -> FloatArray:
     """Random loads of a protocol, (count, rows, cols, 3) [N]."""
-    traction = PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design)
-    newtons = traction * design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0])
+    newtons = forces(PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design), design)
     return newtons.reshape(count, design.array.rows, design.array.cols, len(AXES))
 
 

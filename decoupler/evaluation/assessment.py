@@ -9,9 +9,9 @@ import numpy as np
 
 from dataset import Samples
 from dataset.measurement import ReadingError
-from dataset.protocols import LIGHT_N
+from dataset.samples import AnySamples
 from decoupler.data.columns import Component, force_columns, readable_columns
-from decoupler.data.enough import ENOUGH, AnySamples, drawn
+from decoupler.data.enough import ENOUGH, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 MAX_SAMPLES = 200  #: number of samples, spread over the data, for which limits are computed
-TOUCHES = 200  #: light touches, and as many samples at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,16 +35,6 @@ class Limits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightTouch:
-    """Errors of one force at rest and under touches of one pad, over all pads."""
-
-    at_rest_rmse_n: float  #: [N]
-    touch_rmse_n: float  #: [N]
-    touch_limit_n: float | None  #: Cramér-Rao limit of the readings; None without noise or with dead pillars
-    coverage: tuple[float, float] | None  #: shares of both kinds of errors within the 68 % and the 95 % half-width
-
-
-@dataclass(frozen=True, kw_only=True)
 class Assessment:
     """Everything about one force component."""
 
@@ -54,20 +43,14 @@ class Assessment:
     ratio: float | None  #: error over the lower bound without bias; None without noise
     baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
     coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % half-width
-    light: LightTouch | None  #: where forces are small; None if the response is unknown
 
 
 @one_blas_thread()  # `forces` has a thread a core of its own
 def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | None") -> dict[str, Assessment]:
     """Assess a model on data that it has not seen, force by force.
 
-    `response` is that of the sensor; without it there are no limits, and nothing is known of light touches. Errors are
-    those on all samples; limits and coverage, of more than `ENOUGH`, those on a random draw.
-
-    Raises
-    ------
-    SampleError
-        As `Decoupler.forces` does.
+    `response` is that of the sensor; without it there are no limits. Errors are those on all samples; limits and
+    coverage, of more than `ENOUGH`, those on a random draw. Data of another array are a `SampleError`.
     """
     component, dead = decoupler.component, decoupler.dead
     baselines: dict[str, Callable[[FloatArray], FloatArray]] = {}
@@ -79,11 +62,6 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
     data = drawn(data)
     limits = _limits(decoupler, data, response)
-    light: dict[str, LightTouch] = {}
-    if response is not None:
-        known = decoupler.inverse
-        own = SensorModel.of(response, component) if known is None else known.forward
-        light = light_touches(decoupler, own, data.errors)
     force_n = force_columns(data.force_n, component)
     missed_n = np.abs(decoupler.forces(data.resistance_ohm).reshape(force_n.shape) - force_n)
     coverage = _coverage(decoupler, decoupler.columns(data.resistance_ohm), missed_n)
@@ -96,7 +74,6 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
             ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
             baselines={label: by_force[name] for label, by_force in compared.items()},
             coverage=covered,
-            light=light.get(name),
         )
     return found
 
@@ -141,32 +118,6 @@ def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArra
         return [None] * n_axes
     within = [(missed_n <= width).reshape(-1, n_axes) for width in decoupler.half_widths_of(columns_ohm)]
     return [(float(one), float(two)) for one, two in zip(*(w.mean(axis=0) for w in within), strict=True)]
-
-
-def light_touches(decoupler: Decoupler, forward: SensorModel, errors: ReadingError) -> dict[str, LightTouch]:
-    """Errors by force on the sensor that the model knows, gains and offsets included, read with these errors.
-
-    `forward` says what its pillars do; each touch is a force of 0 to `LIGHT_N` along one of the component's axes.
-    """
-    generator, component = np.random.default_rng(0), decoupler.component
-    force_n = np.zeros((2 * TOUCHES, forward.n_forces))
-    touched = generator.integers(forward.n_forces, size=TOUCHES)
-    force_n[np.arange(TOUCHES, 2 * TOUCHES), touched] = generator.uniform(0.0, LIGHT_N, TOUCHES)
-    ohms = forward.resistances(force_n)
-    ohms = errors.read(ohms.reshape(len(ohms), decoupler.rows, decoupler.cols, -1), generator).reshape(ohms.shape)
-    missed_n = np.abs(decoupler.outputs(ohms) - force_n)
-    rest, touch = _by_axis(missed_n[:TOUCHES], component), _by_axis(missed_n[TOUCHES:], component)
-    limit_n = _by_axis(cramer_rao(forward, force_n[:1], **_reading(decoupler, errors)), component)
-    coverage = _coverage(decoupler, ohms, missed_n)
-    return {
-        name: LightTouch(
-            at_rest_rmse_n=float(rest[axis]),
-            touch_rmse_n=float(touch[axis]),
-            touch_limit_n=float(limit_n[axis]) if 0 < limit_n[axis] < np.inf else None,
-            coverage=coverage[axis],
-        )
-        for axis, name in enumerate(component.forces)
-    }
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:

@@ -53,22 +53,10 @@ def cross_validate(
     response: "ArrayResponse | None" = None,
     progress: Callable[[int], None] = lambda fold: None,
 ) -> list[Fold]:
-    """Train and test once a fold, folds in parallel processes of one thread each.
+    """Train as `train` does and test once a fold, folds in parallel processes of one thread each.
 
-    Parameters
-    ----------
-    data : Samples
-    component, network, training, response
-        As `training.trainer.train` takes them. The seed also shuffles the samples.
-    folds : int
-        From 2 to half the number of samples.
-    progress : callable
-        Called with the number of each fold as it ends, in whatever order.
-
-    Returns
-    -------
-    list of Fold
-        In the order of the folds; the same however many processes there are.
+    The seed also shuffles the samples, of which there are at least two a fold. `progress` is called with the number of
+    each fold as it ends, in whatever order. Folds come in order, the same however many processes there are.
     """
     parts, network, training = suited_training(data, component, network, training, response)
     return in_parallel(jobs_of(data, parts.name, network, training, folds, response), progress)

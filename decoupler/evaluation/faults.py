@@ -7,7 +7,6 @@ another size a have a²(V − N) + N; a is that of the other pillars of the same
 array, whichever makes no fault likeliest. Faults then are:
 
 - stuck: readings stay within their noise in scans in which the prediction moves;
-- noisy: residuals of second differences, which loads that move evenly do not have, are larger than V and noise allow;
 - swapped: readings are likelier after two wires are swapped back;
 - open or shorted: a resistance is beyond what any load makes of it.
 
@@ -42,8 +41,6 @@ BEYOND = 4.0  #: ratio to the mean resistance in training, either way, at which 
 SIZES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  #: of loads over the usual ones, that are tried for a whole scan
 USUAL = 4.0  #: largest mean square of readings of usual loads, over the mean, after wires are swapped back
 CLEAR = 5.0  #: deviations by noise, by which a prediction must move before a pillar that does not is stuck
-NOISES = (4.0, 10.0, 30.0)  #: times the stated noise, that a noisy pillar may have
-OVERLAP = 35.0 / 18.0  #: variance of sums of squares of second differences of noise, over that of independent ones
 MAX_WINDOWS = 50  #: of a recording, spread over it, that are looked at
 Indices = NDArray[np.intp]
 
@@ -52,7 +49,7 @@ Indices = NDArray[np.intp]
 class Fault:
     """Kind and place of what is wrong."""
 
-    kind: str  #: open, shorted, stuck, noisy or swapped
+    kind: str  #: open, shorted, stuck or swapped
     place: str  #: a pillar, a wire or two, in words
     pillars: tuple[tuple[int, int, str], ...]  #: row, col and name of each pillar that reads wrong
 
@@ -110,13 +107,9 @@ class FaultTest:
         )
 
     def named(self, resistance_ohm: FloatArray) -> tuple[Fault, ...]:
-        """Faults of a window of scans, the surest first.
+        """Faults of n scans (n, rows, cols, 3) [Ω] that follow one another, `window` usually, the surest first.
 
-        Parameters
-        ----------
-        resistance_ohm : array, shape (n, rows, cols, 3)
-            Of n scans that follow one another, `window` usually; below `FEWEST` only open and shorted pillars are
-            named. Readings may be anything, infinite or no number.
+        Below `FEWEST` only open and shorted pillars are named. Readings may be anything, infinite or no number.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             y = np.log(resistance_ohm.reshape(len(resistance_ohm), -1)[:, self.pillars]) - self.mean
@@ -223,25 +216,17 @@ class FaultTest:
         passing = sorted(self._hypotheses(y), key=lambda one: one.ratio)
         passing = [one for one in passing if one.ratio > -math.log(FALSE_ALARMS)]
         # of swaps, whose caps leave ties, all are compared
-        best = {(one.kind, len(one.which) > 1 if one.order is None else one.place): one for one in passing}
+        best = {len(one.which) > 1 if one.order is None else one.place: one for one in passing}
         return max(best.values(), key=lambda one: self._gain(one, y), default=None)
 
     def _gain(self, fault: _Hypothesis, y: FloatArray) -> float:
         """Log-likelihood ratio of a fault to none by all readings (n, P) about their means, none of them capped."""
         if fault.order is not None:
             return self._log_density(y[:, fault.order]) - self._log_density(y)
-        if fault.kind == "stuck":
-            still = self.covariance.copy()
-            still[fault.which] = still[:, fault.which] = 0.0
-            still[fault.which, fault.which] = self.noise[fault.which] ** 2
-            return replace(self, covariance=still)._log_density(y) - self._log_density(y)
-        bent, found = _bent(y), []
-        for times in NOISES:
-            noise = self.noise.copy()
-            noise[fault.which] *= times
-            louder = replace(self, noise=noise, covariance=self.covariance + np.diag(noise**2 - self.noise**2))
-            found.append(louder._log_density(bent))
-        return (max(found) - self._log_density(bent)) / OVERLAP
+        still = self.covariance.copy()
+        still[fault.which] = still[:, fault.which] = 0.0
+        still[fault.which, fault.which] = self.noise[fault.which] ** 2
+        return replace(self, covariance=still)._log_density(y) - self._log_density(y)
 
     def _log_density(self, y: FloatArray) -> float:
         """Log-density of readings (n, P) but for a constant, each scan by the likeliest size of its loads."""
@@ -261,10 +246,9 @@ class FaultTest:
         u = y @ self.precision
         squares, steps = (y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
         for groups in self._groups:
-            stuck = groups.stuck(y, u, _news(squares, steps, groups.near[..., 0]))
-            for kind, ratios in (("stuck", stuck), ("noisy", groups.noisy(_bent(u)))):
-                for place, which, ratio in zip(groups.places, groups.which, ratios, strict=True):
-                    yield _Hypothesis(kind, place, which, float(ratio))
+            ratios = groups.stuck(y, u, _news(squares, steps, groups.near[..., 0]))
+            for place, which, ratio in zip(groups.places, groups.which, ratios, strict=True):
+                yield _Hypothesis("stuck", place, which, float(ratio))
         energy, P = (u * y).sum(axis=1), y.shape[1]
         news = float(_news(squares, steps, self.noise**-2.0))
         for place, order in self.swaps:
@@ -273,11 +257,6 @@ class FaultTest:
             ratio, tells = 0.5 * (energy - other), (energy > P) & (other < USUAL * P)
             capped = news * float(_total(_where_told(tells, ratio)[:, None]))
             yield _Hypothesis("swapped", place, np.flatnonzero(order != np.arange(P)), capped, order)
-
-
-def _bent(y: FloatArray) -> FloatArray:
-    """Second differences of readings (n, P), with the noise of one reading, (n − 2, P)."""
-    return np.diff(y, n=2, axis=0) / math.sqrt(6.0)
 
 
 def _news(squares: FloatArray, steps: FloatArray, weights: FloatArray) -> FloatArray:
@@ -300,8 +279,7 @@ class _Groups:
         self.across = K[here]  # K_gq, (g, k, P)
         self.solved = V = np.asarray(np.linalg.inv(K[here[:, :, None], here[:, None]]))  # K_gg⁻¹, (g, k, k)
         mine = V @ K[here]
-        N = (mine * test.noise**2) @ mine.swapaxes(1, 2)
-        self.by_noise = np.einsum("gkk->gk", N)
+        self.by_noise = np.einsum("gkk->gk", (mine * test.noise**2) @ mine.swapaxes(1, 2))
         self.by_loads = np.einsum("gkk->gk", V) - self.by_noise
         # (K y)_q without the group: its variance, and what part of that is noise, (g, P)
         without = K - K[here].swapaxes(1, 2) @ mine
@@ -315,41 +293,18 @@ class _Groups:
         for k in (1, 0):
             near[..., k] |= near[..., k + 1] & ~near[..., k].any(axis=1, keepdims=True)
         self.near = near.astype(np.float64)
-        # parts of residuals that are independent under loads and noise alike: 1 of their variance is noise
-        L = np.linalg.inv(np.linalg.cholesky(N))
-        variances, U = np.linalg.eigh(L @ V @ L.swapaxes(1, 2))
-        self.apart = L.swapaxes(1, 2) @ U  # (g, k, k)
-        self.parts_by_loads = np.maximum(variances - 1.0, 0.0)  # (g, k)
-        self.parts_by_own = ((self.apart * self.noise[..., None]) ** 2).sum(axis=1)  # by the group's own noise
-
-    def _residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """r, (g, n, k), and a², how large loads are over the usual ones by each of `near`, (g, n, 1, 3)."""
-        r = u[:, self.which].swapaxes(0, 1) @ self.solved
-        squares = (u - r @ self.across) ** 2 / self.scale[:, None] - self.noise_share[:, None]
-        free = (1.0 - self.noise_share)[:, None] @ self.near
-        return r, np.maximum(squares @ self.near / free, 0.0)[:, :, None]
 
     def stuck(self, y: FloatArray, u: FloatArray, news: FloatArray) -> FloatArray:
         """Log-likelihood ratios of readings (n, P) that do not move to such that do as usual, (g,)."""
-        r, sizes = self._residuals(u)
+        r = u[:, self.which].swapaxes(0, 1) @ self.solved  # (g, n, k)
+        squares = (u - r @ self.across) ** 2 / self.scale[:, None] - self.noise_share[:, None]
+        free = (1.0 - self.noise_share)[:, None] @ self.near
+        sizes = np.maximum(squares @ self.near / free, 0.0)[:, :, None]  # a² by each of `near`, (g, n, 1, 3)
         own, by_noise = y[:, self.which].swapaxes(0, 1), self.by_noise[:, None]
         usual = sizes * self.by_loads[:, None, :, None] + by_noise[..., None]
         ratio = _log_normal(own, self.noise[:, None] ** 2) - _log_normal(r[..., None], usual).max(axis=-1)
         moved = (own - r) ** 2 > CLEAR**2 * by_noise
         return news * _total(_where_told(moved, ratio))
-
-    def noisy(self, u: FloatArray) -> FloatArray:
-        """The largest log-likelihood ratios of `NOISES` to the stated one, by second differences, (g,).
-
-        Residuals of a wire's pillars go together under loads, so their independent parts are looked at.
-        """
-        r, sizes = self._residuals(u)
-        parts, usual = (r @ self.apart)[..., None], sizes * self.parts_by_loads[:, None, :, None] + 1.0
-        none = _log_normal(parts, usual).max(axis=-1)
-        more = [(times**2 - 1.0) * self.parts_by_own[:, None, :, None] for times in NOISES]
-        return (
-            np.max([_total(_log_normal(parts, usual + extra).max(axis=-1) - none) for extra in more], axis=0) / OVERLAP
-        )
 
 
 def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:

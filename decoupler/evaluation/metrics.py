@@ -5,14 +5,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from dataset import Samples
-from dataset.samples import SampleError, require_samples
-from dataset.stored import StoredSamples
+from dataset.samples import AnySamples, SampleError, require_samples
 from decoupler.data.columns import Component, Scaling, force_columns
-from decoupler.data.enough import ENOUGH, AnySamples
+from decoupler.data.enough import ENOUGH
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import require_type
 from geometry.layout import FloatArray
@@ -102,25 +102,17 @@ def errors_over(
 def evaluate(decoupler: Decoupler, data: AnySamples) -> dict[str, ForceErrors]:
     """Errors of a model on data, of every force it gives; of more than `ENOUGH` samples block by block.
 
-    Raises
-    ------
-    ArgumentError, SampleError
-        If an argument is of another type, or the data are of another array.
+    An argument of another type is an `ArgumentError`, data of another array are a `SampleError`.
     """
     require_type("decoupler", decoupler, Decoupler, "train one, or read a model file")
-    if not isinstance(data, StoredSamples):
-        require_samples("data", data)
+    require_samples("data", data, AnySamples)
     return errors_over(data.blocks(ENOUGH), decoupler.forces, decoupler.component)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PcaFloor:
+class PcaFloor(NamedTuple):
     """Smallest errors of a plain network of one width on given forces."""
 
-    hidden: int
     scaled_mse: float  #: bound on the mean squared error of the outputs scaled to [-1, 1]
-    variance_share: float  #: the same as a share of the scaled variance
-    rmse_n: float  #: bound on the root mean squared error of all outputs together [N]
     projection: dict[str, ForceErrors]  #: errors of the best projection in newtons: typical, no bounds
 
 
@@ -129,24 +121,17 @@ def pca_floor(force_n: FloatArray, component: Component, hidden: int) -> PcaFloo
 
     Notes
     -----
-    The outputs W₂ tanh(...) + b of a plain network lie in a plane of `hidden` dimensions. By Eckart and Young
-    the mean squared distance of the forces to any such plane is at least the energy of their discarded
-    principal components. The bounds hold on these very forces, scaled by their own range; eq. 17 has no such
-    bound. A skip net has none at all.
+    The outputs W₂ tanh(...) + b of a plain network lie in a plane of `hidden` dimensions. By Eckart and Young the mean
+    squared distance of these very forces, scaled by their own range, to any such plane is at least the energy of their
+    discarded principal components.
     """
     columns = force_columns(force_n, component)
     scaled = Scaling.fitted(columns).scale(columns)
-    best = _projection(columns, hidden)
-    discarded = float(((scaled - _projection(scaled, hidden)) ** 2).mean())
-    total = float(((scaled - scaled.mean(axis=0)) ** 2).mean())
-    shape = (*force_n.shape[:3], len(component.axes))
+    best, n_axes = _projection(columns, hidden), len(component.axes)
     return PcaFloor(
-        hidden=hidden,
-        scaled_mse=discarded,
-        variance_share=discarded / total if total > 0 else 0.0,
-        rmse_n=float(np.sqrt(((columns - best) ** 2).mean())),
+        scaled_mse=float(((scaled - _projection(scaled, hidden)) ** 2).mean()),
         projection={
-            name: force_errors(best.reshape(shape)[..., axis], columns.reshape(shape)[..., axis])
+            name: force_errors(best[:, axis::n_axes], columns[:, axis::n_axes])
             for axis, name in enumerate(component.forces)
         },
     )

@@ -6,11 +6,10 @@ after one of `MISTAKES` is taken back, or if the readings fit the forces worse t
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
 from dataset.measurement import reading_deviation
@@ -41,66 +40,62 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 MIN_EXPLAINED = 0.7
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 
-Turn = Callable[[FloatArray], FloatArray]
+Mend = Callable[[Samples], Samples]  #: takes a mistake back
 
 
-def _as_it_is(values: FloatArray) -> FloatArray:
-    return values
+def _forces(turn: Callable[[FloatArray], FloatArray]) -> Mend:
+    def mended(data: Samples) -> Samples:
+        """Samples as they are if the array is not square, or if no sensor bears such forces."""
+        force_n = turn(data.force_n)
+        possible = force_n.shape == data.force_n.shape and np.abs(force_n).max() <= MAX_N
+        return replace(data, force_n=force_n) if possible else data
+
+    return mended
 
 
-@dataclass(frozen=True)
-class Mistake:
-    """One way for a file to be wrong: what it takes for forces (n, rows, cols, 3), and where it puts pillars (same)."""
-
-    said: str  #: the message: the likely mistake, and how to mend it
-    force: Turn = _as_it_is  #: from the file's to the sensor's
-    pillar: Turn = _as_it_is  #: from the sensor's to the file's
+def _times(*factors: float) -> Mend:
+    return _forces(lambda force_n: force_n * np.array(factors))
 
 
-def _times(*factors: float) -> Turn:
-    return lambda values: values * np.array(factors)
+def _axes_from(order: tuple[int, ...]) -> Mend:
+    return _forces(lambda force_n: force_n[..., order])
 
 
-def _ordered(*order: int) -> Turn:
-    return lambda values: values[..., order]
+def _pillars_from(order: tuple[int, ...]) -> Mend:
+    def mended(data: Samples) -> Samples:
+        dead = None if data.dead is None else data.dead[..., order]
+        return replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead)
+
+    return mended
 
 
 _SIGNS = "z > 0 is compression, x runs along columns, y along rows"
-_PILLARS = "a file's pillars are z, x, y"
-_AXES = "a file's axes are x, y, z"
-_PLACES: dict[str, Turn] = {
-    "rows and columns of {} seem to be exchanged": lambda values: values.swapaxes(1, 2),
-    "rows of {} seem to stand in reverse order": lambda values: values[:, ::-1],
-    "columns of {} seem to stand in reverse order": lambda values: values[:, :, ::-1],
+_OTHER_ORDERS = [*permutations(range(3))][1:]
+OF_PILLARS = {
+    f"pillars seem to stand in the order {', '.join(PILLARS[order.index(k)] for k in range(3))}: a file's are "
+    f"{', '.join(PILLARS)}": _pillars_from(order)
+    for order in _OTHER_ORDERS
+}  #: told by a joint model alone
+MISTAKES: dict[str, Mend] = {
+    "the forces seem to be in kN: multiply them by 1000": _times(1e3),
+    "the forces seem to be in mN: divide them by 1000": _times(1e-3),
+    f"all forces seem to have the other sign: {_SIGNS}": _times(-1.0),
+    f"Fz seems to have the other sign: {_SIGNS}": _times(1.0, 1.0, -1.0),
+    f"Fx seems to have the other sign: {_SIGNS}": _times(-1.0, 1.0, 1.0),
+    f"Fy seems to have the other sign: {_SIGNS}": _times(1.0, -1.0, 1.0),
+    "rows and columns of the forces seem to be exchanged: rows run along y": _forces(lambda F: F.swapaxes(1, 2)),
+    "rows of the forces seem to stand in reverse order: they begin at −y": _forces(lambda F: F[:, ::-1]),
+    "columns of the forces seem to stand in reverse order: they begin at −x": _forces(lambda F: F[:, :, ::-1]),
+    **{
+        f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
+        f"{', '.join(AXES)}": _axes_from(order)
+        for order in _OTHER_ORDERS
+    },
 }
-MISTAKES = (
-    Mistake("the forces seem to be in kN: multiply them by 1000", _times(1e3)),
-    Mistake("the forces seem to be in mN: divide them by 1000", _times(1e-3)),
-    Mistake(f"all forces seem to have the other sign: {_SIGNS}", _times(-1.0)),
-    Mistake(f"Fz seems to have the other sign: {_SIGNS}", _times(1.0, 1.0, -1.0)),
-    Mistake(f"Fx seems to have the other sign: {_SIGNS}", _times(-1.0, 1.0, 1.0)),
-    Mistake(f"Fy seems to have the other sign: {_SIGNS}", _times(1.0, -1.0, 1.0)),
-    Mistake(f"Fx and Fy seem to have the other sign: {_SIGNS}", _times(-1.0, -1.0, 1.0)),
-    Mistake(f"Fx and Fy seem to be exchanged: {_AXES}", _ordered(1, 0, 2)),
-    Mistake(f"Fx and Fz seem to be exchanged: {_AXES}", _ordered(2, 1, 0)),
-    Mistake(f"Fy and Fz seem to be exchanged: {_AXES}", _ordered(0, 2, 1)),
-    Mistake(f"pillars x and y seem to be exchanged: {_PILLARS}", pillar=_ordered(0, 2, 1)),
-    Mistake(f"pillars z and x seem to be exchanged: {_PILLARS}", pillar=_ordered(1, 0, 2)),
-    Mistake(f"pillars z and y seem to be exchanged: {_PILLARS}", pillar=_ordered(2, 1, 0)),
-    Mistake(f"pillars seem to stand in the order x, y, z: {_PILLARS}", pillar=_ordered(1, 2, 0)),
-    Mistake(f"pillars seem to stand in the order y, z, x: {_PILLARS}", pillar=_ordered(2, 0, 1)),
-    *(
-        Mistake(f"{said.format(whose)}: give them as the design has them", turn, pillar)
-        for said, turn in _PLACES.items()
-        for whose, pillar in (("the forces", _as_it_is), ("forces and resistances", turn))
-    ),
+UNLINKED = (
+    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
+    "load"
 )
-NONE = Mistake("")
-UNLINKED = Mistake(
-    "the readings fit the forces worse than if nothing linked them: pair readings of this sensor with their own loads",
-    _times(0.0),
-)
-ORDER = "the readings fit the forces far better in another order, {} of {} are out of place: pair each with its load"
 
 
 def doubt(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
@@ -112,16 +107,16 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
     component : Component
         Whose pillars and forces are looked at.
     forward : SensorModel, optional
-        Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces, from
-        which pillars that are exchanged are not told. Without it only forces that are constant are noticed.
+        Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces.
+        Without it only forces that are constant and kΩ are noticed.
 
     Notes
     -----
     A mistake is likelier than none by (S₀/S)^(m/2): S are sums of squares of what the response leaves of the lengths,
     gain and slope of each pillar left free within reason, their errors normal and of unknown size. m is the number of
-    loads times that of the directions in which the residuals spread: an error that pillars share counts once. A third
-    of `FALSE_ALARMS` each is for readings that do not follow the forces, for all other orders of the samples and for
-    all mistakes together. One pair, or readings that noise hides, say nothing and are never doubted.
+    loads times that of the directions in which the residuals spread: an error that pillars share counts once. Half of
+    `FALSE_ALARMS` each is for readings that do not follow the forces and for all mistakes together. One pair, or
+    readings that noise hides, say nothing and are never doubted.
     """
     data = _some(data, component)
     readable = readable_columns(component, data.dead, data.force_n[0, ..., 0].size * len(component.pillars))
@@ -162,8 +157,8 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
         return None
     data, share = _some(data, component), ""
     if forward is not None:
-        alone = Mistake("", _times(*(float(axis in component.axes) for axis in AXES)))
-        by_own, by_all = _left(data, component, forward, alone), _left(data, component, forward)
+        alone = _times(*(float(axis in component.axes) for axis in AXES))(data)
+        by_own, by_all = _left(alone, component, forward), _left(data, component, forward)
         if not _log_likelier(by_own, by_all, data) > math.log(1.0 / FALSE_ALARMS):
             return None
         share = (
@@ -185,7 +180,7 @@ def explained(data: Samples, component: Component, forward: SensorModel) -> floa
 
 
 def _explained(data: Samples, component: Component, forward: SensorModel, left: FloatArray) -> float | None:
-    moved, _ = _motions(data, component, forward, NONE)
+    moved, _ = _motions(data, component, forward)
     columns = pillar_columns(data.resistance_ohm, component, data.dead)
     readable = readable_columns(component, data.dead, columns.shape[1])
     noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
@@ -194,70 +189,47 @@ def _explained(data: Samples, component: Component, forward: SensorModel, left: 
 
 
 def _some(data: Samples, component: Component) -> Samples:
+    """Samples that do not repeat each other, `MAX_JUDGED` at most."""
     data = data[Columns.of(data, component).distinct()]
-    if len(data.force_n) <= MAX_JUDGED:
-        return data
-    return data[np.linspace(0, len(data.force_n) - 1, MAX_JUDGED).astype(int)]
+    return data[np.linspace(0, len(data) - 1, min(MAX_JUDGED, len(data))).astype(int)]
 
 
 def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
-    as_given, n = _left(data, component, forward), len(data.force_n)
-    unlinked = _left(data, component, forward, UNLINKED)
-    order = _best_order(data, component, forward)
-    possible = [mistake for mistake in MISTAKES if _is_possible(mistake, data, forward)]
-    named = [  # what is said, of how many, what is left
-        (ORDER, math.lgamma(n + 1), _left(replace(data, force_n=data.force_n[order]), component, forward)),
-        *((one.said, math.log(len(MISTAKES)), _left(data, component, forward, one)) for one in possible),
-    ]
-    enough = math.log(3.0 / FALSE_ALARMS)
-    found = {
-        said: _energy(left)
-        for said, log_many, left in named
-        if min(_log_likelier(other, left, data) for other in (as_given, unlinked)) > log_many + enough
-        and (_explained(data, component, forward, left) or 1.0) > MIN_EXPLAINED
-    }
-    said = min(found, key=found.__getitem__, default=None)
-    if said is None:
-        return UNLINKED.said if _log_likelier(as_given, unlinked, data) > enough else None
-    return said.format(int((order != np.arange(n)).sum()), n) if said == ORDER else said
-
-
-def _best_order(data: Samples, component: Component, forward: SensorModel) -> NDArray[np.int64]:
-    """The order of the forces in which they fit the readings best, shape (n,)."""
-    moved, expected = _motions(data, component, forward, NONE)
-    return linear_sum_assignment(moved @ expected.T, maximize=True)[1].astype(np.int64)
-
-
-def _is_possible(mistake: Mistake, data: Samples, forward: SensorModel) -> bool:
-    """Check that rows and columns keep their numbers, a sensor bears such forces, and the model holds those pillars."""
-    force_n = mistake.force(data.force_n)
-    told = mistake.pillar is _as_it_is or _is_joint(forward, data)
-    return told and force_n.shape == data.force_n.shape and bool(np.abs(force_n).max() <= MAX_N)
+    as_given, unlinked = (_left(each, component, forward) for each in (data, _times(0.0)(data)))
+    possible = MISTAKES | (OF_PILLARS if _is_joint(forward, data) else {})
+    enough, found = math.log(2.0 / FALSE_ALARMS), {}
+    for said, mend in possible.items():
+        mended = mend(data)
+        left = _left(mended, component, forward)
+        likelier = min(_log_likelier(other, left, data) for other in (as_given, unlinked))
+        share = _explained(mended, component, forward, left)
+        if likelier > math.log(len(possible)) + enough and (share is None or share > MIN_EXPLAINED):
+            found[said] = _energy(left)
+    none = UNLINKED if _log_likelier(as_given, unlinked, data) > enough else None
+    return min(found, key=found.__getitem__, default=none)
 
 
 def _is_joint(forward: SensorModel, data: Samples) -> bool:
     return forward.n_pillars == forward.n_forces == data.force_n[0].size
 
 
-def _motions(
-    data: Samples, component: Component, forward: SensorModel, mistake: Mistake
-) -> tuple[FloatArray, FloatArray]:
+def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple[FloatArray, FloatArray]:
     """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
     joint = _is_joint(forward, data)
-    modelled = forward.lengths(force_columns(mistake.force(data.force_n), COMPONENTS["all"] if joint else component))
+    modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"] if joint else component))
     if joint:
         pillars = [PILLARS.index(pillar) for pillar in component.pillars]
-        modelled = mistake.pillar(modelled.reshape(data.force_n.shape))[..., pillars].reshape(len(modelled), -1)
+        modelled = modelled.reshape(data.force_n.shape)[..., pillars].reshape(len(modelled), -1)
     lengths = np.sqrt(pillar_columns(data.resistance_ohm, component, data.dead))
     readable = readable_columns(component, data.dead, lengths.shape[1])
     lengths, modelled = lengths[:, readable], modelled[:, readable]
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 
 
-def _left(data: Samples, component: Component, forward: SensorModel, mistake: Mistake = NONE) -> FloatArray:
+def _left(data: Samples, component: Component, forward: SensorModel) -> FloatArray:
     """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
-    return residuals(*_motions(data, component, forward, mistake))
+    return residuals(*_motions(data, component, forward))
 
 
 def _energy(residuals: FloatArray) -> float:
@@ -283,9 +255,8 @@ def _scattered(columns: FloatArray, data: Samples) -> bool:
         return False
     size = columns.mean(axis=0)
     noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
-    deviation = np.hypot(noise, EDGE * steps)
     N = (len(columns) - 1) * columns.shape[1]
-    x = float((((columns - size) / deviation) ** 2).sum()) / max(N, 1)
+    x = float((((columns - size) / np.hypot(noise, EDGE * steps)) ** 2).sum()) / max(N, 1)
     return x > 1.0 and 0.5 * N * (x - 1.0 - math.log(x)) > math.log(1.0 / FALSE_ALARMS)
 
 

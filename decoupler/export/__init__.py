@@ -1,7 +1,7 @@
 """A trained network for other programs: ohms in, newtons out, as an ONNX graph or a C header.
 
-Open `checked.py` first: it chooses by the file's suffix and keeps nothing that deviates from the model. What both forms
-need is in `portable.py`. ONNX needs the extra `export`, and is loaded only when such a file is written.
+`export_model` chooses by the file's suffix. What both forms need is in `portable.py`. ONNX needs the extra `export`,
+and is loaded only when such a file is written.
 """
 
 from decoupler.export.checked import Exported, export_model

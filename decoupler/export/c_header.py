@@ -1,53 +1,26 @@
 """A trained network as one C99 header for a microcontroller: constants and a function, no memory to manage."""
 
-import subprocess
 from pathlib import Path
 from string import Template
-from tempfile import TemporaryDirectory
 from textwrap import fill
 
 import numpy as np
 
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
-from decoupler.export.portable import ExportError, dead_inputs, facts, output_weights_n, places
+from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import PILLARS
 
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
 TEXT = Path(__file__).with_name("model.h")  #: the header but for what one model puts in the place of $ and a name
-
-_MAIN = """\
-#include <stdio.h>
-#include "model.h"
-
-int main(void)
-{
-    static tripillar_real resistance_ohm[TRIPILLAR_RESISTANCES], force_n[TRIPILLAR_FORCES];
-    while (fread(resistance_ohm, sizeof resistance_ohm, 1, stdin) == 1) {
-        tripillar_forces(resistance_ohm, force_n);
-        fwrite(force_n, sizeof force_n, 1, stdout);
-    }
-    return 0;
-}
-"""
 
 
 def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
-    """The text of a header that computes what `Decoupler.forces` does, without its refusals.
+    """The text of a header that computes what `Decoupler.forces` does, without its refusals, in C's float or double.
 
-    Parameters
-    ----------
-    decoupler : Decoupler
-    dtype : type
-        ``numpy.float32`` or ``numpy.float64``: C's float or double, for all constants and calculations.
-
-    Returns
-    -------
-    str
-        C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, 3) [Ω]
-        and gives (rows, cols, n_axes) [N].
+    C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, 3) [Ω] and
+    gives (rows, cols, n_axes) [N].
     """
     network, inverse, resting = decoupler.network, decoupler.inverse, decoupler.resting
     place, dead, output = places(decoupler), dead_inputs(decoupler), output_weights_n(decoupler)
@@ -101,34 +74,6 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         macros="\n".join(f"#define TRIPILLAR_{name} {value}" for name, value in said.items()),
         tables="\n".join(tables),
     )
-
-
-def compiled_forces(
-    header: str, resistance_ohm: FloatArray, shape: tuple[int, ...], dtype: type[np.floating], compiler: str
-) -> FloatArray:
-    """Forces that a header gives once compiled, (n, rows, cols, 3) [Ω] -> (n, *shape) [N].
-
-    Raises
-    ------
-    ExportError
-        If the compiler refuses the header under `STRICT`.
-    """
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "model.h").write_text(header, encoding="utf-8")
-        (Path(folder) / "main.c").write_text(_MAIN, encoding="utf-8")
-        built = subprocess.run(
-            [compiler, *STRICT, "main.c", "-o", "main", "-lm"],
-            cwd=folder,
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            check=False,
-        )
-        if built.returncode:
-            raise ExportError(f"{compiler} refuses the header: {built.stderr.strip().splitlines()[0]}")
-        readings = resistance_ohm.astype(dtype).tobytes()
-        done = subprocess.run([Path(folder) / "main"], input=readings, capture_output=True, check=True)
-    return np.frombuffer(done.stdout, dtype).astype(np.float64).reshape(-1, *shape)
 
 
 def _literal(value: np.generic) -> str:

@@ -17,19 +17,10 @@ OPSET, IR_VERSION = 17, 8  #: versions of 2022, so that older runtimes read it
 
 
 def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProto:
-    """The graph of `Decoupler.forces` without its refusals.
+    """The graph of `Decoupler.forces` without its refusals, of inputs, outputs and constants of one type.
 
-    Parameters
-    ----------
-    decoupler : Decoupler
-    dtype : type
-        ``numpy.float64`` or ``numpy.float32``: of inputs, outputs and all that is between.
-
-    Returns
-    -------
-    onnx.ModelProto
-        From ``resistance_ohm`` (n, rows, cols, 3) [Ω] to ``force_n`` (n, rows, cols, n_axes) [N], n free; what made it
-        is in its metadata. A resistance that `forces` refuses gives a force that means nothing.
+    From ``resistance_ohm`` (n, rows, cols, 3) [Ω] to ``force_n`` (n, rows, cols, n_axes) [N], n free; what made it is
+    in its metadata. A resistance that `forces` refuses gives a force that means nothing.
     """
     rows, cols, n_axes = decoupler.rows, decoupler.cols, len(decoupler.component.axes)
     dead = dead_inputs(decoupler)

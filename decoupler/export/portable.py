@@ -9,11 +9,10 @@ from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import TriPillarError
 from geometry.layout import PILLARS, FloatArray
-from geometry.storage.files import digest
 
 
 class ExportError(TriPillarError, RuntimeError):
-    """A model that cannot be exported, or whose exported form gives other forces."""
+    """A model that cannot be exported."""
 
 
 def places(decoupler: Decoupler) -> NDArray[np.int64]:
@@ -48,18 +47,8 @@ def facts(decoupler: Decoupler) -> dict[str, str]:
         "net": f"{network.net}, {network.hidden} hidden nodes",
         "feature": network.feature,
         "units": "resistance_ohm in ohm (pillars z, x, y), force_n in newton (fz positive in compression)",
-        "design_hash": "unknown" if decoupler.design is None else digest(decoupler.design),
+        "design_hash": decoupler.design_hash or "unknown",
         "data_hash": str(made_from.get("data_hash", "unknown")),
         "model_hash": str(made_from.get("recipe", "unknown")),
-        "error": _error(decoupler),
         "version": program,
     }
-
-
-def _error(decoupler: Decoupler) -> str:
-    if decoupler.uncertainty is None:
-        return "unknown"
-    axes = decoupler.component.forces
-    rms = np.sqrt(decoupler.uncertainty.unexplained_n2.reshape(-1, len(axes)).mean(axis=0))
-    errors = ", ".join(f"{axis} {error:.2g} N" for axis, error in zip(axes, rms, strict=True))
-    return f"{errors} (root mean square, leave-one-out on the training data)"

@@ -1,7 +1,7 @@
 """The least error that readings allow, whatever the estimator, by the response.
 
 `cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `exact_inverse` is
-the estimator that meets the first: Gauss-Newton on the response itself.
+the estimator that meets the first: Newton's steps on the response itself.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,8 +16,9 @@ from geometry.layout import FloatArray
 
 Shared = Callable[[FloatArray], FloatArray]
 CHUNK = 64  #: samples whose derivatives are in memory together
-MAX_STEPS = 50  #: Gauss-Newton steps; a dozen is usual
-CONVERGED = 1e-12  #: relative to the largest force
+MAX_STEPS = 20  #: of Newton's; six are usual
+CONVERGED = 1e-12  #: step over the largest force
+REACHED = 1e-11  #: error of a length over the largest one, where forces were found
 
 
 def cramer_rao(
@@ -32,8 +33,6 @@ def cramer_rao(
 
     Parameters
     ----------
-    forward : SensorModel
-    force_n : array, shape (n, n_forces)
     noise, bits : float, int or None
         Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
     readable : array, shape (n_pillars,), optional
@@ -112,58 +111,29 @@ def _linearised(
 
 
 def exact_inverse(forward: SensorModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
-    """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N]; all samples in one call.
+    """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N], by Newton's steps.
 
-    Parameters
-    ----------
-    forward : SensorModel
-        With as many pillars as forces.
-    resistance_ohm : array, shape (n, n_pillars)
-    start_n : array, shape (n, n_forces) or (n_forces,)
-        Where to start, such as the mean load.
-
-    Raises
-    ------
-    SampleError
-        If there are fewer pillars than forces, or some sample does not converge: no forces near cause its resistances.
-
-    Notes
-    -----
-    Gauss-Newton steps, each halved until it lowers the misfit of the sample's lengths.
+    `start_n` is the mean load, or one of each sample. Fewer pillars than forces, or resistances that no forces near the
+    start cause, are a `SampleError`.
     """
     if forward.n_pillars != forward.n_forces:
         raise SampleError(
             f"{forward.n_pillars} pillars do not determine {forward.n_forces} forces: invert a joint model."
         )
     measured = forward.lengths_of(resistance_ohm)
-    forces = np.array(np.broadcast_to(start_n, (len(measured), forward.n_forces)))
-    waiting = np.arange(len(forces))
-    for _ in range(MAX_STEPS):
-        finished = [_descend(forward, measured, forces, waiting[i : i + CHUNK]) for i in range(0, len(waiting), CHUNK)]
-        waiting = waiting[~np.concatenate(finished)]
-        if not len(waiting):
-            return forces
-    raise SampleError(
-        f"{len(waiting)} of {len(forces)} samples have resistances that no forces near the start cause, the first is "
-        f"sample {waiting.min()}: check the calibration."
-    )
-
-
-def _descend(
-    forward: SensorModel, measured: FloatArray, forces: FloatArray, samples: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """One step of each of the samples, in place; which of them have converged."""
-    here = forces[samples]
-    lengths, J = forward.jacobian(here)
-    misfit = measured[samples] - lengths
-    step = np.linalg.solve(J, misfit[..., None])[..., 0]
-    size, before = np.ones((len(samples), 1)), np.linalg.norm(misfit, axis=1)
-    for _ in range(10):
-        after = np.linalg.norm(measured[samples] - forward.lengths(here + size * step), axis=1)
-        worse = after > before
-        if not worse.any():
-            break
-        size[worse] *= 0.5
-    forces[samples] = here + size * step
-    rounding = 1e-13 * np.linalg.norm(lengths, axis=1)
-    return (np.abs(step).max(axis=1) <= CONVERGED * np.abs(here).max()) | (before <= rounding)
+    forces = np.array(np.broadcast_to(start_n, measured.shape))
+    for start in range(0, len(forces), CHUNK):
+        here, wanted = forces[start : start + CHUNK], measured[start : start + CHUNK]
+        for _ in range(MAX_STEPS):
+            lengths, J = forward.jacobian(here)
+            step = np.linalg.solve(J, (wanted - lengths)[..., None])[..., 0]
+            here += step
+            if np.abs(step).max() <= CONVERGED * np.abs(here).max():
+                break
+    missed = np.abs(forward.lengths(forces) - measured).max(axis=1)
+    if not (reached := missed <= REACHED * measured.max()).all():
+        raise SampleError(
+            f"{(~reached).sum()} of {len(forces)} samples have resistances that no forces near the start cause, the "
+            f"first is sample {reached.argmin()}: check the calibration."
+        )
+    return forces

@@ -79,19 +79,10 @@ class Posterior:
         shared_ohm: FloatArray,
         read: NDArray[np.bool_],
     ) -> Found:
-        """Most probable forces.
+        """Most probable forces of readings (n, P) [Ω] by first answers (n, Q) [N].
 
-        Parameters
-        ----------
-        resistance_ohm : array, shape (n, P)
-            Readings [Ω].
-        first_n : array, shape (n, Q)
-            First answers.
-        deviation_ohm, shared_ohm : arrays, shapes (n, P) and (n, P, m)
-            Of errors of the readings, those of each pillar alone and those of m that pillars share [Ω]; these may come
-            of a sensor that is not quite known.
-        read : array, shape (P,)
-            Pillars that are read.
+        Errors of the readings have deviations (n, P) [Ω] of each pillar alone, and (n, P, m) [Ω] that pillars share,
+        which may come of a sensor that is not quite known. `read` (P,) says which pillars are read.
 
         Notes
         -----

@@ -59,30 +59,26 @@ class SensorModel:
         pillars = [PILLARS.index(pillar) for pillar in component.pillars]
         electrodes = sorted({PILLAR_TOP[pillar] for pillar in pillars})
         n_units = design.n_units
-        influence = response.influence_mm_per_n.reshape(n_units, len(ELECTRODES), 3, n_units, 3)
         into = np.where(np.array(component.axes) == "z", -1.0, 1.0)  # a positive Fz pushes along −z
-        influence = influence[:, electrodes][..., axes] * into
-        place = [electrodes.index(PILLAR_TOP[pillar]) for pillar in pillars]
-        bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
         c = design.resistivity_ohm_mm / pillar_volumes(design.unit)
-        n_forces = n_units * len(axes)
-        if response.conducted is not None:
-            held = response.conducted
-            conducted = held.influence_mm_per_n.reshape(n_units, 3, -1, n_units, 3)[:, pillars][..., axes] * into
-            return cls(
-                influence=np.ascontiguousarray(conducted.transpose(3, 4, 2, 0, 1).reshape(n_forces, -1)),
-                top=np.arange(n_units * len(pillars)),
-                rest_mm=_by_component(held.rest_mm, pillars),
-                ohm_per_mm2=np.tile(c[pillars], n_units),
-                offset_ohm=np.zeros(n_units * len(pillars)),
-                sign=_by_component(held.sign, pillars),
-            )
+        if (held := response.conducted) is not None:
+            influence = held.influence_mm_per_n.reshape(n_units, len(PILLARS), -1, n_units, 3)[:, pillars]
+            places = np.arange(n_units * len(pillars))
+            rest_mm, sign = _by_component(held.rest_mm, pillars), _by_component(held.sign, pillars)
+        else:
+            influence = response.influence_mm_per_n.reshape(n_units, len(ELECTRODES), 3, n_units, 3)[:, electrodes]
+            place = [electrodes.index(PILLAR_TOP[pillar]) for pillar in pillars]
+            places = np.arange(n_units)[:, None] * len(electrodes) + place
+            bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
+            rest_mm, sign = np.tile((top - bottom).T, n_units), None
+        influence = influence[..., axes] * into
         return cls(
-            influence=np.ascontiguousarray(influence.transpose(3, 4, 2, 0, 1).reshape(n_forces, -1)),
-            top=(np.arange(n_units)[:, None] * len(electrodes) + place).reshape(-1),
-            rest_mm=np.tile((top - bottom).T, n_units),
+            influence=np.ascontiguousarray(influence.transpose(3, 4, 2, 0, 1).reshape(n_units * len(axes), -1)),
+            top=places.reshape(-1),
+            rest_mm=rest_mm,
             ohm_per_mm2=np.tile(c[pillars], n_units),
             offset_ohm=np.zeros(n_units * len(pillars)),
+            sign=sign,
         )
 
     def calibrated(self, data: Columns) -> Self:
@@ -131,18 +127,9 @@ class SensorModel:
         return self if self.maps is None else replace(self, maps=None)
 
     def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Squares of lengths and forces in states (n, n_forces) [N], with derivatives by the state.
+        """Squares of lengths (n, P) [mm²] and their derivatives, forces (n, Q) [N] and theirs, in states (n, Q).
 
-        Returns
-        -------
-        array, shape (n, n_pillars)
-            Squares of lengths, resistances without offset over `ohm_per_mm2` [mm²].
-        array, shape (n, n_pillars, n_forces)
-            Their derivatives [mm²/N].
-        array, shape (n, n_forces)
-            Forces [N].
-        array, shape (n, n_forces, n_forces)
-            Their derivatives.
+        Squares are resistances without offset over `ohm_per_mm2`; derivatives are by the state, the last dim.
         """
         n, Q = state_n.shape
         vectors = self.linear.vectors(state_n)
@@ -176,10 +163,8 @@ class SensorModel:
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]."""
         if self.maps is not None:
             state_n = self.maps.states(force_n)
-            squares = self.linear.lengths(state_n) ** 2 + self.maps.values(state_n)[..., N_AXES:].reshape(
-                len(force_n), -1
-            )
-            return np.sqrt(np.maximum(squares, 0.0))
+            more = self.maps.values(state_n)[..., N_AXES:].reshape(len(force_n), -1)
+            return np.sqrt(np.maximum(self.linear.lengths(state_n) ** 2 + more, 0.0))
         return self._norms(self.vectors(force_n))
 
     def _norms(self, vectors: FloatArray) -> FloatArray:

@@ -17,16 +17,7 @@ _LENGTHENS = {"x": -1.0, "y": 1.0, "z": -1.0}
 
 
 def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Component) -> FloatArray:
-    """Forces as if each pillar stood alone, shape (n_samples, rows, cols, n_axes) [N].
-
-    Parameters
-    ----------
-    resistance_ohm : array, shape (n_samples, rows, cols, 3)
-        Resistance of the z, x and y pillars [Ω].
-    design : SensorDesign
-        Gives the rest lengths, section and modulus of the pillars.
-    component : Component
-        Whose axes are returned.
+    """Forces along a component's axes [N] of resistances (n, rows, cols, 3) [Ω], as if each pillar stood alone.
 
     Notes
     -----

@@ -98,23 +98,11 @@ class Decoupler:
         )
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Forces on every unit.
+        """Forces on every unit along ``component.axes``, (n, rows, cols, n_axes) [N]; Fz positive in compression.
 
-        Parameters
-        ----------
-        resistance_ohm : array, shape (n_samples, rows, cols, 3)
-            Resistance of the z, x and y pillars [Ω]; pillars that the component does not take, and dead ones, may
-            hold anything.
-
-        Returns
-        -------
-        array, shape (n_samples, rows, cols, n_axes)
-            Forces along ``component.axes`` [N]; Fz positive in compression.
-
-        Raises
-        ------
-        SampleError
-            If the array is another size than the model's, or a resistance is not finite or not above 0.
+        Takes resistances of the z, x and y pillars, (n, rows, cols, 3) [Ω]; those that the component does not take, and
+        dead ones, may hold anything. An array of another size, or a resistance that is not finite or not above 0, is a
+        `SampleError`.
 
         Notes
         -----
@@ -139,38 +127,15 @@ class Decoupler:
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
 
-        Raises
-        ------
-        SampleError
-            As `forces` does, and if the model was written without its uncertainty.
+        A model that was written without its uncertainty is a `SampleError`, too.
         """
-        if self.uncertainty is None:
-            raise SampleError("this model knows no uncertainty: train it again.")
-        shape = (-1, self.rows, self.cols, len(self.component.axes))
         one, two = self.half_widths_of(self.columns(resistance_ohm))
-        return one.reshape(shape), two.reshape(shape)
+        return one.reshape(self._shape), two.reshape(self._shape)
 
     def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths of `forces` and the covariance of weighted sums of them, at the price of the half-widths.
+        """Half-widths that hold 68 % of the errors of `forces` [N], and the covariance (n, m, m) of m sums of forces.
 
-        Parameters
-        ----------
-        resistance_ohm : array, shape (n_samples, rows, cols, 3)
-            As of `forces`.
-        weights : array, shape (rows·cols·n_axes, m)
-            Of the forces in each of m sums.
-
-        Returns
-        -------
-        array, shape (n_samples, rows, cols, n_axes)
-            Half-widths that hold 68 % of the errors [N].
-        array, shape (n_samples, m, m)
-            Covariance of the sums, in the square of their unit.
-
-        Raises
-        ------
-        SampleError
-            As `half_widths` does.
+        `weights` (rows·cols·n_axes, m) are those of the forces in each sum. It costs as much as `half_widths`.
 
         Notes
         -----
@@ -178,13 +143,10 @@ class Decoupler:
         what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
-        if self.uncertainty is None:
-            raise SampleError("this model knows no uncertainty: train it again.")
-        found, columns = self.uncertainty, self.columns(resistance_ohm)
-        shape = (-1, self.rows, self.cols, len(self.component.axes))
+        found, columns = self._known, self.columns(resistance_ohm)
         if self.posterior is not None:
             covariance = self.refined(columns).covariance_n2
-            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(shape), weights.T @ covariance @ weights
+            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(self._shape), weights.T @ covariance @ weights
         own_n2, (scale, two) = self._own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
@@ -194,18 +156,24 @@ class Decoupler:
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
         covariance += np.einsum("no,oi,oj->nij", own_n2 * wide**2, weights, weights, optimize=True)
-        return (np.sqrt(variance) * scale).reshape(shape), covariance
+        return (np.sqrt(variance) * scale).reshape(self._shape), covariance
+
+    @property
+    def _known(self) -> Uncertainty:
+        if self.uncertainty is None:
+            raise SampleError("this model knows no uncertainty: train it again.")
+        return self.uncertainty
+
+    @property
+    def _shape(self) -> tuple[int, int, int, int]:
+        """Of forces, of as many samples as there are."""
+        return -1, self.rows, self.cols, len(self.component.axes)
 
     def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
         """χ², over its degrees of freedom, of readings (n, rows, cols, 3) [Ω] if a usual load is on the sensor, (n,).
 
         Above `load_test.limit` no load that the model knows explains a reading: a dead wire, another sensor, a load
-        beyond its range.
-
-        Raises
-        ------
-        SampleError
-            As `forces` does, and if the model was written without the loads that it knows.
+        beyond its range. A model that was written without the loads that it knows is a `SampleError`.
         """
         if self.load_test is None:
             raise SampleError("this model does not say which loads it knows: train it again.")
@@ -236,8 +204,7 @@ class Decoupler:
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
-        found = self.uncertainty
-        assert found is not None
+        found = self._known
         if self.posterior is not None:
             deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm).covariance_n2))
             return deviation_n, 2.0 * deviation_n
@@ -246,19 +213,14 @@ class Decoupler:
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-        """`Uncertainty.own_variance` for columns of resistances."""
-        assert self.uncertainty is not None
         A = self.activations(columns_ohm)
         force_n = self.output_scaling.unscale(A @ self.output_weights.T)
-        return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
+        return self._known.own_variance(A, force_n, self.output_scaling.half_range)
 
     def noise_variance(
         self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
     ) -> FloatArray:
-        """Variance of the forces (n, n_out) [N²] that errors of the readings and of the sensor's model cause.
-
-        Readings are (n, n_in) [Ω].
-        """
+        """Variance of forces (n, n_out) [N²] that errors of readings (n, n_in) [Ω] and of the sensor's model cause."""
         found = np.zeros((len(columns_ohm), len(self.output_weights)))
         for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
             found[chunk] = (factors**2).sum(axis=2)
@@ -319,10 +281,8 @@ class Decoupler:
         """The model with half-widths for readings of this relative standard deviation, converter's steps included."""
         if self.uncertainty is None:
             return self
-        return replace(
-            self,
-            uncertainty=replace(self.uncertainty, errors=replace(self.uncertainty.errors, noise=noise, bits=None)),
-        )
+        errors = replace(self.uncertainty.errors, noise=noise, bits=None)
+        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
 
     @property
     def reading_noise(self) -> float:
@@ -331,8 +291,7 @@ class Decoupler:
         if self.uncertainty is None or rest_ohm is None:
             return 0.0
         errors = replace(self.uncertainty.errors, drift_pillar=0.0)
-        deviation = errors.deviation(rest_ohm)
-        return float(np.median(deviation / rest_ohm))
+        return float(np.median(errors.deviation(rest_ohm) / rest_ohm))
 
     @property
     def design_hash(self) -> str | None:
@@ -381,10 +340,9 @@ class Decoupler:
     def refined(self, columns_ohm: FloatArray) -> Found:
         """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
         assert self.posterior is not None
-        assert self.uncertainty is not None
         readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
-        first_n, errors = self.first_answers(columns_ohm), self.uncertainty.errors
+        first_n, errors = self.first_answers(columns_ohm), self._known.errors
         shared_ohm = errors.shared(settled, self.rows, self.cols)
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))

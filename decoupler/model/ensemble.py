@@ -28,12 +28,7 @@ class Ensemble:
     def differences(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the same forces, (n, m, P) [Ω].
 
-        Parameters
-        ----------
-        forward : SensorModel
-            The model.
-        state_n : array, shape (n, Q)
-            States; without maps of finite strain the forces [N].
+        `state_n` (n, Q) [N] are the model's states, without maps of finite strain the forces.
         """
         m, P, components, Q = self.influence.shape
         vectors = forward.linear.vectors(state_n)

@@ -11,8 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dataset.measurement import ReadingError
+from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
-from decoupler.data.enough import AnySamples
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
@@ -69,10 +69,7 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
 def read_model(path: Path) -> Decoupler:
     """Read a model file; it gives the same bits as the model that was written.
 
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, damaged, foreign, of an earlier version, or holds what makes no sense.
+    One that is missing, damaged, foreign, of an earlier version, or holds what makes no sense is a `FileFormatError`.
     """
     header, arrays = opened_file(path)
     try:
@@ -89,13 +86,7 @@ def read_model(path: Path) -> Decoupler:
 
 
 def opened_file(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file of `save_file`.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, damaged or foreign.
-    """
+    """Header and arrays of a file of `save_file`; one that is missing, damaged or foreign is a `FileFormatError`."""
     path = Path(path)
     require_intact(path, _MEND)
     try:
@@ -123,13 +114,10 @@ def save_file(header: dict[str, Any], part: Any, path: Path) -> None:
 
 
 def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: Path) -> None:
-    """Refuse data of another sensor than the model's; `model` and `dataset` are the names for the message.
+    """Refuse data of another sensor than the model's by a `FileFormatError`; `model` and `dataset` are named in it.
 
-    Raises
-    ------
-    FileFormatError
-        If the array's size differs, or, where both sides state their design, any value of it but drifts; of a twin any
-        that it does not find out.
+    Of another size, or, where both sides state their design, of another value of it but drifts; of a twin of one that
+    it does not find out.
     """
     rows, cols = data.shape
     differences = [
@@ -181,13 +169,7 @@ def arrays_of(part: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _try_out(decoupler: Decoupler) -> None:
-    """Decode two scans, so that no model is given out that cannot.
-
-    Raises
-    ------
-    ValueError, IndexError, TypeError, AttributeError, AssertionError
-        If a number is missing or none comes out, or arrays are missing or their shapes do not belong together.
-    """
+    """Decode two scans, so that no model is given out that cannot."""
     for name, array in arrays_of(decoupler):
         if array.dtype.kind not in "fib" or not np.isfinite(array).all():
             raise ValueError(f"{name} is not finite")

@@ -1,45 +1,44 @@
-"""Parts of a decoupler in torch: the same computation on tensors, with derivatives. Loads torch."""
+"""Parts of a decoupler with other arrays: the same computation on tensors of torch, with derivatives, or in float."""
 
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 
+if TYPE_CHECKING:
+    from torch import Tensor
 
-def in_torch(part: Any, like: Tensor) -> Any:
-    """A decoupler, its forward model or another part with tensors in the place of real arrays.
 
-    Parameters
-    ----------
-    part : dataclass
-        What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked.
-    like : Tensor
-        Its type and device are those of all tensors.
+def in_torch(part: Any, like: "Tensor") -> Any:
+    """A decoupler, its forward model or another part with tensors of the type and device of `like`.
 
-    Raises
-    ------
-    DesignError
-        If it is a model that learned from samples at finite strain.
+    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked. A model that
+    learned from samples at finite strain is a `DesignError`.
     """
+    if isinstance(part, Decoupler) and part.posterior is not None:
+        raise DesignError(
+            "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
+        )
+    return converted(part, like.new_tensor)
+
+
+def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
+    """A decoupler without what says how sure it is, or another part, with each real array converted."""
     if isinstance(part, SensorModel):
         part = part.with_own_influences()
     if isinstance(part, Decoupler):
-        if part.posterior is not None:
-            raise DesignError(
-                "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
-            )
         part = replace(part, uncertainty=None, usual=None, ensemble=None, least_squares=None)
     changed: dict[str, Any] = {}
     for spec in fields(part):
         value = getattr(part, spec.name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            changed[spec.name] = like.new_tensor(value)
+            changed[spec.name] = convert(value)
         elif is_dataclass(value) and not isinstance(value, SensorDesign | type):
-            changed[spec.name] = in_torch(value, like)
+            changed[spec.name] = converted(value, convert)
     return replace(part, **changed)

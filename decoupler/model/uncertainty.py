@@ -39,23 +39,10 @@ class Uncertainty:
     def own_variance(
         self, A: FloatArray, force_n: FloatArray, half_range_n: FloatArray
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-        """Variance that training left, and factors of a standard deviation that hold 68 % and 95 % of the errors.
+        """Variance (n, n_out) [N²] that training left, and half-widths of 68 % and 95 % over the standard deviation.
 
-        Parameters
-        ----------
-        A : array, shape (n, n_features)
-            Activations of the samples.
-        force_n : array, shape (n, n_out)
-            Forces that the network gives [N].
-        half_range_n : array, shape (n_out,)
-            Half the range of each force in training [N].
-
-        Returns
-        -------
-        array, shape (n, n_out)
-            Variance, without that of the readings [N²].
-        two arrays, shape (n, n_out)
-            Half-widths over the standard deviation.
+        Takes activations (n, n_features) and forces (n, n_out) [N] of samples, and half the range of each force in
+        training (n_out,) [N].
         """
         load = np.minimum((force_n**2).mean(axis=1, keepdims=True) / np.maximum(self.light_n2, 1e-300), 1.0)
         weights_n2 = self.unexplained_n2 * leverage(A, self.inverse_matrix)[:, None]

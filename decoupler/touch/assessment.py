@@ -51,35 +51,31 @@ def assess_touch(
     for reading in reader.reading(data.resistance_ohm):
         touches.append(reader.touched(reading))
         progress(1)
-    units = decoder.rows * decoder.cols
-    true_n = data.force_n.reshape(len(data), units, 3)
-    found_n = np.stack([each.force_n for each in touches])
-    moments = np.stack([each.moment_nmm for each in touches])
+    shape = len(data), decoder.rows * decoder.cols, -1
+    true_n, found_n = data.force_n.reshape(shape), np.stack([each.force_n for each in touches])
     missed = np.abs(found_n - true_n)
     within = [missed <= np.stack(half) for half in zip(*(each.half_widths_n for each in touches), strict=True)]
     errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "light": None}
-    by_force = {
-        name: Assessment(
-            errors=one, coverage=(float(within[0][..., k].mean()), float(within[1][..., k].mean())), **nothing
-        )
-        for k, (name, one) in enumerate(errors.items())
-    }
-    net_n, true_net_n = found_n[..., 2].sum(axis=1), true_n[..., 2].sum(axis=1)
-    pressed = true_net_n > 0
-    places = unit_centres(decoder.design)
-    known = data.moment_nmm
-    centres = _centres(found_n[..., 2], places, moments if known is not None else 0.0 * moments)
-    true_centres = _centres(
-        true_n[..., 2], places, np.zeros_like(moments) if known is None else known.reshape(moments.shape)
-    )
-    loaded = true_n[..., 2] > LOADED_N
+    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}}
+    by_force = {}
+    for k, (name, own) in enumerate(errors.items()):
+        coverage = float(within[0][..., k].mean()), float(within[1][..., k].mean())
+        by_force[name] = Assessment(errors=own, coverage=coverage, **nothing)
+    true_net_n = true_n[..., 2].sum(axis=1)
+    pressed, loaded = true_net_n > 0, true_n[..., 2] > LOADED_N
+    net_ratio = found_n[pressed][..., 2].sum(axis=1) / true_net_n[pressed]
+    places, moment = unit_centres(decoder.design), np.stack([each.moment_nmm for each in touches])
+    true_moment = None if data.moment_nmm is None else data.moment_nmm.reshape(shape)
+    if true_moment is None:
+        moment = true_moment = np.zeros_like(moment)
+    apart_mm = _centres(found_n[..., 2], places, moment) - _centres(true_n[..., 2], places, true_moment)
+    one, two = (float(each[..., 2][loaded].mean()) if loaded.any() else 1.0 for each in within)
     return TouchAssessment(
         by_force=by_force,
-        net_fz_median_pct=_median(100.0 * np.abs(net_n / np.where(pressed, true_net_n, 1.0) - 1.0)[pressed]),
-        centre_mm=_median(np.linalg.norm(centres - true_centres, axis=1)[pressed]),
+        net_fz_median_pct=_median(100.0 * np.abs(net_ratio - 1.0)),
+        centre_mm=_median(np.linalg.norm(apart_mm, axis=1)[pressed]),
         loaded_rmse_n=float(np.sqrt((missed[..., 2][loaded] ** 2).mean())) if loaded.any() else 0.0,
-        loaded_coverage=tuple(float(each[..., 2][loaded].mean()) if loaded.any() else 1.0 for each in within),  # type: ignore[arg-type]
+        loaded_coverage=(one, two),
     )
 
 

@@ -1,8 +1,8 @@
 """Forces of whatever presses: presses of a library fitted to a scan, weighed with the nearest ones' forces."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -12,31 +12,47 @@ from scipy.special import chdtri
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
-from decoupler.touch.contacts import TouchContact, contacts_of
-from decoupler.touch.morph import PRIOR, Fit, Part, Sensing, fitted
-from decoupler.touch.pillars import Pillars
+from decoupler.touch.morph import PRIOR, Fit, Part, Pillars, Sensing, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+from geometry.storage.files import digest
 
-STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
+STARTS, KEPT = 16, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
 STEPS = 4
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 CONSIDERED = 400  #: nearest rows among which starts are sought
-SHARE = 0.8  #: of the fitted presses in the answer, beside the nearest ones' forces
+#: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
+#: 1.3, where no press of the library explains the scan
+SHARES, AT_CHI2 = (0.9, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS = 4
 RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
 JUMP = 1.0  #: of the reading from scan to scan, as a share of its size, likewise
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
-NEWEST = 512  #: scans whose answers are kept
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
-AT_REST = 1e-4  #: share of scans at rest that are taken for a touch
+AT_REST = 1e-6  #: share of scans at rest that are taken for a touch
 HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
 WIDTHS = (0.8, 2.0)  #: of deviations, that hold 68 % and 95 % of the errors: these have wider tails than normal ones
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TouchContact:
+    """One contact on a sensor; deviations are standard deviations."""
+
+    force_n: FloatArray  #: (3,): Fz positive in compression
+    force_deviation_n: FloatArray  #: (3,)
+    centre_mm: FloatArray  #: (2,): of its pressure, from the array's middle
+    centre_deviation_mm: FloatArray  #: (2,)
+    half_mm: FloatArray  #: (2,): half axes along x and y of the ellipse whose even pressure spreads as widely
+    half_deviation_mm: FloatArray  #: (2,)
+
+    def plain(self) -> dict[str, Any]:
+        """The same as JSON has it, to 0.1 mN and 0.1 µm."""
+        return {name: values.round(4).tolist() for name, values in vars(self).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +126,6 @@ class TouchDecoder:
 
     @property
     def design_hash(self) -> str:
-        from geometry.storage.files import digest
-
         return digest(self.design)
 
     @property
@@ -166,29 +180,22 @@ class TouchDecoder:
         regression = self.regression
         return regression.answer(reading, regression.nearest(reading, NEAREST))
 
-    def touched(self, reading: FloatArray) -> Touched:
-        """Touch of one reading (m,) [mm²]."""
+    def touched(self, reading: FloatArray, last: Sequence[Fit] = ()) -> Touched:
+        """Touch of one reading (m,) [mm²]; the best fits of the scan before go on, if they still hold."""
         own = self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
         if at_rest < chdtri(len(reading), AT_REST):
-            return self._resting(at_rest / len(reading))
+            chi2, none = at_rest / len(reading), np.zeros((self.rows * self.cols, 5))
+            return Touched(load=none, factors=self._alone(self.hidden_n), chi2=chi2)
+        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
+        if last:
+            best = sorted(last, key=lambda fit: fit.cost)[:FOLLOWED]
+            fits = [fitted(reading, deviation, fit.parts, fit.q, FOLLOWED_STEPS) for fit in best]
+            if min(fit.cost for fit in fits) <= best[0].cost + RISE:
+                return self._weighed(at_rest, fits)
         regression = self.regression
         rows = regression.nearest(reading, CONSIDERED)
-        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
         return self._weighed(at_rest, self._fits(reading, deviation, rows), *regression.answer(reading, rows[:NEAREST]))
-
-    def followed(self, reading: FloatArray, last: Touched) -> Touched:
-        """Touch of the scan after another: the fits go on, or are sought anew if they do not hold."""
-        own = self.sensing.deviation(reading, self.errors)
-        at_rest = float((reading / own) @ (reading / own))
-        if not last.fits or at_rest < chdtri(len(reading), AT_REST):
-            return self.touched(reading)
-        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
-        best = sorted(last.fits, key=lambda fit: fit.cost)[:FOLLOWED]
-        fits = [fitted(reading, deviation, fit.parts, fit.q, FOLLOWED_STEPS) for fit in best]
-        if min(fit.cost for fit in fits) > best[0].cost + RISE:
-            return self.touched(reading)
-        return self._weighed(at_rest, fits)
 
     def _weighed(
         self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0
@@ -199,7 +206,8 @@ class TouchDecoder:
         weights /= weights.sum()
         answers = [fit.loads() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
-        share = 1.0 if near is None else SHARE
+        chi2 = min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2)
+        share = 1.0 if near is None else float(np.interp(chi2, AT_CHI2, SHARES))
         near = morphed if near is None else near
         touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
         blend = share * morphed + (1.0 - share) * near
@@ -215,8 +223,8 @@ class TouchDecoder:
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
-            chi2=min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2),
-            contacts=contacts_of(fits, weights),
+            chi2=chi2,
+            contacts=_contacts(fits, weights),
             fits=tuple(fits),
         )
 
@@ -268,9 +276,6 @@ class TouchDecoder:
             found[unit] = np.quantile(np.abs(units[own, unit]) * scale[own, None], 0.95, axis=0) / WIDTHS[1]
         return found
 
-    def _resting(self, chi2: float) -> Touched:
-        return Touched(load=np.zeros((self.rows * self.cols, 5)), factors=self._alone(self.hidden_n), chi2=chi2)
-
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
         return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(resistance_ohm.shape)
@@ -283,12 +288,26 @@ class TouchDecoder:
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
         """Touches of scans (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
-        return [self._newest(reading.tobytes()) for reading in self.reading(resistance_ohm)]
+        return [self.touched(reading) for reading in self.reading(resistance_ohm)]
 
-    @cached_property
-    def _newest(self) -> Callable[[bytes], Touched]:
-        """Touches by their reading's bytes; the newest are kept, since deviations are asked for after forces."""
-        return lru_cache(NEWEST)(lambda reading: self.touched(np.frombuffer(reading)))
+
+def _contacts(fits: Sequence[Fit], weights: FloatArray) -> tuple[TouchContact, ...]:
+    """Contacts by weighted fits: those of all that have as many as the best."""
+    parts = len(fits[int(weights.argmax())].parts)
+    chosen = [k for k, fit in enumerate(fits) if len(fit.parts) == parts]
+    share = weights[chosen] / weights[chosen].sum()
+    each = [fits[k].contacts() for k in chosen]
+    values = np.stack([found for found, _ in each])  # (fits, parts, 7)
+    mean = np.einsum("f,fpa->pa", share, values)
+    own = np.stack([(slopes**2).sum(axis=-1) for _, slopes in each])
+    deviation = np.sqrt(np.einsum("f,fpa->pa", share, own + (values - mean) ** 2))
+    return tuple(
+        TouchContact(
+            force_n=found[:3], force_deviation_n=by[:3], centre_mm=found[3:5], centre_deviation_mm=by[3:5],
+            half_mm=found[5:], half_deviation_mm=by[5:],
+        )
+        for found, by in zip(mean, deviation, strict=True)
+    )  # fmt: skip
 
 
 class Follower:
@@ -296,7 +315,7 @@ class Follower:
 
     def __init__(self, decoder: TouchDecoder) -> None:
         self._decoder = decoder
-        self._last: tuple[FloatArray, Touched] | None = None
+        self._reading, self._fits = np.zeros(1), tuple[Fit, ...]()  # of the scan before
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._decoder, name)
@@ -307,13 +326,9 @@ class Follower:
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
         """Touches of scans (n, rows, cols, 3) [Ω] in their order; errors as of `TouchDecoder.reading`."""
-        return [self._next(reading) for reading in self._decoder.reading(resistance_ohm)]
-
-    def _next(self, reading: FloatArray) -> Touched:
-        last = self._last
-        if last is not None and norm(reading - last[0]) < JUMP * norm(reading):
-            found = self._decoder.followed(reading, last[1])
-        else:
-            found = self._decoder.touched(reading)
-        self._last = reading, found
+        found = []
+        for reading in self._decoder.reading(resistance_ohm):
+            holds = norm(reading - self._reading) < JUMP * norm(reading)
+            found.append(self._decoder.touched(reading, self._fits if holds else ()))
+            self._reading, self._fits = reading, found[-1].fits
         return found

@@ -6,14 +6,13 @@ room. The fields are turned, never the readings: the electrodes of a unit have n
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
+from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, Solid, surface_compliance
 from fem.contact.surface import Patch, SurfaceCompliance
@@ -79,7 +78,14 @@ def touch_library(
         solved = presses_of(list(_solved(surface, presses, progress, shapes)))
         return _spread_out(solved, surface, cache_key)
 
-    return kept("touch.npz", cache_key, make, _read, _write)
+    def write(library: TouchLibrary, path: Path) -> None:
+        write_arrays(dict(arrays_of(library)), path)
+
+    def read(path: Path) -> TouchLibrary:
+        found: TouchLibrary = built_of(TouchLibrary, read_arrays(path), {"cache_key": cache_key})
+        return found
+
+    return kept("touch.npz", cache_key, make, read, write)
 
 
 def _solved(
@@ -118,7 +124,7 @@ def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) ->
                 own, _ = presses.turned(press, symmetry, np.zeros(2))
                 rows.append((press, symmetry, generator.uniform(-rim - own[:2], rim - own[2:])))
     placed = [presses.turned(*row) for row in rows]
-    moved = np.stack([grid.moved_mm(*each) for each in placed])
+    moved = np.stack([grid.pressed_mm(*each) for each in placed])
     holds = largest_strains(moved.reshape(len(moved), -1, 2, 3), design.unit) <= MAX_STRAIN
     return TouchLibrary(
         presses=presses,
@@ -134,22 +140,3 @@ def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) ->
 def _loads(box_mm: FloatArray, cells: FloatArray, array: Array) -> FloatArray:
     x0, y0, x1, y1 = box_mm.tolist()
     return Patch((x0, y0), (x1, y1), cells.shape[2], cells.shape[1]).unit_loads(cells, array).reshape(-1, 5)
-
-
-PARTS = {"presses": Presses, "grid": Grid}
-
-
-def _write(library: TouchLibrary, path: Path) -> None:
-    arrays = {each.name: getattr(library, each.name) for each in fields(library) if each.name not in PARTS}
-    for part in PARTS:
-        arrays |= {f"{part}.{each.name}": getattr(getattr(library, part), each.name) for each in fields(PARTS[part])}
-    write_arrays(arrays, path)
-
-
-def _read(path: Path) -> TouchLibrary:
-    arrays: dict[str, Any] = read_arrays(path)
-    parts: dict[str, Any] = {
-        part: kind(**{name.partition(".")[2]: arrays.pop(name) for name in list(arrays) if name.startswith(f"{part}.")})
-        for part, kind in PARTS.items()
-    }
-    return TouchLibrary(**parts, **arrays | {"cache_key": str(arrays["cache_key"])})

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.touch.morph import PRIOR, Part, Sensing, fitted
-from decoupler.touch.pillars import Pillars
+from decoupler.touch.morph import PRIOR, Part, Pillars, Sensing, fitted
 from decoupler.touch.presses import Grid
 from fem.contact.surface import endless_surface
 from geometry.design import SensorDesign

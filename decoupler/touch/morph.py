@@ -7,14 +7,16 @@ y, the turn, drag added as a share of the pressure along x and y, and the logari
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.touch.pillars import Pillars
-from decoupler.touch.presses import UPWARDS, Grid
+from decoupler.model.decoupler import Decoupler
+from decoupler.touch.presses import Grid, middles
 from geometry.design import SensorDesign
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends
+from geometry.errors import DesignError
+from geometry.layout import AXES, PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
@@ -23,6 +25,30 @@ POINTS = 12  #: along each side of a patch, at which its forces act at most
 INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, their forces taken away
 DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
 MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pillars:
+    """Eq. 1 of each pillar, R = c l² + o."""
+
+    ohm_per_mm2: FloatArray  #: c, (3 units,): ρ/V, times the pillar's own gain
+    offset_ohm: FloatArray  #: o, (3 units,)
+    deviation_ohm: FloatArray  #: (3 units,): standard deviation of R at rest, as far as pairs leave it open
+
+    @classmethod
+    def designed(cls, design: SensorDesign) -> Self:
+        """As designed."""
+        own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
+        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own, deviation_ohm=0.0 * own)
+
+    @classmethod
+    def identified(cls, decoder: Decoupler) -> Self:
+        """Of an identified sensor, by the decoder that `identify` made of it; `DesignError` if of some forces alone."""
+        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
+        forward = decoder.inverse.forward
+        at_rest = decoder.ensemble.differences(forward, np.zeros((1, forward.n_forces)))[0]
+        return cls(ohm_per_mm2=forward.ohm_per_mm2, offset_ohm=forward.offset_ohm, deviation_ohm=at_rest.std(axis=0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,17 +100,13 @@ class Part:
     @classmethod
     def of(cls, sensing: Sensing, box_mm: FloatArray, cells: FloatArray) -> "Part":
         """A press on its patch (3, ny, nx); cells of a fine patch are gathered, at their pressure's middle."""
-        ny, nx = cells.shape[1:]
-        x, y = np.meshgrid(
-            box_mm[0] + (np.arange(nx) + 0.5) * (box_mm[2] - box_mm[0]) / nx,
-            box_mm[1] + (np.arange(ny) + 0.5) * (box_mm[3] - box_mm[1]) / ny,
-        )
+        (ny, nx), (x, y) = cells.shape[1:], middles(box_mm, cells)
         column, row = np.arange(nx) * min(nx, POINTS) // nx, np.arange(ny) * min(ny, POINTS) // ny
         group = (row[:, None] * POINTS + column).ravel()
         forces = cells.reshape(3, -1)
         pressing = np.bincount(group, forces[2])
         on = pressing > 0
-        place = [np.bincount(group, forces[2] * each.ravel())[on] / pressing[on] for each in (x, y)]
+        place = [np.bincount(group, forces[2] * each)[on] / pressing[on] for each in (x, y)]
         return cls(sensing, np.stack(place), np.stack([np.bincount(group, each)[on] for each in forces]))
 
     @cached_property
@@ -110,30 +132,8 @@ class Part:
         return np.clip(place, -inside, inside), force
 
     def moved(self, q: FloatArray) -> FloatArray:
-        """Displacements (b, e) of the electrodes [mm]; forces are put on the grid's cells with their first moments."""
-        place, force = self.changed(q)
-        grid, b = self.sensing.grid, len(q)
-        count = np.array(grid.by_cell.shape[1::-1])[:, None]
-        at = place / grid.cell_mm[:, None] + (count - 1) / 2
-        cell = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
-        off = at - cell
-        square = off**2 - 1 / 12
-        share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2])  # (3, b, 2, n)
-        low, high = cell.min(axis=(0, 2)) - 1, cell.max(axis=(0, 2)) + 2
-        wide, deep = (high - low).tolist()
-        first = np.arange(b)[:, None] * wide * deep + (cell[:, 1] - low[1]) * wide + cell[:, 0] - low[0]
-        steps = [(i, j) for i in range(3) for j in range(3)]
-        index = np.concatenate([(first + (i - 1) * wide + j - 1).ravel() for i, j in steps])
-        weight = np.stack([share[i, :, 1] * share[j, :, 0] for i, j in steps])
-        used = np.zeros(wide * deep, dtype=bool)
-        used[index % (wide * deep)] = True
-        on_cells = np.empty((b, np.count_nonzero(used), 3), np.float32)
-        for axis in range(3):
-            values = np.bincount(index, (weight * (UPWARDS[axis] * force[:, axis])).ravel(), b * wide * deep)
-            on_cells[:, :, axis] = values.reshape(b, -1)[:, used]
-        row, column = np.divmod(np.flatnonzero(used), wide)
-        part = grid.by_cell[row + low[1], column + low[0]]
-        return (on_cells.reshape(b, -1) @ part.reshape(-1, part.shape[-1])).astype(float)
+        """Displacements (b, e) of the electrodes [mm]."""
+        return self.sensing.grid.moved_mm(*self.changed(q))
 
     def contact(self, q: FloatArray) -> FloatArray:
         """Force [N], centre of pressure [mm] and half axes along x and y of the pressed ellipse [mm], (b, 7)."""

@@ -6,11 +6,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.contact.surface import SurfaceCompliance, shares
+from fem.contact.surface import SurfaceCompliance
 from geometry.layout import FloatArray
 
 CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
 UPWARDS = np.array([1.0, 1.0, -1.0])
+
+
+def middles(box_mm: FloatArray, cells: FloatArray) -> FloatArray:
+    """Middles (2, ny·nx) [mm] of a box's cells (..., ny, nx)."""
+    (ny, nx), (x0, y0, x1, y1) = cells.shape[-2:], box_mm.tolist()
+    x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * (x1 - x0) / nx, y0 + (np.arange(ny) + 0.5) * (y1 - y0) / ny)
+    return np.stack([x.ravel(), y.ravel()])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,17 +70,38 @@ class Grid:
         """Sides of a cell, (2,)."""
         return self.slab_mm / np.array(self.by_cell.shape[1::-1])
 
-    def moved_mm(self, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
+    def moved_mm(self, place_mm: FloatArray, force_n: FloatArray) -> FloatArray:
+        """Displacements (b, e) [mm] of the electrodes by forces (b, 3, n) [N], z positive in compression, at points.
+
+        Forces at points (b, 2, n) [mm] from the slab's middle are put on the nearest 3 × 3 cells; their moments up to
+        the second stay.
+        """
+        b = len(force_n)
+        count = np.array(self.by_cell.shape[1::-1])[:, None]
+        at = place_mm / self.cell_mm[:, None] + (count - 1) / 2
+        cell = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
+        off = at - cell
+        square = off**2 - 1 / 12
+        share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2])  # (3, b, 2, n)
+        low, high = cell.min(axis=(0, 2)) - 1, cell.max(axis=(0, 2)) + 2
+        wide, deep = (high - low).tolist()
+        first = np.arange(b)[:, None] * wide * deep + (cell[:, 1] - low[1]) * wide + cell[:, 0] - low[0]
+        steps = [(i, j) for i in range(3) for j in range(3)]
+        index = np.concatenate([(first + (i - 1) * wide + j - 1).ravel() for i, j in steps])
+        weight = np.stack([share[i, :, 1] * share[j, :, 0] for i, j in steps])
+        used = np.zeros(wide * deep, dtype=bool)
+        used[index % (wide * deep)] = True
+        on_cells = np.empty((b, np.count_nonzero(used), 3), np.float32)
+        for axis in range(3):
+            values = np.bincount(index, (weight * (UPWARDS[axis] * force_n[:, axis])).ravel(), b * wide * deep)
+            on_cells[:, :, axis] = values.reshape(b, -1)[:, used]
+        row, column = np.divmod(np.flatnonzero(used), wide)
+        part = self.by_cell[row + low[1], column + low[0]]
+        return (on_cells.reshape(b, -1) @ part.reshape(-1, part.shape[-1])).astype(float)
+
+    def pressed_mm(self, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
         """Displacement (e,) [mm] of the electrodes by forces (3, ny, nx) [N], z positive in compression, on a box."""
-        spread, places = [], []
-        for axis, n in enumerate(cells.shape[:0:-1]):
-            side = (box_mm[axis + 2] - box_mm[axis]) / n
-            middles = box_mm[axis] + (np.arange(n) + 0.5) * side
-            own, at = shares(middles, self.by_cell.shape[1 - axis], float(self.cell_mm[axis]), 2)
-            spread.append(own)
-            places.append(at)
-        force = (spread[1].T @ cells @ spread[0]).transpose(1, 2, 0) * UPWARDS
-        return force.astype(np.float32).ravel() @ self.by_cell[places[1], places[0]].reshape(force.size, -1)
+        return self.moved_mm(middles(box_mm, cells)[None], cells.reshape(1, 3, -1))[0]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

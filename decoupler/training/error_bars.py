@@ -19,14 +19,10 @@ MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
 
 
 def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> float:
-    """The λ of min ‖A W − T‖² + λ‖W‖² that promises the least error on new samples.
+    """The λ of min ‖A W − T‖² + λ‖W‖² that promises the least error on new samples, A (n, n_features), T (n, n_out).
 
-    Parameters
-    ----------
-    A : array, shape (n_samples, n_features)
-    targets : array, shape (n_samples, n_out)
-    readings : float
-        Samples a load, in the mean: they share their misfit, so all of a load count as left out together.
+    `readings` is the mean number of samples a load: they share their misfit, so all of a load count as left out
+    together.
 
     Notes
     -----
@@ -47,17 +43,10 @@ def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> flo
 def fitted_uncertainty(
     decoupler: Decoupler, data: Columns, ridge: float, n_light: int = 0, judged: NDArray[np.int64] | None = None
 ) -> Uncertainty:
-    """The uncertainty of a model, from its training set.
+    """The uncertainty of a model, from its training set, of which the last `n_light` samples are light.
 
-    Parameters
-    ----------
-    decoupler : Decoupler
-    data : Columns
-        Its training set, of which the last `n_light` samples are light.
-    ridge : float
-        λ on the output weights.
-    judged : array, shape (n_judged,), optional
-        Samples that say the errors of those under load; default: all.
+    `ridge` is λ on the output weights; `judged` (n_judged,) are the samples that say the errors of those under load, by
+    default all.
 
     Notes
     -----

@@ -8,7 +8,7 @@ import scipy.linalg
 from scipy.optimize import nnls
 
 from dataset.measurement import ReadingError
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Component, Resting, force_columns, pillar_columns
@@ -53,20 +53,9 @@ def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> F
 
 
 def with_strain_maps(response: "ArrayResponse", component: Component, data: Samples) -> SensorModel:
-    """The forward model of an array with what samples at finite strain add to the linear response.
+    """The forward model of an array with what samples at finite strain, of all forces and pillars, add to its response.
 
-    Parameters
-    ----------
-    response : ArrayResponse
-    component : Component
-        That of all forces and pillars.
-    data : Samples
-        At finite strain, of a sensor as designed.
-
-    Raises
-    ------
-    SampleError
-        If the samples do not hold displacements.
+    The samples are of a sensor as designed; without displacements they are a `SampleError`.
 
     Notes
     -----
@@ -197,20 +186,10 @@ def drawn_samples(
     seed: int = 0,
     ensemble: Ensemble | None = None,
 ) -> Columns:
-    """Samples drawn from a sensor at finite strain, as many as one likes, as it would show them.
+    """Samples drawn from a sensor at finite strain as it would show them, or from an ensemble of such.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    loads_n : array, shape (n, 3 k)
-        Loads like those that the sensor meets [N]. Those that strain it by more than `loads_n` of the posterior do are
-        left out, `ENOUGH` at most are kept, and a tenth is made lighter.
-    design : SensorDesign
-    errors : ReadingError
-        Of the readings.
-    seed : int
-    ensemble : Ensemble, optional
-        Draws of a sensor that is not quite known.
+    `loads_n` (n, 3 k) [N] are like those that the sensor meets. Those that strain it by more than the posterior's do
+    are left out, `ENOUGH` at most are kept, and a tenth is made lighter.
 
     Notes
     -----
@@ -222,9 +201,8 @@ def drawn_samples(
     assert maps is not None
     known_n = maps.nearest_states(posterior.loads_n)[0]
     left_n = known_n - np.column_stack([posterior.loads_n, np.ones(len(known_n))]) @ posterior.to_state
-    states = (
-        np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state + left_n[generator.integers(len(left_n), size=n)]
-    )
+    states = np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state
+    states += left_n[generator.integers(len(left_n), size=n)]
     states = states[_strains(maps, states, design).max(axis=1) <= _strains(maps, known_n, design).max()][:ENOUGH]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
     squares, force_n = [], []
@@ -263,8 +241,7 @@ def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
     protocol, design = PROTOCOLS.get(str(data.made_from.get("protocol"))), data.design
     if protocol is None or design is None:
         return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
-    newtons = protocol.draw(np.random.default_rng(seed), count, design) * design.pad.size_mm**2
-    return (newtons * np.array([1.0, 1.0, -1.0])).reshape(count, -1)
+    return forces(protocol.draw(np.random.default_rng(seed), count, design), design).reshape(count, -1)
 
 
 def trained_at_strain(

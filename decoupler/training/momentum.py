@@ -21,13 +21,7 @@ def momentum_step(weights: Tensor, gradient: Tensor, before: Tensor, training: T
 def train_momentum(
     samples: TrainingSet, hidden: Tensor, output: Tensor, training: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    """Train from the given weights by the paper's momentum rule.
-
-    Raises
-    ------
-    TrainingError
-        If the learning rate makes the error grow without bound.
-    """
+    """Train from the given weights; a learning rate that makes the error grow without bound is a `TrainingError`."""
     weights, stop, iteration = [hidden, output], Stop(training), 0
     before: tuple[Tensor, ...] = (torch.zeros_like(hidden), torch.zeros_like(output))
     while True:

@@ -14,17 +14,11 @@ from decoupler.model.settings import NetworkConfig
 
 
 class Network(nn.Module):
-    """The weights W₁ (`hidden`) and W₂ (`output`) of a network.
+    """The weights W₁ (`hidden`) and W₂ (`output`) of a network: scaled resistances in, scaled forces out.
 
-    Parameters
-    ----------
-    config : NetworkConfig
-    n_in, n_out : int
-        Scaled resistances in, scaled forces out.
-    seed : int
-        Seed of the start: hidden weights after Nguyen & Widrow (IJCNN 1990), which spread the bends of the tanh
-        over the inputs' range [-1, 1] instead of piling them up at 0, as the MATLAB toolbox of the paper
-        does; output weights uniform within ±1/√(their number).
+    It starts with hidden weights after Nguyen & Widrow (IJCNN 1990), which spread the bends of the tanh over the
+    inputs' range [-1, 1] instead of piling them up at 0, as the MATLAB toolbox of the paper does; output weights are
+    uniform within ±1/√(their number).
     """
 
     def __init__(self, config: NetworkConfig, n_in: int, n_out: int, seed: int) -> None:
@@ -51,14 +45,9 @@ def _nguyen_widrow(n_hidden: int, n_in: int, generator: np.random.Generator) -> 
 
 
 class TrainingSet:
-    """A training set, with the products of input columns that every Gauss-Newton matrix is made of.
+    """Inputs (n, n_in) and targets (n, n_out), and products of inputs that every Gauss-Newton matrix is made of.
 
-    Parameters
-    ----------
-    inputs : tensor, shape (n_samples, n_in)
-    targets : tensor, shape (n_samples, n_out)
-    skip : bool
-        True if the output layer also sees the inputs themselves.
+    With `skip` the output layer also sees the inputs themselves.
     """
 
     def __init__(self, inputs: Tensor, targets: Tensor, skip: bool) -> None:

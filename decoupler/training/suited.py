@@ -40,10 +40,7 @@ def suited_training(
 ) -> tuple[Component, NetworkConfig, TrainingConfig]:
     """Complete what a training is asked for with what suits the samples where None is given.
 
-    Raises
-    ------
-    ArgumentError
-        If an argument is of another type.
+    An argument of another type is an `ArgumentError`.
     """
     require_samples("data", data)
     if network is not None:
@@ -82,11 +79,8 @@ def suited_feature(data: Samples, component: Component, net: Net, response: "Arr
 def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:
     """The forward model of a response, if it explains the lengths of training samples up to a pillar's own gain.
 
-    Raises
-    ------
-    SampleError
-        If there is no response, or it is of an array of another size or explains too little: other loads act than the
-        component's own, or the sensor is another.
+    No response, or one of an array of another size or that explains too little, is a `SampleError`: other loads act
+    than the component's own, or the sensor is another.
     """
     if response is None:
         raise SampleError("the feature 'inverse' needs the array's response, and none is known: use 'root'.")

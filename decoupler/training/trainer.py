@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dataset.samples import SampleError
+from dataset.samples import AnySamples, SampleError
 from decoupler.data.columns import Columns
-from decoupler.data.enough import AnySamples, drawn
+from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
@@ -60,15 +60,9 @@ def train(
         Default: a skip net of 17 hidden nodes, which starts from the response if one is given that explains the data.
     training : TrainingConfig, optional
     progress : callable
-        Called as progress(iteration, mse) once an iteration.
+        Called as progress(iteration, mse) once an iteration; mse is of the outputs scaled to [-1, 1].
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
-
-    Returns
-    -------
-    Decoupler
-        ``made_from["outcome"]`` says how its training ended: iterations, mse (of the outputs scaled to [-1, 1]) and
-        reason, which is goal, iterations, stagnation or validation.
 
     Raises
     ------

@@ -103,18 +103,10 @@ def projected(samples: TrainingSet, hidden: Tensor, ridge: float) -> Point:
 def train_varpro(
     samples: TrainingSet, hidden: Tensor, ridge: float, held_out: int, config: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    """Train from the given hidden weights.
+    """Train from the given hidden weights (n_hidden, n_in+1), with λ on the output weights, biases included.
 
-    Parameters
-    ----------
-    samples : TrainingSet
-    hidden : tensor, shape (n_hidden, n_in+1)
-    ridge : float
-        λ on the output weights, biases included.
-    held_out : int
-        Number of samples, the last, that are kept for validation. The hidden layer with the lowest validation error is
-        returned, which may be that of weights 0, a linear map. The output layer is then fitted to all samples.
-    config, progress : TrainingConfig, callable
+    `held_out` samples, the last, are kept for validation. The hidden layer with the lowest validation error is
+    returned, which may be that of weights 0, a linear map. The output layer is then fitted to all samples.
     """
     n = len(samples.X)
     if not held_out:

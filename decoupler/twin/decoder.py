@@ -32,20 +32,8 @@ def decoder_of(
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
-    Parameters
-    ----------
-    found : Specimen
-    component : Component
-    size : tuple
-        Rows and columns of the array.
-    loads_n : array, shape (n, Q)
-        Usual loads [N]; rest and light touches are added.
-    errors : ReadingError
-        Of the readings that it will take.
-    design : SensorDesign, optional
-        The design that was meant.
-    dead : array, shape (rows, cols, 3), optional
-        Pillars that are not read.
+    `size` are rows and columns, `loads_n` (n, Q) usual loads [N], to which rest and light touches are added, `errors`
+    those of the readings that it will take, `dead` (rows, cols, 3) pillars that are not read.
 
     Notes
     -----
@@ -103,13 +91,12 @@ def decoder_at_strain(
     design: SensorDesign,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
-    seed: int = 0,
 ) -> Decoupler:
     """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
 
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, seed, found.ensemble)
+    drawn = drawn_samples(own, loads_n, design, errors, 0, found.ensemble)
     decoder = refined(own, drawn, design)
     return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})

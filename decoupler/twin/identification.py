@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
@@ -42,43 +42,18 @@ MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """One sensor as its pairs show it; P pillars are those that its decoder reads."""
+    """One sensor as its pairs show it."""
 
     design: SensorDesign | None  #: as it was meant; None if no design was stated
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
-    parameters: dict[str, tuple[float, float]]  #: most probable value and standard deviation, by the design's keys
-    covariance: FloatArray  #: of the parameters in their order, over their deviations before any pair, (k, k)
-    resistivity: float  #: over the design's
-    gain: FloatArray  #: of each pillar, (P,)
-    gain_deviation: FloatArray  #: (P,)
-    offset_ohm: FloatArray  #: (P,)
-    offset_deviation_ohm: FloatArray  #: (P,)
-    excess: float  #: χ² of the readings over their number: 1 if all is as modelled
     posterior: Specimen
     next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
 
-    @classmethod
-    def of(cls, found: Specimen, design: SensorDesign | None, decoder: Decoupler, n_pairs: int) -> Self:
-        """The twin of a posterior."""
-        expected, state = found.expected, found.state
-        resistivity = expected.parts(state.shared)[1]
-        deviations = expected.deviations * np.sqrt(found.covariance.diagonal())
-        rows = zip(found.values.items(), deviations, strict=True)
-        return cls(
-            design=design,
-            decoder=decoder,
-            n_pairs=n_pairs,
-            parameters={name: (value, float(deviation)) for (name, value), deviation in rows},
-            covariance=found.covariance,
-            resistivity=math.exp(expected.widths.resistivity * resistivity[0]),
-            gain=expected.gain(state),
-            gain_deviation=found.gain_deviation,
-            offset_ohm=expected.offset_ohm(state),
-            offset_deviation_ohm=found.offset_deviation_ohm,
-            excess=found.excess,
-            posterior=found,
-        )
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Most probable value and standard deviation of each parameter, by the design's keys."""
+        return self.posterior.parameters
 
 
 def identify(
@@ -88,8 +63,6 @@ def identify(
     component: str | None = None,
     loads_n: FloatArray | None = None,
     at_strain: Posterior | None = None,
-    draws: int | None = None,
-    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Twin:
     """Identify a sensor from measured pairs.
@@ -110,10 +83,6 @@ def identify(
         pairs', or at finite strain those that the design has seen. Images of them fill the array.
     at_strain : Posterior, optional
         Of the design at finite strain: that of a decoder which was trained on its samples. Needs the derivatives.
-    draws : int, optional
-        Sensors that are drawn from the posterior, for deviations; default: `DRAWN`.
-    seed : int
-        Of these draws.
     progress : callable
         Called with the part of the whole that each step takes.
 
@@ -122,15 +91,14 @@ def identify(
     SampleError
         If the pairs are of another array, none presses the sensor, or no pair has forces that finite strain knows.
     """
-    known_n = None if response is None else loads_n
-    parts = component_named("all" if at_strain is not None else component or acting(pairs, known_n))
+    of_pairs = component or acting(pairs, None if response is None else loads_n)
+    parts = component_named(of_pairs if at_strain is None else "all")
     axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
     n, rows, cols, _ = pairs.force_n.shape
     design = None if response is None else response.design
-    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(
-        None if design is None else design.electrics
-    )
-    readings = readings_of(pairs, axes, pillars, errors)
+    drifts = None if design is None else design.electrics
+    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(drifts)
+    readings, most = readings_of(pairs, axes, pillars, errors), LOADS if at_strain is None else DRAWS
     if response is None or design is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
@@ -138,13 +106,13 @@ def identify(
         if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
             raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
         if loads_n is None:
-            loads_n = loads_like(pairs.force_n, axes, design, LOADS if at_strain is None else DRAWS)
+            loads_n = loads_like(pairs.force_n, axes, design, most)
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
     usual_n = loads_n[..., axes]
     if not usual_n.any():
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
-    usual_n = images_of(usual_n, axes, LOADS if at_strain is None else DRAWS)
+    usual_n = images_of(usual_n, axes, most)
     usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
@@ -157,24 +125,19 @@ def identify(
             by_weights = near.by_parameters(lambda part: progress(0.5 * part))
             expected = expected.at_strain(at_strain.forward, by_weights)
             if response.conducted is not None:  # by eq. 1 changes add up to 0.05 %
-                first = infer(expected, readings, draws=1)
-                expected = expected.at_strain(near.about_pads(first.values, by_weights), by_weights)
+                first = infer(expected, readings, draws=1).parameters
+                values = {name: value for name, (value, _) in first.items()}
+                expected = expected.at_strain(near.about_pads(values, by_weights), by_weights)
             progress(0.1)
-        found = infer(
-            expected,
-            readings,
-            draws or DRAWN[at_strain is not None],
-            seed,
-            lambda part: progress(share * part),
-        )
+        found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
         if at_strain is not None and design is not None:
-            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from, seed)
+            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from)
             progress(0.2)
         else:
             decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)
             if n > 1 and response is not None and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
-    return Twin.of(found, decoder.design, decoder, n)
+    return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
 
 
 def _contradicted(found: Specimen, stated: Widths) -> bool:

@@ -27,14 +27,7 @@ YOUNG = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that f
 class NearDesigns:
     """Designs near one as meant, whose maps differ from its maps by weights of the features `FEW`.
 
-    Parameters
-    ----------
-    designed : Posterior
-        Of forces on the design as meant, at finite strain.
-    response : ArrayResponse
-        Of the same.
-    sensitivities : ResponseSensitivities
-        Its derivatives.
+    `designed` is the posterior of forces on the design as meant, at finite strain; the others are of the same design.
     """
 
     def __init__(self, designed: Posterior, response: "ArrayResponse", sensitivities: "ResponseSensitivities") -> None:
@@ -69,17 +62,9 @@ class NearDesigns:
     def about_pads(self, values: Mapping[str, float], by_weights: FloatArray) -> SensorModel:
         """The design's forward model with maps so shifted that a design with pads of these values is met by its change.
 
-        Parameters
-        ----------
-        values : mapping
-            Values of parameters; those of pads count.
-        by_weights : array, shape (N_FEATURES, k, m)
-            As `by_parameters` gives it.
-
-        Notes
-        -----
-        What pads' size and place change does not add up, nor is it odd in the place: by conduction up to 0.8 % of a
-        resistance differs, where edges of pads pass those of electrodes. Other parameters add up to 0.05 %.
+        `by_weights` is of `by_parameters`. What pads' size and place change does not add up, nor is it odd in place:
+        by conduction up to 0.8 % of a resistance differs, where edges of pads pass those of electrodes. Other
+        parameters add up to 0.05 %.
         """
         design, sensitivities, maps = self._design, self._sensitivities, self._maps
         other = nearest(design, {name: value for name, value in values.items() if name.startswith("pad.")})

@@ -47,16 +47,9 @@ class Knowledge:
         return cls(expected=expected, state=state, covariance=covariance, errors=errors)
 
     def derivatives(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Derivatives of the readings under a load (Q,) [N], and their own deviations.
+        """Derivatives of the readings under a load (Q,) [N] by unknowns (P, u) [Ω] and by forces (P, Q) [Ω/N].
 
-        Returns
-        -------
-        array, shape (P, u)
-            By the unknowns [Ω].
-        array, shape (P, Q)
-            By the forces [Ω/N].
-        array, shape (P,)
-            Standard deviations of noise, converter's steps and what the unknowns do not explain [Ω].
+        And deviations of noise, converter's steps and what the unknowns do not explain, (P,) [Ω].
         """
         expected, widths, gain = self.expected, self.expected.widths, self.expected.gain(self.state)
         shown = Shown(expected, self.state, force_n[None])
@@ -107,20 +100,9 @@ def choose(
 ) -> tuple[list[int], list[float]]:
     """Candidates to measure, one after another, each once: every time that of the largest fall of the expected error.
 
-    Parameters
-    ----------
-    known : Knowledge
-    candidates : sequence of (force_n, unknown_n)
-        Forces (Q,) [N], and directions (k, Q) in which they may differ; see `Pairs`.
-    usual_n : array, shape (n, Q)
-        Usual loads [N].
-    count : int
-
-    Returns
-    -------
-    list, list
-        Numbers of candidates; expected errors before the first and after each, root mean square over the forces and
-        relative to the usual forces of their axis: those that come of not knowing the sensor, noise of a reading aside.
+    Candidates are forces (Q,) [N], and directions (k, Q) in which they may differ; usual loads are (n, Q) [N]. Given
+    are numbers of candidates, and expected errors before the first and after each: root mean square over the forces,
+    relative to the usual forces of their axis, of not knowing the sensor alone.
     """
     T = known.error_matrix(usual_n)
     numbers: list[int] = []
@@ -199,15 +181,8 @@ def next_loads(
 ) -> tuple[NextLoad, ...]:
     """Loads to measure next, in order; those that were measured are proposed no more.
 
-    Parameters
-    ----------
-    expected, state
-        The prior of the joint sensor (`all`), and its most probable state by the pairs.
-    measured : Pairs, optional
-    possible : sequence of KnownLoad
-    usual_n : array, shape (n, rows, cols, 3)
-        Usual loads [N].
-    count : int
+    `expected` is the prior of the joint sensor (`all`), `state` its most probable state by the pairs, `usual_n`
+    (n, rows, cols, 3) are usual loads [N].
     """
     noise, bits = (READ_NOISE, None) if measured is None else (max(measured.noise, MIN_NOISE), measured.bits)
     known = Knowledge.before(expected, state, ReadingError(noise=noise, bits=bits))

@@ -4,6 +4,7 @@ What all pillars share is solved for together; what is a pillar's own is margina
 Widths that nobody states follow from the pairs, too.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -49,32 +50,41 @@ class Specimen:
         return self.expected.sensor(self.state)
 
     @property
-    def values(self) -> dict[str, float]:
-        """Most probable values of the parameters, by the design's keys."""
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Most probable value and standard deviation of each parameter, by the design's keys."""
         expected = self.expected
         values = expected.values + expected.deviations * expected.parts(self.state.shared)[0]
-        return dict(zip(expected.names, values.tolist(), strict=True))
+        deviations = expected.deviations * np.sqrt(self.covariance.diagonal())
+        return dict(zip(expected.names, zip(values.tolist(), deviations.tolist(), strict=True), strict=True))
+
+    @property
+    def resistivity(self) -> float:
+        """Of all pillars together, over the design's."""
+        return math.exp(self.expected.widths.resistivity * self.expected.parts(self.state.shared)[1][0])
+
+    @property
+    def gain(self) -> FloatArray:
+        """Of each pillar, (P,)."""
+        return self.expected.gain(self.state)
+
+    @property
+    def offset_ohm(self) -> FloatArray:
+        """Of each pillar, (P,)."""
+        return self.expected.offset_ohm(self.state)
 
 
 def infer(
     expected: Expectation,
     readings: Readings,
     draws: int = 32,
-    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Specimen:
-    """Infer a sensor from pairs.
+    """Infer a sensor from pairs, with an ensemble of so many draws; `progress` is told each step's part of the whole.
 
-    Parameters
-    ----------
-    expected : Expectation
-    readings : Readings
-    draws : int
-        Size of the ensemble.
-    seed : int
-        Of its draws.
-    progress : callable
-        Called with the part of the whole that each step takes.
+    Raises
+    ------
+    SampleError
+        If no pair has forces that finite strain knows.
 
     Notes
     -----
@@ -94,7 +104,7 @@ def infer(
         state = state.rescaled(expected, old)
         if max(change, evidence.moved) < CONVERGED:
             break
-    return _drawn(expected, readings, state, draws, seed)
+    return _drawn(expected, readings, state, draws)
 
 
 def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
@@ -171,9 +181,9 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     return replace(state, own=own + size * (found - own))
 
 
-def _drawn(expected: Expectation, readings: Readings, state: State, draws: int, seed: int) -> Specimen:
+def _drawn(expected: Expectation, readings: Readings, state: State, draws: int) -> Specimen:
     """The posterior about the most probable state, with draws from it."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     linear = Linear(expected, readings, state)
     n, own = len(linear.weight), state.own
     factor = np.linalg.cholesky(linear.N)

@@ -26,7 +26,9 @@ def simulate_twin(
     readout: Readout | None = None,
     numbers: range | None = None,
 ) -> Samples:
-    """Simulate labelled samples of a sensor that is known as far as its pairs tell.
+    """Simulate labelled samples of a sensor that is known as far as its pairs tell: of draws of its posterior in turn.
+
+    Displacements and lengths are left out, since a twin knows its pillars by their resistances alone.
 
     Parameters
     ----------
@@ -37,12 +39,6 @@ def simulate_twin(
         As of `dataset.simulate`; gains and offsets are the twin's.
     numbers : range, optional
         Numbers of the samples to make, the first a multiple of `dataset.simulation.BLOCK`; default: all.
-
-    Returns
-    -------
-    Samples
-        Resistances of the posterior's draws in turn, one a sample. Displacements and lengths are left out, since a twin
-        knows its pillars by their resistances alone.
 
     Raises
     ------

@@ -214,21 +214,12 @@ class CondensedCell:
 def condense(
     body: "CellBody", ports: PortModes, rectangles: FloatArray, inside: list[FloatArray] | None = None
 ) -> CondensedCell:
-    """Condense a cell, whatever its mesh.
+    """Condense a cell, or the quarter x, y ≥ 0 of one that is its own mirror image in x and in y, whatever its mesh.
 
-    Parameters
-    ----------
-    body : CellBody
-        The cell, or the quarter x, y ≥ 0 of one that is its own mirror image in x and in y.
-    ports : PortModes
-    rectangles : array, shape (k, 4)
-        x0, y0, x1, y1 of the rectangles of its top face that are loaded or observed, anywhere on the whole cell [mm].
-    inside : list, optional
-        Takes the displacements (n_modes·3 + k·3, n, 3) of the body's nodes by unit port displacements [mm] and by unit
-        forces on the rectangles [N], for each parity; such a solve costs more.
+    Rectangles (k, 4) are x0, y0, x1, y1 of what is loaded or observed, anywhere on the top of the whole cell [mm]. A
+    list `inside` takes the displacements (n_modes·3 + k·3, n, 3) of the body's nodes by unit port displacements [mm]
+    and by unit forces on the rectangles [N], for each parity; such a solve costs more.
 
-    Notes
-    -----
     S = Φᵀ(K_BB − K_BI K_II⁻¹ K_IB)Φ, L = Φᵀ(f_B − K_BI K_II⁻¹ f_I), C = f_Iᵀ K_II⁻¹ f_I, where B are the unknowns on
     the side faces, which follow the port modes Φ, and I the others, pressures and plates included.
 

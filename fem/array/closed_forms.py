@@ -32,27 +32,12 @@ class HalfspaceError(TriPillarError, ValueError):
 
 
 def mean_compliance(targets_mm: ArrayLike, loads_mm: ArrayLike, material: Material) -> FloatArray:
-    """Mean displacement of rectangles of the surface per newton spread evenly over others.
+    """Mean displacement of rectangles of a half-space's surface per newton spread evenly over others.
 
-    Parameters
-    ----------
-    targets_mm, loads_mm : arrays, shapes (..., 4)
-        x0, y0, x1, y1 [mm]; leading dimensions broadcast. They may overlap, touch or coincide.
-    material : Material
-        Of the half-space.
+    Rectangles (..., 4) are x0, y0, x1, y1 [mm]; leading dimensions broadcast, and they may overlap, touch or coincide.
+    Returns (..., 3, 3): along the first axis per force along the second [mm/N]. An empty rectangle is a
+    `HalfspaceError`.
 
-    Returns
-    -------
-    array, shape (..., 3, 3)
-        Mean displacement along the first axis per force along the second [mm/N].
-
-    Raises
-    ------
-    HalfspaceError
-        If a rectangle is empty.
-
-    Notes
-    -----
     On the surface, with r the distance, G the shear modulus and w = u·4πG, down positive (Johnson, *Contact Mechanics*,
     eq. 3.18 for the normal force P, section 3.6 for the tangential force Q along x; Q along y likewise):
 
@@ -127,23 +112,12 @@ POINTS = 400_000  #: Gauss points at a time, which bounds the memory to some 100
 
 
 def layer_spectrum(q: ArrayLike, poisson: float) -> FloatArray:
-    """Difference that a rigid base makes to a half-space's surface compliance, at wavenumber k, height h and q = k h.
+    """Difference that a rigid base makes to a half-space's surface compliance at wavenumber k, height h, q = k h > 0.
 
-    Parameters
-    ----------
-    q : array, shape (...)
-        Above 0.
-    poisson : float
-        ν, from 0 to below 0.5.
+    Differences of G k times the compliance (4, ...), layer minus half-space, free of cancellation and of overflow:
+    transverse, longitudinal, normal, and cross (longitudinal by a normal traction, 90° ahead). Poisson's ratio ν is
+    from 0 to below 0.5.
 
-    Returns
-    -------
-    array, shape (4, ...)
-        Differences δ of G k times the compliance, layer minus half-space, free of cancellation and of overflow:
-        transverse, longitudinal, normal, and cross (longitudinal by a normal traction, 90° ahead).
-
-    Notes
-    -----
     Per traction of wavenumber k, z into the body, e = exp(−2q), κ = 3 − 4ν, D = κ(1+e²) + (4q²+1+κ²)e:
 
         transverse    G k C = (1−e)/(1+e)                                       half-space: 1
@@ -168,35 +142,12 @@ def layer_spectrum(q: ArrayLike, poisson: float) -> FloatArray:
 def layer_mean_compliance(
     targets_mm: ArrayLike, loads_mm: ArrayLike, height_mm: float, material: Material
 ) -> FloatArray:
-    """Mean displacement of rectangles of a layer's surface per newton spread evenly over others.
+    """The same as `mean_compliance` on a layer of a height, endless along x and y.
 
-    Parameters
-    ----------
-    targets_mm, loads_mm : arrays, shapes (..., 4)
-        x0, y0, x1, y1 [mm]; leading dimensions broadcast. They may overlap, touch or coincide.
-    height_mm : float
-        Of the layer, infinite along x and y.
-    material : Material
-        Of the layer.
+    To 1e-8 of what a half-space would answer at that distance: its closed form plus the mean of the smooth rest over
+    both rectangles. Gauss points are as many as the nearest singularity of the rest asks for, 2·height away like a
+    mirror image below the base. A rectangle wider than 100 heights or a height not above 0 is a `HalfspaceError`, too.
 
-    Returns
-    -------
-    array, shape (..., 3, 3)
-        Mean displacement along the first axis per force along the second [mm/N]; to 1e-8 of what a half-space would
-        answer at that distance.
-
-    Raises
-    ------
-    HalfspaceError
-        If a rectangle is empty or wider than 100 heights, or the height is not above 0.
-
-    Notes
-    -----
-    The half-space's closed form plus the mean of the smooth rest over both rectangles. Gauss points are as many as the
-    nearest singularity of the rest asks for, 2·height away like a mirror image below the base.
-
-    Examples
-    --------
     1 MPa over 400 × 400 mm of a layer of 10 mm sinks the middle as in confined compression, by h/(λ + 2μ):
 
     >>> wide, middle = [-200.0, -200.0, 200.0, 200.0], [-1.0, -1.0, 1.0, 1.0]
@@ -230,22 +181,9 @@ def layer_mean_compliance(
 def layer_response(design: SensorDesign) -> ArrayResponse:
     """Response of a sensor taken as an infinite layer of its matrix material on a rigid base.
 
-    Parameters
-    ----------
-    design : SensorDesign
-        Its pillars must be of the matrix's rubber for the answer to mean much: they are not seen.
-
-    Returns
-    -------
-    ArrayResponse
-        In closed form, so without unknowns, mesh or residual. `influence_mm_per_n` is a read-only view of a table with
-        one entry per offset between units, so that an array of 48 × 48 takes kilobytes; ``np.array`` copies it.
-
-    Notes
-    -----
-    Of the homogeneous sensor it ignores the free sides only. Against finite elements that err by 0.8 %, the paper's
-    6 × 6 array differs by 0.7 % for a centre unit under its own pad and 0.6 % under its neighbour's, 2 % and 2 to 7 %
-    one ring further out, and 40 to 60 % on the rim: for units at the edge it is no answer.
+    Pillars of another rubber are not seen, nor the free sides: the paper's 6 × 6 array differs from finite elements by
+    0.7 % at its centre, 2 to 7 % one ring further out, and 40 to 60 % on the rim, where it is no answer. The influence
+    is a read-only view of a table with one entry per offset between units, kilobytes for 48 × 48; ``np.array`` copies.
     """
     start = perf_counter()
     rows, cols, pitch_mm = design.array.rows, design.array.cols, design.array.pitch_mm

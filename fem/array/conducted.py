@@ -49,27 +49,14 @@ def conducted_pillars(
 ) -> ConductedPillars:
     """Polynomials of the pillars' resistances in the loads of all pads.
 
-    Parameters
-    ----------
-    design : SensorDesign
-        Its electrics say how resistivity follows strain.
-    influence_mm_per_n : array, shape (rows, cols, n_upper, 3, rows, cols, 3)
-        Of the electrodes, as `ArrayResponse` holds it: the part that eq. 1 has of the resistances is taken from it.
-    progress : function
-        Called with the name of each step as it begins.
-
-    Raises
-    ------
-    DesignError
-        As of `fem.conduction.meshes.unit_hexahedra`.
-    GeometryError, SolverError
-        If a mesh or an answer cannot be trusted.
+    The part that eq. 1 has of them is taken from the influence, as `ArrayResponse` holds it. `progress` is called with
+    the name of each step as it begins. Errors are those of `fem.conduction.meshes.unit_hexahedra`, and a
+    `GeometryError` or `SolverError` if a mesh or an answer cannot be trusted.
     """
     radius = influence_range(design, TRUNCATION)
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     interior = design_interior(design, functionals(design), pad_plate(design), progress)
-    electrics = design.electrics
-    piezo = Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
+    piezo = Piezoresistivity.of(design.electrics)
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
@@ -114,38 +101,21 @@ def conducted_pillars(
 
 
 def _components(
-    square_mm2: float,
-    rest_mm: FloatArray,
-    first: FloatArray,
+    square_mm2: float,  # L, R V/ρ at rest
+    rest_mm: FloatArray,  # d, between the electrodes, (3,)
+    first: FloatArray,  # r, relative derivatives of R, (n,) [1/N]
     second: tuple[FloatArray, FloatArray],
     influence: FloatArray,
     coarse: FloatArray,
-    scale: FloatArray,
+    scale: FloatArray,  # usual loads, relative to each other, (n,)
 ) -> tuple[FloatArray, FloatArray]:
-    """B (n_components, loads) and signs of one pillar, by its first and second derivatives in n loads.
+    """B (n_components, n) and signs of one pillar, by its first and second derivatives in n loads.
 
-    Parameters
-    ----------
-    square_mm2 : float
-        R V/ρ at rest [mm²].
-    rest_mm : array, shape (3,)
-        Between its electrodes.
-    first : array, shape (n,)
-        Relative derivatives of R [1/N].
-    second : (array of shape (m, n), array of shape (m, m))
-        Parts a of m modes per load [1/N], and S: 1/R has aᵀ S a in the second order, relative.
-    influence, coarse : array, shape (3, n)
-        Of its upper electrode: accurate, and of the cell that the derivatives come from [mm/N].
-    scale : array, shape (n,)
-        Usual loads, relative to each other.
-
-    Notes
-    -----
-    R V/ρ = L (1 + r·F + (r·F)² − aᵀ S a) + |d + B F|² − |d + B′F|², where the last two correct the cell's B′. The first
-    component, √L + ½ b·F/√L, holds all that is linear; the others diagonalise what is left of the second order, those
-    kept that are largest under usual loads.
+    R V/ρ = L (1 + r·F + (r·F)² − aᵀ S a) + |d + B F|² − |d + B′F|², where the last two correct the cell's B′ (`coarse`)
+    by the accurate `influence` (3, n) of the upper electrode. The first component, √L + ½ b·F/√L, holds all that is
+    linear; the others diagonalise what is left of the second order, those kept that are largest under usual loads.
     """
-    parts, S = second
+    parts, S = second  # parts a (m, n) of m modes per load [1/N]
     b = square_mm2 * first + 2 * rest_mm @ (influence - coarse)
     root = np.sqrt(square_mm2)
     lead = b / (2 * root)

@@ -59,19 +59,9 @@ class CoupledArray:
         return self.rows * self.cols
 
     def moved(self, forces: FloatArray) -> tuple[FloatArray, float]:
-        """Mean displacements of every cell's rectangles under forces on them.
+        """Mean displacements (n_cells, m, k) [mm] of every cell's rectangles, and the relative residual of the solve.
 
-        Parameters
-        ----------
-        forces : array, shape (n_cells, m, k)
-            k load cases: the force on each of the m functionals of each cell [N].
-
-        Returns
-        -------
-        array, shape (n_cells, m, k)
-            Mean displacements [mm].
-        float
-            Relative residual of the solve.
+        The k load cases are forces (n_cells, m, k) on the m functionals of each cell [N].
         """
         q, residual = self.port_displacements(forces)
         moved = np.empty(forces.shape)
@@ -137,24 +127,10 @@ class CoupledArray:
         loads: Sequence[int],
         observed: Sequence[int],
     ) -> tuple[FloatArray, float]:
-        """Derivatives of `influence` by parameters that change every cell alike.
+        """Derivatives of `influence`, parameters first, by those that change every cell alike, and the residual.
 
-        Parameters
-        ----------
-        changes : sequence of (dS, dL, dC)
-            For each parameter the derivatives of a cell's stiffness, transfer and compliance.
-        loads, observed : sequences of int
-            As in `influence`.
+        A parameter is the derivatives dS, dL, dC of a cell's stiffness, transfer and compliance by it.
 
-        Returns
-        -------
-        array, shape (n_changes, rows, cols, n_observed, rows, cols, n_loads)
-            Derivatives [mm/N per unit of the parameter].
-        float
-            The largest residual.
-
-        Notes
-        -----
         With K q = L f and u = Lᵀ q + C f, du = dLᵀ q + q̂ᵀ (dL f − dS q) + dC f, where q̂ answers a force on what is
         observed.
         """

@@ -29,7 +29,7 @@ from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.system import System
 from fem.tetrahedra.adapted import AdaptedTetrahedra
-from fem.tetrahedra.mixed import Elements, TaylorHood
+from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares
@@ -107,7 +107,7 @@ class CellBody:
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """Unknown that moves each node along each axis, and no other node; −1 where there is none, (n, 3)."""
-        found = np.full((self.system.body.n_nodes, 3), -1)
+        found = np.full((len(self.points_mm), 3), -1)
         found[self.system.free] = np.arange(3 * len(self.system.free)).reshape(-1, 3)
         return found
 
@@ -198,14 +198,7 @@ class DesignCell:
 
     A level of boxes divides their edges. That of tetrahedra counts how often the coarsest mesh was halved where it
     errs: for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.tetrahedra.adapted`).
-
-    Parameters
-    ----------
-    design : SensorDesign
-    rectangles : array, shape (k, 4)
-        What is loaded or observed of the cell's top face.
-    plate : array, shape (4,), optional
-        Rectangle of a plate bonded to it.
+    Rectangles (k, 4) are loaded or observed of the cell's top face, a plate is bonded to one (4,).
     """
 
     def __init__(self, design: SensorDesign, rectangles: FloatArray, plate: FloatArray | None = None) -> None:
@@ -263,8 +256,7 @@ class DesignCell:
             return condense(self.body(level), ports, self.rectangles)
         never_shared = tuple(side for side in free if all(side in other for other in self._places))
         if (level, never_shared) not in self._sides:
-            body = CellBody.of_tetrahedra(self.tetrahedra(level), self.plate)
-            self._sides[level, never_shared] = CellSides.of(body, self.rectangles, never_shared)
+            self._sides[level, never_shared] = CellSides.of(self.body(level), self.rectangles, never_shared)
         return self._sides[level, never_shared].cell(degree, free)
 
     @property
@@ -312,34 +304,25 @@ def design_interior(
     plate: FloatArray | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> CellInterior:
-    """Solve a design's cell inside.
+    """Solve a design's cell inside, with rectangles (k, 4) of its top to load, and a plate bonded to one (4,).
 
-    Parameters
-    ----------
-    design : SensorDesign
-    rectangles_mm : array, shape (k, 4)
-        What can be loaded on its top: x0, y0, x1, y1 in the cell's own coordinates.
-    plate : array, shape (4,), optional
-        Rectangle of a plate bonded to its top.
-    progress : function
-        Called with the name of each step as it begins.
+    `progress` is called with the name of each step as it begins.
     """
     material = [design.matrix_material, design.pillar_material]
-    elements: Boxes | Elements
     if design.is_homogeneous:
         progress("cell")
-        lines = cell_lines(design, GRID_LEVEL)
-        body, degree, elements = CellBody.of(lines, material[:1], plate), GRID_DEGREE, Boxes.between(lines)
+        body, degree = CellBody.of(cell_lines(design, GRID_LEVEL), material[:1], plate), GRID_DEGREE
     else:
         progress("mesh")
         tetrahedra = DesignCell(design, rectangles_mm, plate).tetrahedra(MESH_LEVEL)
         progress("cell")
         body, degree = CellBody.of_tetrahedra(tetrahedra, plate), MESH_DEGREE
-        elements = tetrahedra.elements
     ports = PortModes(design.array.pitch_mm / 2, design.unit.height_mm, degree, degree)
     inside: list[FloatArray] = []
     cell = condense(body, ports, rectangles_mm, inside)
     moved = np.ascontiguousarray(inside[0].transpose(1, 2, 0))
-    loaded = [*rectangles_mm] if isinstance(elements, Boxes) else []  # tetrahedra have no edges along those of loads
-    field = Field(mesh=elements, displacement_mm=moved, material=material, loaded_mm=loaded)
+    loaded = [*rectangles_mm] if design.is_homogeneous else []  # tetrahedra have no edges along those of loads
+    rubber = body.system.body
+    mesh = rubber.boxes if isinstance(rubber, RubberBody) else rubber.elements
+    field = Field(mesh=mesh, displacement_mm=moved, material=material, loaded_mm=loaded)
     return CellInterior(cell=cell, field=field)

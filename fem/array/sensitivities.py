@@ -18,7 +18,7 @@ from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellBody, cell_lines, cell_mirrors, functionals, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
-from fem.array.substructured import PADS, electrode_means, expanded, influence_range
+from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_shares
@@ -31,9 +31,7 @@ LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
 EDGES = ("unit.span_mm", "pad.size_mm", "pad.offset_x_mm", "pad.offset_y_mm")
-TRUNCATION = (
-    1e-3  #: influence smaller than this, relative to a pad's own, is left out of the derivatives of large arrays
-)
+TRUNCATION = 1e-3  #: of a pad's own influence: what is smaller is left out of the derivatives of large arrays
 Change = tuple[FloatArray, FloatArray, FloatArray]  #: of a cell's stiffness, transfer and compliance, per unit
 PILLARS_YOUNG = "pillar_material.young_mpa"
 SCALES = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that the others and B itself tell
@@ -162,11 +160,8 @@ def _sides(design: SensorDesign, name: str, step: float) -> list[tuple[SensorDes
 def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float]) -> Change:
     (plus, above), (minus, below) = one, other
     width = above - below
-    return (
-        (plus.stiffness - minus.stiffness) / width,
-        (plus.transfer - minus.transfer) / width,
-        (plus.compliance - minus.compliance) / width,
-    )
+    dS, dL, dC = ((getattr(plus, name) - getattr(minus, name)) / width for name in MATRICES)
+    return dS, dL, dC
 
 
 def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:

@@ -49,14 +49,8 @@ def array_response(
 
     `progress` is called with the name of each step as it begins. Returns the response, its file, and whether it was
     there already; where the cache cannot be written to, the file is missing. Only what bends the body counts: another
-    resistivity finds the same file.
-
-    Raises
-    ------
-    DesignError
-        If a closed form is asked for stiff pads.
-    GeometryError, SolverError
-        If the mesh or an answer cannot be trusted.
+    resistivity finds the same file. A `DesignError` says what a method is no model of, a `GeometryError` or
+    `SolverError` that the mesh or an answer cannot be trusted.
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)

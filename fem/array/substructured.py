@@ -105,23 +105,10 @@ def response_by_cells(
 ) -> ArrayResponse:
     """Influence of every pad on every electrode, from one condensed cell.
 
-    Parameters
-    ----------
-    design : SensorDesign
-    tolerance : float
-        Wanted error of each pad's own block, relative.
-    progress : function
-        Called with the name of each step as it begins.
-    cached : bool
-        Take the refined cell from the cache if it is there, and leave it there: arrays of another size share it.
+    The tolerance is the wanted error of each pad's own block, relative. With `cached` the refined cell is taken from
+    the cache if it is there, and left there: arrays of another size share it. A `GeometryError` or `SolverError` says
+    that a mesh or an answer cannot be trusted.
 
-    Raises
-    ------
-    GeometryError, SolverError
-        If a mesh or an answer cannot be trusted.
-
-    Notes
-    -----
     A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
     below `TRUNCATION` of the tolerance: units farther than m from every rim answer alike.
     """
@@ -176,7 +163,6 @@ def refined_cell(
 ) -> RefinedCell:
     """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
 
-    Parameters and errors as of `response_by_cells`.
     The error is estimated on an array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood.
     """
 
@@ -228,18 +214,9 @@ def cells_of_stage(
 ) -> tuple[Weighted, FloatArray, tuple[float, float]]:
     """Cells condensed at the levels of a stage, an answer by them, and the estimated errors of levels and ports.
 
-    Parameters
-    ----------
-    source : DesignCell
-        The times of condensing and coupling are added to its own.
-    stage : (coarse level, fine level, degree of the ports)
-    answer : function
-        What is asked of an array of cells.
-    difference : function
-        How far one answer is from another, relative.
+    `answer` is what is asked of an array of cells, `difference` how far one answer is from another, relative. The times
+    of condensing and coupling are added to the source's own.
 
-    Notes
-    -----
     Levels are extrapolated as Richardson does: cells of boxes themselves, of tetrahedra the answers, since extrapolated
     cells need not be definite. A fraction of that step is the levels' error. The ports' is what their highest degree
     changed, of tetrahedra a fraction of what the highest two did: the last is small now and then.

@@ -1,7 +1,7 @@
-"""One unit by other tools: meshed by pytetwild, solved with scikit-fem's Taylor-Hood elements.
+"""One unit by another way: meshed whole by pytetwild, solved with Taylor-Hood elements on scikit-fem's bases.
 
-The array's response comes from hexahedra and condensed cells of our own. Here a single unit is solved by nothing but
-public tools, so that a run can print how far the two are apart.
+The array's response comes from condensed cells, of hexahedra where there is one rubber; a run prints how far the two
+are apart.
 """
 
 from collections.abc import Callable
@@ -10,9 +10,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-import scipy.sparse as sp
-from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, ElementVector, MeshTet
-from skfem.helpers import ddot, div, sym_grad
+from skfem import MeshTet
 
 from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
@@ -41,38 +39,11 @@ class UnitCheck:
     reused: bool  #: whether both were there already
 
 
-# scikit-fem hands fields and parameters to these as types of its own, which it does not publish
-@BilinearForm
-def shear(u, v, w):  # type: ignore[no-untyped-def]
-    """∫ 2μ ε(u):ε(v)"""
-    return 2 * w.mu * ddot(sym_grad(u), sym_grad(v))
-
-
-@BilinearForm
-def dilation(u, q, w):  # type: ignore[no-untyped-def]
-    """∫ div u q"""
-    return div(u) * q
-
-
-@BilinearForm
-def compression(p, q, w):  # type: ignore[no-untyped-def]
-    """∫ p q / λ"""
-    return p * q / w.lame
-
-
 def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda step: None) -> UnitCheck:
     """Compare the refined cell of a design's response, standing alone, with the unit solved by `meshed_response`.
 
-    Parameters
-    ----------
-    design : SensorDesign
-    progress : function
-        Called with the name of each step as it begins.
-
-    Raises
-    ------
-    GeometryError, SolverError
-        If the mesh or an answer cannot be trusted.
+    `progress` is called with the name of each step as it begins. A `GeometryError` or `SolverError` says that a mesh or
+    an answer cannot be trusted.
     """
     alone = lone_unit(design)
     progress("mesh")
@@ -99,54 +70,22 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
 
 
 def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
-    """Response of a meshed sensor by Taylor-Hood elements, assembled from forms of scikit-fem.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        One unit, or as many as have been meshed.
-    mesh : TetMesh
-
-    Notes
-    -----
-    The form of `fem.tetrahedra.mixed`, assembled rubber by rubber, so that the pressure may jump between them.
-    """
+    """Response of a meshed sensor by Taylor-Hood elements, of one unit or of as many as have been meshed."""
     start = perf_counter()
     tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    A, B, C = [], [], []  # one of each rubber
-    for region, rubber in enumerate((design.matrix_material, design.pillar_material)):
-        own = np.flatnonzero(mesh.region == region)
-        if not len(own):
-            continue
-        displacement = Basis(tets, ElementVector(ElementTetP2()), elements=own, intorder=2)
-        pressure = Basis(tets, ElementTetP1(), elements=own, intorder=2)
-        nodes = np.unique(pressure.element_dofs)
-        lame, mu = rubber.lame_mpa
-        A.append(shear.assemble(displacement, mu=mu))
-        B.append(dilation.assemble(displacement, pressure)[nodes])
-        C.append(compression.assemble(pressure, lame=lame)[nodes][:, nodes])
-    free = np.flatnonzero(displacement.doflocs[2] > 0)  # the base is clamped
-    div_u = sp.vstack(B)[:, free]
-    K = sp.bmat([[sum(A)[free][:, free], div_u.T], [div_u, -sp.block_diag(C)]], format="csr")
-
-    # one component of the displacement, for means over rectangles: component i of its node n is unknown n·3 + i
-    component = Basis(tets, ElementTetP2(), intorder=2)
-    pads, electrodes = (patch_means(component, squares(design)) for squares in (pad_squares, electrode_squares))
-    plates = [load for square in pad_squares(design) for load in plate_on(square)] if design.pad.kind == "stiff" else []
     body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
-    system = TetrahedralSystem(body, plates)
-    T = system.motions(system.rest().rotation)
-    f = np.vstack([pads.T.toarray()[free], np.zeros((div_u.shape[0], pads.shape[0]))])
-    K = (T.T @ K @ T).tocsr()
-    x, residual = checked_solve(Factor(K), T.T @ f)
-    u = np.zeros((displacement.N, f.shape[1]))
-    u[free] = (T @ x)[: len(free)]
+    pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
+    plates = [plate for square in pad_squares(design) for plate in plate_on(square)]
+    system = TetrahedralSystem(body, plates if design.pad.kind == "stiff" else [])
+    loads = system.rest_loads(pads.toarray().reshape(pads.shape[0], -1, 3))
+    x, residual = checked_solve(Factor(system.matrix(system.rest_tangent()), upper=True), loads)
+    moved = system.displaced(x).reshape(pads.shape[0], -1)
     rows, cols = design.array.rows, design.array.cols
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=(electrodes @ u).reshape(rows, cols, -1, 3, rows, cols, 3),
+        influence_mm_per_n=(electrodes @ moved.T).reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=residual,
-        unknowns=K.shape[0],
+        unknowns=system.n_unknowns,
         mesh_hash=mesh.content_hash,
         seconds={"solve": perf_counter() - start},
         method="taylor-hood",

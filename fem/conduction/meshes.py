@@ -116,7 +116,7 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     nodes: list[FloatArray] = []
     elements, terminals, n = [], [], 0
     ties: dict[int, Tie] = {}
-    swept = cache(partial(_swept, unit, order, levels, strained))
+    swept = cache(partial(_swept, unit, order, levels, strained))  # X runs toward the oblique pillar's other end
     for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit), strict=True)):
         run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
         part = swept(joint.upright is not None, run)
@@ -226,10 +226,7 @@ def _across(half: float, electrode: float, levels: int, strained: bool) -> Float
 def _between(
     start: float, end: float, scale: float, at_start: int = 0, at_end: int = 0, longest: float = np.inf
 ) -> FloatArray:
-    """Lines from start to end, crowding by `RATIO` toward the ends that ask for levels.
-
-    Lines are `scale` times powers of `RATIO` away from such an end, and no further apart than `longest`.
-    """
+    """Lines from start to end, `scale` times powers of `RATIO` away from ends that ask for levels."""
     length = end - start
     lines = [0.0, length]
     room = length * (0.5 if at_start and at_end else 0.9)
@@ -246,11 +243,7 @@ def _between(
 
 
 def _figure(unit: Unit, levels: int, upright: bool, run: float) -> FloatArray:
-    """Quadrilaterals of an oblique pillar's half, and an upright one's, (n, 2, 2, 2): corners by X and t, then X and t.
-
-    X runs from the electrode's middle toward the oblique pillar's other end, which is `run` away at the depth of the
-    other electrodes [mm].
-    """
+    """Quadrilaterals of the pillars at an electrode, (n, 2, 2, 2): corners by X and t, then X and t."""
     h, w = unit.height_mm, unit.pillar_width_mm
     a, b, c, e = run / h, w * np.hypot(run, h) / h / 2, w / 2, unit.electrode_mm / 2
     is_rimmed = e < b * (1 - 1e-6)

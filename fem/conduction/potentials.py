@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from fem.conduction.meshes import Hexahedra, unit_hexahedra
 from fem.factor import Factor, checked_solve
-from geometry.design import Unit
+from geometry.design import Electrics, Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
@@ -41,6 +41,11 @@ class Piezoresistivity:
 
     along: float = 0.0  #: m₁₁, by strain along the current
     across: float = 0.0  #: m₁₂, by strain across it
+
+    @classmethod
+    def of(cls, electrics: Electrics) -> "Piezoresistivity":
+        """That of a design's electrics."""
+        return cls(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
 
 
 def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:

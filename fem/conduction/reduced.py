@@ -44,10 +44,7 @@ class ReducedConduction:
     def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
         """Conductances (..., k, k) between the electrodes times ρ [mm] from ∂x/∂X (..., n, 3, 3) at `points_mm`.
 
-        Raises
-        ------
-        DesignError
-            As of `pulled_back`.
+        Errors as of `pulled_back`.
         """
         flat = pulled_back(F.reshape(-1, *F.shape[-3:]), piezoresistivity) * self.weight_mm3[:, None, None]
         m, N = len(self.share) - 1, self.slopes.shape[2]  # the last electrode's potentials are 1 less the others'
@@ -64,13 +61,7 @@ class ReducedConduction:
 def reduced_conduction(
     unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity | None = None
 ) -> ReducedConduction:
-    """The reduced conduction of a unit's pillars: a minute of processor time.
-
-    Raises
-    ------
-    DesignError
-        As of `unit_hexahedra` and `pulled_back`.
-    """
+    """The reduced conduction of a unit's pillars: a minute of processor time. Errors as of `unit_hexahedra`."""
     conductor = Conductor(unit_hexahedra(unit, *MESH))
     mesh, at_rest = conductor.mesh, conductor.at_rest
     pillar = pillars_of(unit, mesh.points_mm)
@@ -113,11 +104,9 @@ def _integrands(
     potentials: FloatArray,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """Values at the mesh's points (n_rows, n_points) of what a cubature must integrate, for one deformation.
-
-    Relative conductances by its own potentials and by those at rest, which give their first derivatives; and random
-    sums of the residuals of all potentials.
-    """
+    """Values at the mesh's points (n_rows, n_points) of what a cubature must integrate, for one deformation."""
+    # conductances by its own potentials, and by those at rest, which give their first derivatives; then random sums of
+    # the residuals of all potentials
     own, rest = conductor.gradients(potentials), conductor.at_rest.gradients
     rows = []
     for phi in (own, rest):
@@ -131,11 +120,8 @@ def _integrands(
 
 
 def _cubature(rows: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Which points of (n_rows, n_points), and what weights above 0, give nearly the sums that are wanted (n_rows,).
-
-    Non-negative least squares (Lawson & Hanson) that takes several points at once and ends at `POINTS`, or at a third
-    as many as there are equations.
-    """
+    """Which points of (n_rows, n_points), and what weights above 0, give nearly the sums that are wanted (n_rows,)."""
+    # non-negative least squares (Lawson & Hanson) that takes several points at once
     size = np.linalg.norm(rows, axis=0)
     chosen: IntArray = np.zeros(0, dtype=np.int64)
     weights: FloatArray = np.zeros(0)

@@ -8,7 +8,7 @@ contact with friction on that grid: open this file first), `balance.py` (how one
 """
 
 from fem.contact.indentation import Contact, ContactError, press
-from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, read_solid
+from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, Turned, read_solid
 from fem.contact.stepping import Stepper
 from fem.contact.surface import SurfaceCompliance, surface_compliance
 
@@ -25,6 +25,7 @@ __all__ = [
     "Sphere",
     "Stepper",
     "SurfaceCompliance",
+    "Turned",
     "press",
     "read_solid",
     "surface_compliance",

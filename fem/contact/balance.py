@@ -64,28 +64,12 @@ class State:
         tolerance: float,
         first: "State | None" = None,
     ) -> "State":
-        """Forces of contact with a shape that stands elsewhere now.
+        """Forces of contact with a shape whose underside (ny, nx) stands elsewhere above the undeformed top now.
 
-        Parameters
-        ----------
-        give : function
-            Displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both into it.
-        above_mm : array, shape (ny, nx)
-            The shape's underside above the undeformed top.
-        friction : float
-            Coefficient μ.
-        tolerance : float
-            Last change of any force, relative to the largest pressing one.
-        first : State, optional
-            With a guess of the forces; default: this one.
+        `give` is the displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both
+        into it. They are found to a tolerance of the largest pressing one, from those of `first` (default: these).
+        A `SolverError` says that `MAX_STEPS` steps do not balance them.
 
-        Raises
-        ------
-        SolverError
-            If `MAX_STEPS` steps do not balance them.
-
-        Notes
-        -----
         Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
         where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The
         rates α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and

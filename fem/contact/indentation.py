@@ -258,7 +258,6 @@ def press(
     sensor : SensorDesign or SurfaceCompliance
         A design, whose compliance comes from the cache or is made, or a compliance at hand.
     shape : Shape
-        `Sphere`, `Cylinder`, `Flat`, or `read_solid` of an STL file.
     depth_mm : float
         How far the shape's lowest point goes below the undeformed top.
     at_mm, slide_mm : tuple of float
@@ -266,16 +265,14 @@ def press(
     friction : float
         Coulomb's coefficient μ; 0 is frictionless.
     cells : int
-        Cells of the grid along the longer side of the contact.
+        Of the grid along the longer side of the contact.
     progress : function
         Called with the name of each step as it begins.
 
     Raises
     ------
-    ContactError
-        If the depth is not above 0 or reaches the base, the shape misses the sensor, or a number is out of range.
-    DesignError, SolverError
-        As `surface_compliance` does; if the contact finds no balance.
+    ContactError, DesignError, SolverError
+        If a number is out of range or the shape misses the sensor; as `surface_compliance`; without a balance.
 
     Notes
     -----

@@ -67,46 +67,42 @@ class Sphere(Upright):
 
 @dataclass(frozen=True)
 class Cylinder(Upright):
-    """A round bar lying on its side, its ends cut square."""
+    """A round bar lying along x, its ends cut square."""
 
     radius_mm: float
     length_mm: float = MAX_MM
-    turn_deg: float = 0.0  #: of its axis from x towards y
 
     def __post_init__(self) -> None:
-        _require(self.turn_deg, radius_mm=self.radius_mm, length_mm=self.length_mm)
+        _require(radius_mm=self.radius_mm, length_mm=self.length_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        along, across = _turned(x_mm, y_mm, self.turn_deg)
-        return np.where(np.abs(along) <= self.length_mm / 2, _arc(across, self.radius_mm), np.inf)
+        return np.where(np.abs(x_mm) <= self.length_mm / 2, _arc(y_mm, self.radius_mm), np.inf)
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        return _box(self.length_mm / 2, _half_chord(self.radius_mm, height_mm), self.turn_deg)
+        return self.length_mm / 2, _half_chord(self.radius_mm, height_mm)
 
 
 @dataclass(frozen=True)
 class Flat(Upright):
     """A flat punch with square edges: a rectangle, or a disc if it has a radius."""
 
-    size_mm: tuple[float, float] = (0.0, 0.0)  #: along its own x and y
+    size_mm: tuple[float, float] = (0.0, 0.0)  #: along x and y
     radius_mm: float | None = None
-    turn_deg: float = 0.0  #: of its own x from x towards y
 
     def __post_init__(self) -> None:
         for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
-            _require(self.turn_deg, **{"size_mm" if self.radius_mm is None else "radius_mm": length})
+            _require(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        along, across = _turned(x_mm, y_mm, self.turn_deg)
-        inside = (np.abs(along) <= self.size_mm[0] / 2) & (np.abs(across) <= self.size_mm[1] / 2)
+        half_x, half_y = self.half_extents_mm(0.0)
+        inside = (np.abs(x_mm) <= half_x) & (np.abs(y_mm) <= half_y)
         if self.radius_mm is not None:
             inside = np.hypot(x_mm, y_mm) <= self.radius_mm
         return np.where(inside, 0.0, np.inf)
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        if self.radius_mm is not None:
-            return self.radius_mm, self.radius_mm
-        return _box(self.size_mm[0] / 2, self.size_mm[1] / 2, self.turn_deg)
+        radius_mm = self.radius_mm
+        return (self.size_mm[0] / 2, self.size_mm[1] / 2) if radius_mm is None else (radius_mm, radius_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +134,19 @@ class Turned(Upright):
     shape: Shape
     turn_deg: float  #: from x towards y
 
+    def __post_init__(self) -> None:
+        if not abs(self.turn_deg) <= 360:
+            raise ShapeError(f"turn_deg={self.turn_deg:g} must be from -360 to 360 degrees.")
+
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        return self.shape.heights_mm(*_turned(x_mm, y_mm, self.turn_deg))
+        cos, sin = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
+        return self.shape.heights_mm(x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin)
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        return _box(*self.shape.half_extents_mm(height_mm), self.turn_deg)
+        """Of the box that turns along."""
+        cos, sin = abs(np.cos(np.radians(self.turn_deg))), abs(np.sin(np.radians(self.turn_deg)))
+        x, y = self.shape.half_extents_mm(height_mm)
+        return float(x * cos + y * sin), float(x * sin + y * cos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,13 +191,7 @@ class Convex:
 
     @classmethod
     def hull(cls, points_mm: FloatArray) -> "Convex":
-        """The convex hull of points (n, 3).
-
-        Raises
-        ------
-        ShapeError
-            If they bound no volume.
-        """
+        """The convex hull of points (n, 3); `ShapeError` if they bound no volume."""
         from scipy.spatial import ConvexHull, QhullError
 
         try:
@@ -223,10 +221,7 @@ class Convex:
 def read_solid(path: Path) -> Solid:
     """Read an STL file in mm as an indenter that moves down along z, as it stands in its file.
 
-    Raises
-    ------
-    ShapeError
-        If the file is missing or damaged, or its surface is not closed.
+    A `ShapeError` says that the file is missing or damaged, or its surface not closed.
     """
     import trimesh
 
@@ -281,20 +276,7 @@ def _half_chord(radius_mm: float, height_mm: float) -> float:
     return float(np.sqrt(height_mm * (2 * radius_mm - height_mm))) if height_mm < radius_mm else radius_mm
 
 
-def _turned(x_mm: FloatArray, y_mm: FloatArray, turn_deg: float) -> tuple[FloatArray, FloatArray]:
-    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    return x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin
-
-
-def _box(half_along: float, half_across: float, turn_deg: float) -> tuple[float, float]:
-    """Half extents along x and y of a turned rectangle."""
-    cos, sin = abs(np.cos(np.radians(turn_deg))), abs(np.sin(np.radians(turn_deg)))
-    return float(half_along * cos + half_across * sin), float(half_along * sin + half_across * cos)
-
-
-def _require(turn_deg: float = 0.0, **lengths: float) -> None:
+def _require(**lengths: float) -> None:
     for name, length in lengths.items():
         if not 1e-3 <= length <= MAX_MM:
             raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")
-    if not abs(turn_deg) <= 360:
-        raise ShapeError(f"turn_deg={turn_deg:g} must be from -360 to 360 degrees.")

@@ -30,20 +30,8 @@ TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 class Stepper:
     """A shape in contact with an array's top, moved step by step; it remembers what sticks.
 
-    Parameters
-    ----------
-    surface : SurfaceCompliance
-        Of the sensor, by `surface_compliance`.
-    friction : float
-        Coulomb's coefficient μ.
+    Coulomb's coefficient is from 0 to 2, or a `ContactError`.
 
-    Raises
-    ------
-    ContactError
-        If the friction is not from 0 to 2.
-
-    Notes
-    -----
     Each step is an increment of `press`, from the forces of the step before, on a window of a grid that is fixed to the
     top: cells that stick stay where they are however the shape moves. As the contact grows or shrinks the grid's cells
     double or halve; forces go along. Steps of more than a tenth of the contact's width lose some of friction's past.
@@ -93,7 +81,7 @@ class Stepper:
             return None
         past = self._past
         depth_mm, tried = (
-            past.depth_mm if past else FIRST_DEPTH * self.surface.design.unit.height_mm,
+            past.pose.depth_mm if past else FIRST_DEPTH * self.surface.design.unit.height_mm,
             list[tuple[float, float]](),
         )
         for _ in range(MAX_SECANTS):
@@ -114,12 +102,11 @@ class Stepper:
         )
 
     def _stepped(self, shape: Shape, place: FloatArray) -> Contact | None:
-        height_mm = self.surface.design.unit.height_mm
-        depth_mm = float(-place[2] - shape.lowest_mm)
+        height_mm, past = self.surface.design.unit.height_mm, self._past
+        pose = _Pose.after(past, shape, place)
+        depth_mm, window = pose.depth_mm, None if past is None else past.window
         if depth_mm >= height_mm:
             raise ContactError(f"the shape is {depth_mm:g} mm deep: less than the slab's height, {height_mm:g} mm.")
-        move = _Move(shape, depth_mm, place, *self._carried(shape, place))
-        past, window = self._past, None if self._past is None else self._past.window
         if depth_mm > 0 and window is None:
             reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
             window = _Window.around(self.surface, place[:2] - reach, place[:2] + reach)
@@ -128,7 +115,7 @@ class Stepper:
             return None
         before = State.at_rest(window.patch, self.friction) if past is None else past.state
         for left in reversed(range(MAX_WINDOWS)):
-            after, above_mm = window.balanced(move, before, self.friction)
+            after, above_mm = window.balanced(pose, before, self.friction)
             better = window.better(before.touches, after.touches)
             if better is None or not left:
                 break
@@ -136,7 +123,7 @@ class Stepper:
         if not after.touches.any():
             self.lift()
             return None
-        self._past = _Past(shape, place, depth_mm, window, after)
+        self._past = _Past(pose, window, after)
 
         def contact(window: _Window, after: State, above_mm: FloatArray) -> Contact:
             return Contact(
@@ -148,26 +135,29 @@ class Stepper:
         def coarse() -> Contact:
             half = _Window.around(self.surface, *window.box_mm, level=window.level - 1)
             assert half is not None
-            return contact(half, *half.balanced(move, half.taken_over(window, before), self.friction))
+            return contact(half, *half.balanced(pose, half.taken_over(window, before), self.friction))
 
         return contact(window, after, above_mm)
 
-    def _carried(self, shape: Shape, place_mm: FloatArray) -> tuple[FloatArray, float]:
-        """How far the shape's surface went along the top since the last step, (2,), and its turn about z."""
-        if self._past is None:
-            return np.zeros(2), 0.0
-        x, y, z = Rotation.from_matrix(shape.turn @ self._past.shape.turn.T).as_rotvec()
-        rolled = place_mm[2] * np.array([-y, x])  # the top lies below its origin by that
-        return (place_mm - self._past.place_mm)[:2] + rolled, float(z)
-
 
 @dataclass(frozen=True, eq=False)
-class _Move:
+class _Pose:
+    """Where a shape stands, and how it came there."""
+
     shape: Shape
-    depth_mm: float
     place_mm: FloatArray
-    carried_mm: FloatArray
-    spin_rad: float
+    depth_mm: float
+    carried_mm: FloatArray  #: of its surface along the top since the last step, (2,)
+    spin_rad: float  #: about z since then
+
+    @classmethod
+    def after(cls, last: "_Past | None", shape: Shape, place_mm: FloatArray) -> "_Pose":
+        depth_mm = float(-place_mm[2] - shape.lowest_mm)
+        if last is None:
+            return cls(shape, place_mm, depth_mm, np.zeros(2), 0.0)
+        x, y, z = Rotation.from_matrix(shape.turn @ last.pose.shape.turn.T).as_rotvec()
+        rolled = place_mm[2] * np.array([-y, x])  # the top lies below its origin by that
+        return cls(shape, place_mm, depth_mm, (place_mm - last.pose.place_mm)[:2] + rolled, float(z))
 
 
 class _Window:
@@ -208,14 +198,14 @@ class _Window:
         low, high = np.array(self.patch.low_mm), np.array(self.patch.high_mm)
         return low + MARGIN * self.cell_mm, high - MARGIN * self.cell_mm
 
-    def balanced(self, move: _Move, before: State, friction: float) -> tuple[State, FloatArray]:
-        """The state after a move, and the shape's underside above the undeformed top (ny, nx)."""
-        x, y = self.patch.x_mm - move.place_mm[0], self.patch.y_mm[:, None] - move.place_mm[1]
-        step = move.carried_mm
-        if move.spin_rad:
-            step = np.stack(np.broadcast_arrays(step[0] - move.spin_rad * y, step[1] + move.spin_rad * x))
+    def balanced(self, pose: _Pose, before: State, friction: float) -> tuple[State, FloatArray]:
+        """The state after a shape moved there, and the shape's underside above the undeformed top (ny, nx)."""
+        x, y = self.patch.x_mm - pose.place_mm[0], self.patch.y_mm[:, None] - pose.place_mm[1]
+        step = pose.carried_mm
+        if pose.spin_rad:
+            step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
         drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
-        above = move.shape.heights_mm(x + drag[0], y + drag[1]) - move.depth_mm
+        above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm
         return before.carried(step).balanced(self.give, above, friction, TOLERANCE), above
 
     def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":
@@ -259,8 +249,6 @@ def _grid(surface: SurfaceCompliance, level: int) -> tuple[FloatArray, FloatArra
 
 @dataclass(frozen=True, eq=False)
 class _Past:
-    shape: Shape
-    place_mm: FloatArray
-    depth_mm: float
+    pose: _Pose
     window: _Window
     state: State

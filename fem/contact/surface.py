@@ -190,8 +190,6 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
     Returns shape (wide, wide, k, k) [mm/N]: steps along y and along x from the loaded cell to the observed one, both
     modulo `wide`; observed first.
 
-    Notes
-    -----
     Bloch's theorem: loads of phase exp(i θ·n) move ports alike, so that each θ is a problem of one cell, whose far
     sides follow its near ones.
     """
@@ -320,11 +318,9 @@ class PatchCompliance:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
         near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
         rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._on_tiles(force_n).ravel()
-        return (self._electrodes_of_layer(force_n).ravel() + rest).reshape(near.shape[:4])
-
-    def _electrodes_of_layer(self, force_n: FloatArray) -> FloatArray:
-        """Mean displacement of the electrodes of the endless layer, (n_units·n_upper, 3), from the table."""
-        return np.stack([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in self.electrode_kernels()])
+        kernels = self.electrode_kernels()
+        layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
+        return (layer + rest).reshape(near.shape[:4])
 
     def electrode_kernels(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each electrode: shares of the patch's rows in nodes of the table, what forces there do, and of columns.

@@ -82,20 +82,10 @@ class _Path:
 
 
 def find_equilibrium(system: AnySystem, factor: Factor | None = None, first_step: float = 1.0) -> Equilibrium:
-    """Load a body from rest to its full loads.
+    """Load a body from rest to its full loads, trying a first share of them.
 
-    Parameters
-    ----------
-    system : System or TetrahedralSystem
-    factor : Factor, optional
-        Of the system's tangents, to use again; it is left with the last tangent.
-    first_step : float
-        Share of the load to try first.
-
-    Raises
-    ------
-    UnreachableLoadError
-        With the load that was reached, the place that gave way, and what would help.
+    A factor of the system's tangents can be used again; it is left with the last one. An `UnreachableLoadError` says
+    which load was reached, the place that gave way, and what would help.
     """
     factor = factor or system.new_factor()
     state, share, step = system.rest(), 0.0, first_step

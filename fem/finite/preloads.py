@@ -57,15 +57,7 @@ def array_boxes(design: SensorDesign, pad: tuple[float, ...], height: tuple[floa
 
 
 class PreloadedArray:
-    """An array of k units on one grid.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        Of one rubber.
-    pad, height : tuple of float
-        Lines of the grid, see `array_boxes`.
-    """
+    """An array of k units of one rubber on one grid, its lines as of `array_boxes`."""
 
     def __init__(self, design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> None:
         self.design = design
@@ -77,13 +69,7 @@ class PreloadedArray:
         self._bases: dict[float, BaseState] = {}
 
     def base(self, preload_mpa: float) -> BaseState:
-        """The equilibrium under a uniform pressure on all pads, found once.
-
-        Raises
-        ------
-        UnreachableLoadError
-            If there is none.
-        """
+        """The equilibrium under a uniform pressure on all pads, found once; `UnreachableLoadError` if there is none."""
         if preload_mpa not in self._bases:
             down = -preload_mpa * self.design.pad.size_mm**2
             self._bases[preload_mpa] = BaseState.of(self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1))))
@@ -112,9 +98,12 @@ class PreloadedArray:
         spins = spins / rest.system.plates.half_mm[:, None]
         return np.asarray((moves[:, :, None] + np.cross(spins[:, :, None], self.arm)).reshape(3 * k, -1).T)
 
+    def forces_of(self, moved: FloatArray) -> FloatArray:
+        """Forces (m, 3 k) [N] that move the linear array most nearly by displacements (m, k, n_upper, 3) [mm]."""
+        return np.asarray(moved.reshape(len(moved), -1) @ self._inverse.T)
+
     @cached_property
-    def forces_of(self) -> FloatArray:
-        """Forces (3 k) that move the linear array most nearly by displacements (3 n_upper k), as a matrix [N/mm]."""
+    def _inverse(self) -> FloatArray:
         return np.asarray(np.linalg.pinv(self.influence))
 
     def linear_field(self, force_n: FloatArray) -> FloatArray:

@@ -13,15 +13,13 @@ extrapolated.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
 from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
-from fem.conduction.reduced import ReducedConduction, reduced_conduction
+from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
@@ -83,21 +81,15 @@ class SampleSolver:
     Parameters
     ----------
     design : SensorDesign
+        Of one neo-Hookean rubber, or a `DesignError`.
     influence_mm_per_n : array, shape (k, n_upper, 3, k, 3), optional
         Linear response of the electrodes by a much finer grid, per newton on each pad; None leaves each grid its own.
     resistance_per_n : array, shape (k, n_pillars, k, 3), optional
         Relative change of resistances by conduction per newton on each pad, by the same response.
     unwanted : function, optional
-        Displacements (m, k, n_upper, 3) to booleans (m,): of samples that need no answer, such as those far beyond a
-        cap of strain. These are given up before they have settled; they are the slowest.
+        Of samples that need no answer, such as those far beyond a cap of strain: given up before they have settled.
     typical : SensorDesign, optional
-        Design of the same unit whose `typical_conduction` reads the pillars; default: this one's own, which takes a
-        minute to make.
-
-    Raises
-    ------
-    DesignError
-        If the array has two rubbers, or one of another law than the neo-Hookean.
+        Design of the same unit whose `typical_conduction` reads the pillars; default: this one's own.
 
     Notes
     -----
@@ -126,23 +118,10 @@ class SampleSolver:
         self._reader = PillarReader(design, typical or design) if design.electrics.is_conduction else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
-        """Displacements of the electrodes under forces on the pads.
+        """Displacements of the electrodes under forces (m, k, 3) on the pads along x, y, z, down negative [N].
 
-        Parameters
-        ----------
-        force_n : array, shape (m, k, 3)
-            Along x, y, z; z negative pushes down [N].
-
-        Returns
-        -------
-        FiniteSamples
-            To the last bit the same for the same samples in the same order, on one machine and one thread; other
-            neighbours change it by rounding.
-
-        Raises
-        ------
-        UnreachableLoadError
-            If a uniform preload near a sample has no equilibrium.
+        To the last bit the same for the same samples in the same order, on one machine and one thread; other neighbours
+        change it by rounding. An `UnreachableLoadError` says that a uniform preload near a sample has no equilibrium.
         """
         share = self._shares(force_n)
         answers = []
@@ -151,18 +130,6 @@ class SampleSolver:
             for some in np.split(own, range(AT_ONCE, len(own), AT_ONCE)) if len(own) else []:
                 answers.append((some, weight[some], self._together(preload, force_n[some])))
         return _blended(len(force_n), answers)
-
-    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
-        """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
-
-        Small linear ones are added that bring the electrodes to their answer (k, n_upper, 3) [mm], as nearly as forces
-        can.
-        """
-        preload = PRELOADS_MPA[int(self._shares(force_n[None])[0] > 0.5)]
-        found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._is_unwanted)
-        missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
-        more = self.coarse.linear_field(self.coarse.forces_of @ missing.ravel())
-        return self.coarse.body.boxes, found.state.u[0] + more
 
     def _shares(self, force_n: FloatArray) -> FloatArray:
         """Weight of the second preload in answers to samples (m, k, 3) [N] by the middle of their pressures, (m,)."""
@@ -232,27 +199,19 @@ class SampleSolver:
         """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
         if self._influence is None:
             return moved
-        flat = moved.reshape(len(moved), -1)
-        return moved + (flat @ self._corrections[array is self.fine].T).reshape(moved.shape)
-
-    @cached_property
-    def _corrections(self) -> tuple[FloatArray, FloatArray]:
-        """(A − B) B⁺ of the coarse and of the finer grid."""
-        assert self._influence is not None
-        A = self._influence.reshape(self.coarse.influence.shape)
-        coarse, fine = ((A - array.influence) @ array.forces_of for array in (self.coarse, self.fine))
-        return coarse, fine
+        added = self._influence.reshape(array.influence.shape) - array.influence
+        return moved + (array.forces_of(moved) @ added.T).reshape(moved.shape)
 
     def _ratio_changes(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
         """What the much finer linear response adds to a grid's ratios under displacements (m, k, n_upper, 3)."""
         if self._resistance_per_n is None:
             return np.zeros(())
-        changes = moved.reshape(len(moved), -1) @ self._ratio_corrections[array is self.fine].T
+        changes = array.forces_of(moved) @ self._missing_ratios[array is self.fine].T
         return np.asarray(changes.reshape(*moved.shape[:2], -1))
 
     @cached_property
-    def _ratio_corrections(self) -> tuple[FloatArray, FloatArray]:
-        """As `_corrections`, of the ratios of the coarse and of the finer grid, (n_pillars k, 3 n_upper k) [1/mm]."""
+    def _missing_ratios(self) -> tuple[FloatArray, FloatArray]:
+        """What the coarse and the finer grid miss of the ratios per newton, (n_pillars k, 3 k) [1/N]."""
         assert self._influence is not None
         assert self._resistance_per_n is not None
         assert self._reader is not None
@@ -269,7 +228,7 @@ class SampleSolver:
             moved = (forces @ array.influence.T).reshape(n, k, -1, 3)
             up, down = (self._reader.ratios(sign * H, sign * moved)[0] for sign in (1, -1))
             seen = (up - down).reshape(n, -1).T / (2 * PROBE_N)
-            found.append((wanted.reshape(-1, n) - seen) @ array.forces_of)
+            found.append(wanted.reshape(-1, n) - seen)
         return found[0], found[1]
 
     def _is_unwanted(self, moved: FloatArray) -> NDArray[np.bool_]:
@@ -324,31 +283,16 @@ class PillarReader:
 
     def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
         self.unit = design.unit
-        self._piezo, self._reduced = _piezoresistivity(design), typical_conduction(typical)
+        self._piezo, self._reduced = Piezoresistivity.of(design.electrics), typical_conduction(typical)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         #: places in the pillars where gradients are wanted, (k·n, 3)
         self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
         self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
 
     def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Resistances over eq. 1's.
+        """Resistances over eq. 1's (m, k, n_pillars), by ∂u/∂X (m, k·n, 3, 3) and displacements (m, k, n_upper, 3).
 
-        Parameters
-        ----------
-        gradient : array, shape (m, k·n, 3, 3)
-            ∂u/∂X of m states at this reader's points, see `gradients`.
-        electrode_mm : array, shape (m, k, n_upper, 3)
-            Displacements of the same states, for eq. 1.
-
-        Returns
-        -------
-        array, shape (m, k, n_pillars)
-            1 in states that are no answers.
-        array, shape (m,)
-            Which states are: every pillar has kept the volume of `MIN_WEIGHT` of itself.
-
-        Notes
-        -----
+        Also which states are answers, (m,): every pillar has kept `MIN_WEIGHT` of its volume; of others ratios are 1.
         Points under the edge of a plate, where coarse grids tear the rubber, are blended with the mean of their pillar.
         """
         reduced = self._reduced
@@ -364,11 +308,6 @@ class PillarReader:
         return ratios, good
 
 
-def _piezoresistivity(design: SensorDesign) -> Piezoresistivity:
-    electrics = design.electrics
-    return Piezoresistivity(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
-
-
 def typical_conduction(design: SensorDesign) -> ReducedConduction:
     """Reduced conduction of a design's units, from samples of 2 × 2 of them: a minute, then from the cache."""
     typical = replace(
@@ -376,39 +315,38 @@ def typical_conduction(design: SensorDesign) -> ReducedConduction:
     )
 
     def make() -> ReducedConduction:
-        return reduced_conduction(design.unit, _TypicalSamples(typical).deformations, _piezoresistivity(design))
+        piezo = Piezoresistivity.of(design.electrics)
+        return reduced_conduction(design.unit, _typical_deformations(typical), piezo)
 
-    def read(path: Path) -> ReducedConduction:
-        return ReducedConduction(**read_arrays(path))
+    key = digest("reduced conduction", TYPICAL_METHOD, TYPICAL, typical)
+    return kept(
+        "conduction.npz",
+        key,
+        make,
+        lambda path: ReducedConduction(**read_arrays(path)),
+        lambda made, path: write_arrays(vars(made), path),
+    )[0]
 
-    def write(made: ReducedConduction, path: Path) -> None:
-        write_arrays(vars(made), path)
 
-    return kept("conduction.npz", digest("reduced conduction", TYPICAL_METHOD, TYPICAL, typical), make, read, write)[0]
+def _typical_deformations(design: SensorDesign) -> Deformations:
+    """Deformation gradients of both grids in all units of an array of eq. 1, in random samples that others resemble."""
+    generator, k = np.random.default_rng(0), design.n_units
+    force_n = np.empty((TYPICAL, k, 3))
+    force_n[..., 2] = -generator.uniform(0, HIGHEST, (TYPICAL, k))
+    angle, share = generator.uniform(0, 2 * np.pi, (TYPICAL, k)), np.sqrt(generator.uniform(0, 1, (TYPICAL, k)))
+    force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
+    force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
+    solver = SampleSolver(design)
+    fields = solver.fields(force_n * (design.matrix_material.young_mpa * design.pad.size_mm**2))
 
-
-class _TypicalSamples:
-    """Random samples of an array of eq. 1, whose deformations others resemble."""
-
-    def __init__(self, design: SensorDesign) -> None:
-        self._solver = SampleSolver(design)
-        self._centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        generator, k = np.random.default_rng(0), design.n_units
-        force_n = np.empty((TYPICAL, k, 3))
-        force_n[..., 2] = -generator.uniform(0, HIGHEST, (TYPICAL, k))
-        angle, share = generator.uniform(0, 2 * np.pi, (TYPICAL, k)), np.sqrt(generator.uniform(0, 1, (TYPICAL, k)))
-        force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
-        force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
-        force_n *= design.matrix_material.young_mpa * design.pad.size_mm**2
-        self._fields = self._solver.fields(force_n)
-
-    def deformations(self, points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
-        """Deformation gradients (n, 3, 3) of both grids in all units at points (n, 3) of a unit's pillars [mm]."""
-        for centre in self._centres:
-            slopes = self._solver.slopes(points_mm + centre)
-            for H in (H for field in self._fields for H in field.gradients(*slopes)):
+    def deformations(points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
+        for centre in np.pad(unit_centres(design), ((0, 0), (0, 1))):
+            slopes = solver.slopes(points_mm + centre)
+            for H in (H for field in fields for H in field.gradients(*slopes)):
                 F, good = _mended(np.eye(3) + H[:, None], pillar, weight_mm3)
                 yield from F[good]
+
+    return deformations
 
 
 def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
@@ -419,10 +357,7 @@ def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
 
 
 def _mended(F: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Deformations (m, k, n, 3, 3) of points, torn ones blended with the mean of their pillar; where they are, (m, k).
-
-    They are no answer where less than `MIN_WEIGHT` of a pillar is whole.
-    """
+    """Deformations (m, k, n, 3, 3) of points, torn ones blended with the mean of their pillar; which are answers."""
     weight = _smooth_step(np.linalg.det(F), TORN, WHOLE)  # so that resistances have no jumps
     volume = np.eye(pillar.max() + 1)[pillar] * weight_mm3[:, None]
     total = weight @ volume  # (m, k, n_pillars)

@@ -35,14 +35,9 @@ class BaseState:
 
     @classmethod
     def of(cls, system: System) -> "BaseState":
-        """The equilibrium of a system under its own loads, which may be 0.
+        """The equilibrium of a system under its own loads, which may be 0; `UnreachableLoadError` if there is none.
 
-        Raises
-        ------
-        UnreachableLoadError
-            If there is none.
-        ValueError
-            If the loads have no potential: tangents of series are symmetric.
+        Loads without a potential are a `ValueError`: tangents of series are symmetric.
         """
         if not system.symmetric:
             raise ValueError(
@@ -92,19 +87,8 @@ class LoadSeries:
 def load_series(base: BaseState, loads: FloatArray, orders: int) -> LoadSeries:
     """Series of the response to loads on the plates, of many samples at once.
 
-    Parameters
-    ----------
-    base : BaseState
-    loads : array, shape (m, 2, k, 3)
-        Forces and moments over half-widths on the plates of m samples, less those of the base state [N].
-    orders : int
+    Loads (m, 2, k, 3) are forces and moments over half-widths of m samples, less those of the base state [N].
 
-    Returns
-    -------
-    LoadSeries
-
-    Notes
-    -----
     Rotations are R = I + 2 q₀ [v] + 2 [v]², q₀² = 1 − |v|²: a series of v gives that of R by products and a root.
     """
     return _Expansion(base, len(loads)).expand(loads, orders)

@@ -15,10 +15,7 @@ from fem.levels import Convergence
 from fem.mirrors import Mirror
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
-from fem.scene.solution import (
-    FiniteSolution,
-    Stopwatch,
-)
+from fem.scene.solution import FiniteSolution, Stopwatch
 from fem.system import System
 
 #: least and greatest rate at which probes are taken to converge with the level: coarse levels show up to 3.1 under
@@ -31,30 +28,12 @@ EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of line
 
 
 def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool = False) -> FiniteSolution:
-    """Displacement of a scene's probes at finite strain, its rubbers neo-Hookean.
+    """Displacement of a scene's probes at finite strain.
 
-    Parameters
-    ----------
-    scene : Scene
-        A body, its loads, its probes and its tolerance, whatever the model of its rubbers.
-    mirrors : sequence of Mirror, optional
-        Planes in which body and loads mirror themselves: only the part above them is solved.
-    with_field : bool
-        Also return the displacement of the whole body, of the finest grid.
+    Grids are refined until the estimate meets the scene's tolerance, a finer one would cost too much, or its elements
+    collapse at a singular edge: look at the estimate. Only the part above mirrors is solved. `with_field` returns the
+    displacement of the whole body, too. An `UnreachableLoadError` says which load was reached.
 
-    Returns
-    -------
-    FiniteSolution
-        Refined until the estimate meets the tolerance, a finer grid would cost too much, or a finer grid's elements
-        collapse at a singular edge: look at the estimate.
-
-    Raises
-    ------
-    UnreachableLoadError
-        If there is no equilibrium at the full load, with the load that was reached.
-
-    Notes
-    -----
     The error is estimated from three grids by the rate at which they converge, see `fem.levels`. Under plates alone
     answers are the limit to which the last two grids tend.
     """

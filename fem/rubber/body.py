@@ -215,11 +215,6 @@ class RubberBody:
             forces = self.divergence(self.stress(strain, p))
         return forces, p, strain.J.min(axis=(1, 2))
 
-    def least_j(self, u: FloatArray) -> tuple[float, int]:
-        """The least ratio of volumes of one state (n_nodes, 3), and the element that has it."""
-        least = self.strain(u[None]).J[0].min(axis=1)
-        return float(least.min()), int(least.argmin())
-
     def energy_mj(self, u: FloatArray) -> float:
         """Stored energy of one state (n_nodes, 3); NaN where it is turned inside out."""
         strain = self.strain(u[None])

@@ -21,10 +21,7 @@ from geometry.errors import TriPillarError
 PROTOCOL = 1  #: version of docs/frames.md that this code follows
 
 _DELIMITER = b"\0"
-_FRAME_TYPE, _INFO_TYPE, _ERRORS_TYPE = b"DIE"
-_FRAME_HEADER = struct.Struct("<BBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
-_INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their order
-_ERRORS = struct.Struct("<BBBB")  # likewise
+_FRAME_HEADER = struct.Struct("<cBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
 _CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 MAX_OVERRUNS = _BYTE  #: largest number of overruns that a board counts; it stands for more, too
@@ -141,18 +138,21 @@ def encode(frame: Frame | Info | Errors) -> bytes:
     return cobs.encode(pack(frame)) + _DELIMITER
 
 
+_ANSWERS = {  # by type: the class, and its fields in their order behind the type
+    b"I": (Info, struct.Struct("<cBBBBB3sHIIH")),
+    b"E": (Errors, struct.Struct("<cBBB")),
+}
+
+
 def pack(frame: Frame | Info | Errors) -> bytes:
     """A frame's fields and their CRC: what is on the wire, before COBS."""
     if isinstance(frame, Frame):
-        header = _FRAME_HEADER.pack(
-            _FRAME_TYPE, frame.flags, frame.sequence, frame.device_us,
-            frame.counts.size, frame.bits, frame.overruns,
-        )  # fmt: skip
-        packed = header + frame.counts.astype("<u2").tobytes()
+        header = (b"D", frame.flags, frame.sequence, frame.device_us, frame.counts.size, frame.bits, frame.overruns)
+        packed = _FRAME_HEADER.pack(*header) + frame.counts.astype("<u2").tobytes()
     else:
+        letter = b"I" if isinstance(frame, Info) else b"E"
         values = [bytes(value) if isinstance(value, tuple) else value for value in vars(frame).values()]
-        is_info = isinstance(frame, Info)
-        packed = (_INFO if is_info else _ERRORS).pack(_INFO_TYPE if is_info else _ERRORS_TYPE, *values)
+        packed = _ANSWERS[letter][1].pack(letter, *values)
     return packed + _CRC.pack(_crc(packed))
 
 
@@ -183,31 +183,29 @@ def unpack(body: bytes) -> Frame | Info | Errors | str:
         return "bad_crc"
     try:
         if packed[:1] == b"D":
-            return _unpack_frame(packed)
-        if packed[:1] == b"I":
-            _, *values = _INFO.unpack(packed)
-            named = dict(zip((each.name for each in fields(Info)), values, strict=True))
-            return Info(**named | {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])})
-        if packed[:1] == b"E":
-            return Errors(**dict(zip((each.name for each in fields(Errors)), _ERRORS.unpack(packed)[1:], strict=True)))
+            _, flags, sequence, device_us, count, bits, overruns = _FRAME_HEADER.unpack_from(packed)
+            counts = np.frombuffer(packed, "<u2", offset=_FRAME_HEADER.size)
+            if counts.size != count:
+                return "bad_form"
+            return Frame(
+                sequence=sequence,
+                device_us=device_us,
+                bits=bits,
+                counts=counts,
+                saturated=bool(flags & 1),
+                scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
+                overruns=overruns,
+            )
+        if packed[:1] in _ANSWERS:
+            kind, form = _ANSWERS[packed[:1]]
+            _, *values = form.unpack(packed)
+            named: dict[str, Any] = dict(zip((each.name for each in fields(kind)), values, strict=True))
+            if kind is Info:
+                named |= {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])}
+            return kind(**named)
     except (struct.error, ValueError):  # a length or a value that no frame has
         pass
     return "bad_form"
-
-
-def _unpack_frame(packed: bytes) -> Frame:
-    _, flags, sequence, device_us, count, bits, overruns = _FRAME_HEADER.unpack_from(packed)
-    if len(packed) != _FRAME_HEADER.size + 2 * count:
-        raise FrameError(f"{len(packed)} bytes do not hold {count} counts.")
-    return Frame(
-        sequence=sequence,
-        device_us=device_us,
-        bits=bits,
-        counts=np.frombuffer(packed, "<u2", offset=_FRAME_HEADER.size),
-        saturated=bool(flags & 1),
-        scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
-        overruns=overruns,
-    )
 
 
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
@@ -260,15 +258,15 @@ class FrameDecoder:
 
     >>> decoder = FrameDecoder()
     >>> wire = encode(Info(rows=1, cols=2))
-    >>> decoder.feed(wire[:10]), decoder.pending
-    ([], 10)
+    >>> decoder.feed(wire[:10])
+    []
     >>> [info] = decoder.feed(wire[10:])
     >>> info.rows, info.cols, decoder.statistics.info
     (1, 2, 1)
     """
 
     def __init__(self) -> None:
-        self._pending = bytearray()
+        self._pending = bytearray()  # since the last delimiter
         self._counted: Counter[str] = Counter()
         self._has_met_delimiter = False
         self._previous: Frame | None = None
@@ -278,11 +276,6 @@ class FrameDecoder:
     def statistics(self) -> Statistics:
         return Statistics(**self._counted)
 
-    @property
-    def pending(self) -> int:
-        """Bytes received since the last delimiter: a frame that is not complete."""
-        return len(self._pending)
-
     def feed(self, data: bytes) -> list[Frame | Info | Errors]:
         """The frames that `data` completes, in the order of their arrival."""
         *ends, rest = data.split(_DELIMITER)
@@ -290,29 +283,28 @@ class FrameDecoder:
         for end in ends:
             chunk = bytes(self._pending) + end
             self._pending.clear()
-            if chunk and (frame := self._take(chunk)):
-                frames.append(frame)
+            found = self._take(chunk) if chunk else ""
+            if not isinstance(found, str):
+                frames.append(found)
+            elif found == "repeated" or (found and self._has_met_delimiter):
+                self._counted[found] += 1
             self._has_met_delimiter = True
         room = _MAX_CHUNK + 1 - len(self._pending)  # the one byte too many marks a chunk as over-long
         self._pending += rest[:room]
         return frames
 
-    def _take(self, chunk: bytes) -> Frame | Info | Errors | None:
+    def _take(self, chunk: bytes) -> Frame | Info | Errors | str:
+        """What stands between two delimiters, counted; or the field of `Statistics` that says why it is no frame."""
         if chunk == self._previous_chunk:
-            self._counted["repeated"] += 1
-            return None
+            return "repeated"
         try:
             frame = unpack(cobs.decode(chunk)) if len(chunk) <= _MAX_CHUNK else "bad_form"
         except cobs.DecodeError:
-            frame = "bad_cobs"
-        if isinstance(frame, str):
-            self._counted[frame] += self._has_met_delimiter
-            return None
+            return "bad_cobs"
         if isinstance(frame, Frame):
             self._counted["ok"] += 1
             missing = missing_between(self._previous, frame) if self._previous else 0
             self._counted["restarts" if missing is None else "lost"] += 1 if missing is None else missing
             self._previous, self._previous_chunk = frame, chunk
-        elif isinstance(frame, Info):
-            self._counted["info"] += 1
+        self._counted["info"] += isinstance(frame, Info)
         return frame

@@ -104,17 +104,8 @@ class SensorCalibration:
 
     def to_json(self) -> str:
         """The JSON text of calibration files and of recordings."""
-        plain = {
-            "kind": KIND,
-            "version": VERSION,
-            "serial": self.serial,
-            "electronics": asdict(self.electronics),
-            "gain": self.gain.tolist(),
-            "offset_ohm": self.offset_ohm.tolist(),
-            "rest_ohm": None if self.rest_ohm is None else self.rest_ohm.tolist(),
-            "made_from": self.made_from,
-        }
-        return sealed_json(plain)
+        plain = {name: each.tolist() if isinstance(each, np.ndarray) else each for name, each in vars(self).items()}
+        return sealed_json({"kind": KIND, "version": VERSION} | plain | {"electronics": asdict(self.electronics)})
 
     @classmethod
     def from_json(cls, text: str, source: str = "the calibration") -> "SensorCalibration":

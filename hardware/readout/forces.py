@@ -60,11 +60,15 @@ class Forces:
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     def __getitem__(self, which: int | slice) -> "Forces":
-        """Forces of some scans; what is known of deviations goes along."""
+        """Forces of some scans; what is known of deviations and net load goes along."""
         given = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
         known = vars(self).get("deviations", self.stated)
         stated: Any = known and tuple(None if each is None else each[which] for each in known)
-        return replace(self, **given, stated=stated)
+        some = replace(self, **given, stated=stated)
+        if "wrench" in vars(self):
+            found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
+            vars(some)["wrench"] = Wrench(**found)
+        return some
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:

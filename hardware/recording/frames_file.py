@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 import numpy as np
@@ -37,6 +36,7 @@ _MAX_RECORD_BYTES = 2**26  # longer ones are damaged
 _MAX_UNIX_S = 1e10  # beyond, nanoseconds do not fit the 64 bits that MCAP has for them
 _TIME = struct.Struct("<d")
 _NO_TIME = _TIME.pack(np.nan)
+_AROUND = packed_dtype(0).itemsize  # bytes of a packed frame beside its counts
 _FROM_THE_RECEIVER = ("bad_cobs", "bad_crc", "bad_form", "repeated", "foreign")
 
 
@@ -136,9 +136,7 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _session(self, because: str) -> bytes:
@@ -192,13 +190,13 @@ def _reason(error: OSError) -> str:
     return f"the disk is full ({error.strerror})" if error.errno in FULL else str(error.strerror)
 
 
-def _require_same_board(info: Info, n_counts: int, bits: int, flags: int, source: str) -> None:
+def _require_same_board(info: Info, n_counts: float, bits: int, flags: int, source: str) -> None:
     """Refuse a frame that a board with this INFO does not send."""
     if (n_counts, bits, flags >> 1) != (info.n_crossings, info.bits, info.scan_mode):
         raise FileFormatError(
-            f"{source}: a data frame has {n_counts} counts of {bits} bits in scan mode {flags >> 1}, the INFO frame's "
-            f"{info.rows} × {info.cols} units make {info.n_crossings} of {info.bits} bits in {info.scan_mode.name}: "
-            "keep one board with one setting to a recording."
+            f"{source}: a data frame has {n_counts:g} counts of {bits} bits in scan mode {flags >> 1}, but its INFO "
+            f"frame says {info.rows} × {info.cols} units, which make {info.n_crossings} of {info.bits} bits in "
+            f"{info.scan_mode.name}: keep one board with one setting to a recording."
         )
 
 
@@ -238,7 +236,7 @@ def _read(file: IO[bytes], source: str) -> Recording:
     stated: list[Header] = []
     session = frame = b""  # the last ones: a session stands twice, a frame should not
     rows, runs, run = bytearray(), bytearray(), 0
-    shapes: set[tuple[int, int, int]] = set()  # of frames: number of counts, bits, scan mode
+    shapes: set[tuple[int, int, int]] = set()  # of packed frames: bytes, bits, flags
     counted: Counter[str] = Counter()
     damaged_at: list[int] = []
     truncated_bytes = 0
@@ -252,7 +250,7 @@ def _read(file: IO[bytes], source: str) -> Recording:
             rows += row
             runs += run.to_bytes(4, "little")
             counted["ok"] += 1
-            shapes.add((int.from_bytes(frame[8:10], "little"), frame[10], frame[1] & ~1))
+            shapes.add((len(frame), frame[10], frame[1]))
         elif kind == _SESSION and content != session:
             session, plain = content, _json(content)
             stated.append(read_header(plain, source))
@@ -268,8 +266,8 @@ def _read(file: IO[bytes], source: str) -> Recording:
             counted[content.decode()] += 1
             damaged_at.append(at)
     header = _common_header(stated, counted["ok"], file.tell(), source)
-    for n_counts, bits, flags in sorted(shapes):
-        _require_same_board(header.info, n_counts, bits, flags, source)
+    for n_bytes, bits, flags in sorted(shapes):
+        _require_same_board(header.info, (n_bytes - _AROUND) / 2, bits, flags, source)
     dtype = np.dtype([("received_s", "<f8"), *packed_dtype(header.info.n_crossings).descr])
     columns = np.frombuffer(rows, dtype)
     arrivals = columns["received_s"].astype(np.float64)

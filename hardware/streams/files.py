@@ -100,11 +100,11 @@ def write_forces(recording: Recording, forces: Forces, path: Path, ros2: bool = 
         from hardware.streams.ros2_file import ros2_channels, ros2_messages
 
         forces.description.require_positions()
-        _write_mcap(path, ros2_channels(), ros2_messages(recording, forces), profile="ros2")
+        _write_mcap(path, ros2_channels(), ros2_messages(_stamped(forces, recording)), profile="ros2")
     elif suffix == ".mcap":
         topics = (FORCES, WRENCH) if forces.contacts is None else (FORCES, WRENCH, CONTACTS)
         channels = json_channels(INFO, SCAN, SENSOR, *topics)
-        _write_mcap(path, channels, _messages(recording, forces, topics))
+        _write_mcap(path, channels, _messages(recording, _stamped(forces, recording), topics))
     else:
         raise FileFormatError(f"{path}: no form of forces: end the name in {'.mcap' if ros2 else '.nc or .mcap'}.")
 
@@ -138,12 +138,10 @@ def _messages(recording: Recording, forces: Forces | None = None, topics: tuple[
 
     Their log time is the scan's stamp, the publish time of counts the board's clock.
     """
-    stamps_ns = recording.stamps_ns()
+    stamps_ns = recording.stamps_ns() if forces is None else forces.stamp_ns
     start_ns = int(stamps_ns[0])  # viewers draw their time axis from the first message on
     yield Message(INFO, recording.plain(), start_ns, start_ns)
     if forces is not None:
-        forces = replace(forces, stamp_ns=stamps_ns)
-        _ = forces.deviations, forces.wrench  # of all at once, before they are taken one by one
         yield Message(SENSOR, forces.description.plain(), start_ns, start_ns)
     columns = recording.columns()
     if recording.received_s is None:
@@ -156,6 +154,13 @@ def _messages(recording: Recording, forces: Forces | None = None, topics: tuple[
             one = forces[k]
             for topic in topics:
                 yield Message(topic, CONTENTS[topic](one), stamp_ns, stamp_ns)
+
+
+def _stamped(forces: Forces, recording: Recording) -> Forces:
+    """Forces at their stamps, with deviations and net loads of all at once, before they are taken one by one."""
+    found = replace(forces, stamp_ns=recording.stamps_ns(), stated=forces.deviations)
+    _ = found.wrench
+    return found
 
 
 def _write_mcap(path: Path, channels: Mapping[str, Channel], messages: Iterable[Message], profile: str = "") -> None:

@@ -14,7 +14,6 @@ from geometry.layout import AXES, FloatArray
 from hardware.readout.description import FRAME, NORMAL, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS
-from hardware.recording import Recording
 from hardware.streams.files import Channel, Message
 
 PACKAGE = "tripillar_msgs"
@@ -55,14 +54,12 @@ def ros2_channels() -> dict[str, Channel]:
     return {SHAPE: channel("TactileShape", offered_qos_profiles=LATCHED), FRAMES: channel("TactileFrame")}
 
 
-def ros2_messages(recording: Recording, forces: Forces) -> Iterator[Message]:
+def ros2_messages(forces: Forces) -> Iterator[Message]:
     """The description of the sensor, and then a message a scan, at the stamps of the board's clock."""
-    _ = forces.deviations, forces.wrench  # of all at once, before they are taken one by one
-    for k, stamp_ns in enumerate(recording.stamps_ns().tolist()):
+    for k, stamp_ns in enumerate(forces.stamp_ns.tolist()):
         if k == 0:
-            shape = shape_message(forces.description, stamp_ns)
-            yield Message(SHAPE, shape, stamp_ns, stamp_ns)
-        content = frame_message(forces[k], stamp_ns)
+            yield Message(SHAPE, shape_message(forces.description, stamp_ns), stamp_ns, stamp_ns)
+        content = frame_message(forces[k])
         yield Message(FRAMES, content, stamp_ns, stamp_ns, content["sequence"])
 
 
@@ -87,14 +84,14 @@ def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
     }
 
 
-def frame_message(scan: Forces, stamp_ns: int) -> dict[str, Any]:
+def frame_message(scan: Forces) -> dict[str, Any]:
     """The forces of one scan as a TactileFrame."""
     wrench, axes = scan.wrench, scan.description.axes
     deviation_n = np.full(scan.force_n.shape, np.nan) if scan.deviation_n is None else scan.deviation_n
     deviations = (wrench.force_deviation_n, wrench.moment_deviation_nmm, wrench.centre_deviation_mm)
     force_n, moment_nmm, centre_mm = (np.full(3, np.nan) if each is None else each for each in deviations)
     return {
-        "header": _header(stamp_ns),
+        "header": _header(int(scan.stamp_ns)),
         "sequence": int(scan.sequence),
         "device_us": int(scan.device_us),
         "forces": _vectors(_on_sensor(scan.force_n, axes)),

@@ -13,22 +13,14 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dataset import (
-    OPEN_OHM,
-    DatasetSettings,
-    Imperfections,
-    SampleError,
-    Samples,
-    in_memory,
-    read_samples,
-    simulate,
-)
+from dataset import OPEN_OHM, DatasetSettings, Imperfections, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
-from dataset.stored import StoredSamples, is_current
-from dataset.table import write_table
+from dataset.stored import is_current
+from dataset.table import columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.storage.netcdf import write_netcdf
+from tests.house import House
 
 FORMS = ("nc", "zarr", "csv")
 LABELLED = ("nc", "zarr")  #: forms that hold attributes and names of axes
@@ -58,10 +50,7 @@ def copy(leaves, tmp_path) -> Path:
 
 
 def write(samples: Samples, path: Path) -> Path:
-    if path.suffix == ".csv":
-        write_table(samples, path)
-    else:
-        samples.write(path)
+    write_table(samples, path) if path.suffix == ".csv" else samples.write(path)
     return path
 
 
@@ -94,10 +83,8 @@ def test_a_file_gives_back_every_bit_and_what_made_it(data, tmp_path, form):
     data = replace(data, force_n=-data.force_n)
     path = write(data, tmp_path / f"a.{form}")
     samples, few = read_samples(path), read_samples(path, labels_only=True)
-    held = data.arrays() if form in LABELLED else LABELS
-    for name in held:
+    for name in data.arrays() if form in LABELLED else LABELS:
         assert np.array_equal(getattr(samples[:], name), getattr(data, name))
-        assert getattr(samples[:], name).dtype == np.float64
     assert few[:].arrays().keys() == set(LABELS)
     assert (len(samples), samples.shape, samples.dtype) == (5, (2, 3), np.float64)
     assert few.content_hash == samples.content_hash
@@ -108,6 +95,9 @@ def test_a_file_gives_back_every_bit_and_what_made_it(data, tmp_path, form):
         samples.write(tmp_path / "again.nc")
         assert (tmp_path / "again.nc").read_bytes() == path.read_bytes()
     assert np.array_equal(pickle.loads(pickle.dumps(samples))[3].force_n, data[3].force_n)  # in another process
+    for text in (repr(samples), samples._repr_html_()):
+        assert "5 samples of 2 × 3 units" in text
+        assert "axis [N]: z" in text
 
 
 def test_netcdf_keeps_the_contract(data, response, tmp_path):
@@ -121,9 +111,6 @@ def test_netcdf_keeps_the_contract(data, response, tmp_path):
         "resistance_ohm": ((*grid, "pillar"), "ohm"),
     }
     with netCDF4.Dataset(write(data, tmp_path / "a.nc")) as file:
-        assert {name: size.size for name, size in file.dimensions.items()} == {
-            "sample": 5, "row": 2, "col": 3, "axis": 3, "electrode": 2, "pillar": 3,
-        }  # fmt: skip
         assert set(file.variables) == {*contract, "axis", "pillar", "electrode"}
         for name, (dims, units) in contract.items():
             assert (file[name].dimensions, file[name].dtype, file[name].units) == (dims, np.float64, units)
@@ -139,24 +126,9 @@ def test_netcdf_keeps_the_contract(data, response, tmp_path):
         assert ("bits" in file.ncattrs(), file.seed) == (False, 2**63 - 1)
 
 
-def test_xarray_reads_zarr_lazily_as_the_contract_says(many, leaves):
-    lazy = read_samples(leaves).to_xarray()
-    assert all(lazy[name].dims == VARIABLES[name].dims for name in many.arrays())
-    assert lazy["force_n"].chunks[0] == (LEAF, 300)
-    assert list(lazy["pillar"].values) == ["z", "x", "y"]
-    some = lazy["resistance_ohm"].sel(pillar="x").isel(sample=slice(0, 3)).to_numpy()
-    assert np.array_equal(some, many.resistance_ohm[:3, ..., 1])
-
-
 @pytest.mark.parametrize("form", LABELLED)
 @pytest.mark.parametrize(
-    "dead",
-    [
-        {"dead_pillars": ((1, 2, "y"),)},
-        {"dead_pillars": ((0, 0, "z"), (1, 2, "y")), "dead_rows": (3,)},
-        {"dead_rows": (0, 1), "dead_cols": (5,)},
-    ],
-    ids=["one pillar", "pillars and a wire", "wires"],
+    "dead", [{"dead_pillars": ((0, 0, "z"), (1, 2, "y")), "dead_rows": (3,)}, {"dead_rows": (0, 1), "dead_cols": (5,)}]
 )
 def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dead, form):
     """One or several of each: NetCDF hands a list of one over as a scalar. Also where samples were read otherwise."""
@@ -179,21 +151,18 @@ def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dea
 @pytest.mark.parametrize(
     "attributes",
     [
-        {"noise": "low"}, {"noise": -1.0}, {"noise": np.nan}, {"noise": [0.1, 0.2]},
-        {"bits": 99}, {"bits": "twelve"}, {"bits": [12, 12]},
-        {"dead_pillars": "all"}, {"dead_pillars": ["0,0,z", "5,0,z"]}, {"dead_pillars": "0,0,w"}, {"dead_pillars": 3},
-        {"dead_rows": 4}, {"dead_rows": -1}, {"dead_rows": [0, 99]}, {"dead_rows": 0.5}, {"dead_rows": ""},
-        {"dead_cols": "first"}, {"dead_cols": 6},
-        *({"design": words} for words in ("a 6 × 6 array", "", "# by hand", "[sensor]\npitch = 15\n", 5)),
+        {"noise": "low"}, {"noise": -1.0}, {"noise": [0.1, 0.2]}, {"bits": 99}, {"bits": "twelve"}, {"bits": [12, 12]},
+        {"dead_pillars": ["0,0,z", "5,0,z"], "dead_rows": [0, 99], "dead_cols": "first"},
+        {"dead_pillars": "0,0,w", "dead_rows": 0.5, "dead_cols": 6}, {"design": "a 6 × 6 array"}, {"design": 5},
     ],
     ids=str,
 )  # fmt: skip
 def test_attributes_of_others_that_make_no_sense_are_passed_over(data, tmp_path, attributes, form):
     """And they take no other attribute with them: the arrays are the contract."""
     back = read_samples(by_others(data, tmp_path / f"a.{form}", lambda d: d.assign_attrs(attributes)))
-    stated = {"noise": 0.001, "bits": 16, "design": data.design}
     missing = {"noise": 0.0, "bits": None, "design": None}
-    expected = {name: missing[name] if name in attributes else value for name, value in stated.items()}
+    stated = {"noise": 0.001, "bits": 16, "design": data.design}
+    expected = stated | {name: missing[name] for name in missing.keys() & attributes.keys()}
     assert {name: getattr(back, name) for name in stated} == expected
     assert not back.dead.any()
 
@@ -201,12 +170,9 @@ def test_attributes_of_others_that_make_no_sense_are_passed_over(data, tmp_path,
 OTHERS = {
     "other dims": lambda d: d.transpose("pillar", "axis", "electrode", "col", "row", "sample"),
     "other labels": lambda d: d.sel(axis=["z", "x", "y"], pillar=["x", "y", "z"], electrode=["U2", "U1"]),
-    "needed only": lambda d: d[["force_n", "resistance_ohm"]],
-    "more": lambda d: d.assign(extra=("row", [1.0, 2.0])),
-    "numbered": lambda d: d.assign_coords(sample=np.arange(5) + 100),
-    "unlabelled": lambda d: d.drop_vars(["axis", "pillar"]),
+    "needed only": lambda d: d[["force_n", "resistance_ohm"]].drop_attrs(),
+    "more": lambda d: d.assign(extra=("row", [1.0, 2.0])).assign_coords(sample=np.arange(5) + 100),
     "unnamed": lambda d: xr.Dataset({name: (list("abcd"), d[name].values) for name in LABELS}),
-    "no sensor": lambda d: d.drop_attrs(deep=False),
     **{
         f"of type {dtype}": lambda d, dtype=dtype: d.assign({name: d[name].astype(dtype) for name in LABELS})
         for dtype in ("float32", "int32", ">f8")
@@ -229,8 +195,12 @@ def test_files_of_others_are_read_by_their_labels(data, tmp_path, change, form):
         assert (back.design, back.noise, back.bits) == (None, 0.0, None)
 
 
-def test_zarr_of_others_is_read_whatever_its_chunks(data, tmp_path):
-    """And its hash is computed from the numbers where none is stated."""
+def test_zarr_is_read_lazily_and_whatever_its_chunks(data, many, leaves, tmp_path):
+    """Its hash is computed from the numbers where none is stated."""
+    lazy = read_samples(leaves).to_xarray()
+    assert all(lazy[name].dims == VARIABLES[name].dims for name in many.arrays())
+    assert lazy["force_n"].chunks[0] == (LEAF, 300)
+    assert np.array_equal(lazy["resistance_ohm"].sel(pillar="x")[:3], many.resistance_ohm[:3, ..., 1])
     mixed = data.labels().to_xarray().drop_attrs()
     encoding = {name: {"chunks": (2, 1, 2, 3) if name == "force_n" else (3, 2, 3, 2)} for name in mixed.data_vars}
     mixed.to_zarr(tmp_path / "a.zarr", encoding=encoding, zarr_format=2, consolidated=True)
@@ -239,32 +209,31 @@ def test_zarr_of_others_is_read_whatever_its_chunks(data, tmp_path):
     assert read_samples(write(data, tmp_path / "b.zarr")).content_hash == stored.content_hash
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
-def test_tables_of_others_are_read_by_their_columns(data, tmp_path, separator):
-    """In any order, others between them; a semicolon goes with a decimal comma."""
+def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data, tmp_path):
+    """In any order, others between them; a semicolon goes with a decimal comma. Of whatever file, by the command."""
+    data.only("length_mm").write(tmp_path / "a.zarr", dtype="float32")
+    told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
+    assert told == {"file": "own.csv", "samples": 5, "columns": 54}
+    names, *lines = (tmp_path / "own.csv").read_text().splitlines()
+    assert names.split(",") == columns_of(["force_n", "length_mm", "resistance_ohm"], 2, 3)
+    numbers = np.loadtxt(lines, delimiter=",", dtype=np.float32)
+    assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     rows = [line.split(",") for line in write(data, tmp_path / "own.csv").read_text().splitlines()]
-    rows = [[str(number), *reversed(row)] for number, row in enumerate(rows)]
-    rows[0][0] = "my number"
-    if separator == ";":
-        rows[1:] = [[cell.replace(".", ",") for cell in row] for row in rows[1:]]
-    (tmp_path / "other.csv").write_text("\ufeff" + "\n".join(separator.join(row) for row in rows), encoding="utf-8")
-    back = read_samples(tmp_path / "other.csv")
-    assert all(np.array_equal(getattr(back, name), getattr(data, name)) for name in LABELS)
-
-
-def test_content_hash_is_of_forces_and_resistances_alone(data, tmp_path):
-    path, before = tmp_path / "a.nc", data.content_hash
-    assert read_samples(by_others(data, path, lambda d: d.assign_attrs(seed=99))).content_hash == before
-    assert read_samples(by_others(data, path, lambda d: d.drop_vars("length_mm"))).content_hash == before
-    assert read_samples(by_others(data, path, lambda d: d.assign(force_n=d.force_n + 1e-9))).content_hash != before
+    rows = [["my number", *reversed(rows[0])], *([str(number), *reversed(row)] for number, row in enumerate(rows[1:]))]
+    for separator, decimal in ((",", "."), (";", ","), ("\t", ".")):
+        text = "\n".join(separator.join(cell.replace(".", decimal) for cell in row) for row in rows)
+        (tmp_path / "other.csv").write_text("\ufeff" + text, encoding="utf-8")
+        back = read_samples(tmp_path / "other.csv")
+        assert all(np.array_equal(getattr(back, name), getattr(data, name)) for name in LABELS)
+    with pytest.raises(FileFormatError, match=r"end the name in \.csv"):
+        write_table(data, tmp_path / "a.xlsx")
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        *(("resistance_ohm", value, "pillar x; it must be finite, 1e-09 to 1e+15 ohm")
-          for value in (np.nan, np.inf, -5.0, 0.0, 1e300, 1e-300)),
+        *(("resistance_ohm", value, "pillar x; it must be finite, 1e-09 to 1e+15 ohm") for value in (np.nan, -5.0)),
         *(("force_n", value, "axis y; it must be finite, -1e+06 to 1e+06 N") for value in (np.nan, -np.inf, 1e300)),
     ],
 )  # fmt: skip
@@ -276,35 +245,23 @@ def test_senseless_values_are_named_with_their_place(data, tmp_path, name, value
     assert refusal(path) == f"{path}: {expected}"
 
 
-@pytest.mark.parametrize("form", LABELLED)
-def test_a_senseless_load_is_named_unless_it_is_not_read(data, tmp_path, form):
-    values = data.displacement_mm.copy()
-    values[2, 1, 0, 1, 2] = np.nan
-    path = write(replace(data, displacement_mm=values), tmp_path / f"a.{form}")
-    assert "displacement_mm is nan at sample 2, row 1, col 0, electrode U2, axis z" in refusal(path)
-    assert len(read_samples(path, labels_only=True)[:]) == 5
-
-
-def test_places_are_counted_over_all_leaves(many, tmp_path):
-    ohms = many.resistance_ohm.copy()
-    ohms[LEAF + 7, 1, 2, 0] = np.nan
-    path = write(replace(many.labels(), resistance_ohm=ohms), tmp_path / "a.zarr")
-    assert "resistance_ohm is nan at sample 8199, row 1, col 2, pillar z" in refusal(path)
+def test_places_are_counted_over_all_leaves_of_what_is_read(many, tmp_path):
+    moved = many.displacement_mm.copy()
+    moved[LEAF + 7, 1, 0, 1, 2] = np.nan
+    path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
+    assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
+    assert len(read_samples(path, labels_only=True)[:]) == len(many)
 
 
 BROKEN = [
     (lambda d: d.drop_vars("force_n"), ["has no variable 'force_n'", "give a file made by 'tripillar dataset'"]),
-    (lambda d: d.drop_vars("resistance_ohm"), ["has no variable 'resistance_ohm'"]),
     (lambda d: d.drop_vars("axis").isel(axis=[0, 1]), ["dimension 'axis' is of size 2, expected ['x', 'y', 'z']"]),
     (lambda d: d.rename(pillar="channel"), ["'resistance_ohm' has the dims ('sample', 'row', 'col', 'channel')"]),
-    (lambda d: d.assign_coords(pillar=["z", "x", "w"]), ["'pillar' is ['z', 'x', 'w'], expected ['z', 'x', 'y']"]),
     (lambda d: d.assign_coords(pillar=["z", "x", "x"]), ["'pillar' is ['z', 'x', 'x'], expected ['z', 'x', 'y']"]),
-    (lambda d: d.isel(pillar=[0, 1]), ["'pillar' is ['z', 'x'], expected ['z', 'x', 'y']"]),
     (lambda d: d.assign_coords(pillar=[0, 1, 2]), ["'pillar' is ['0', '1', '2'], expected ['z', 'x', 'y']"]),
     (lambda d: d.assign(force_n=d.force_n.astype(str)), ["force_n is of type", "expected numbers"]),
     (lambda d: d.isel(sample=[]), ["is empty, expected at least one sample"]),
     (lambda d: d.isel(row=[0]), ["holds 1 × 3 units, its attribute 'design' says 2 × 3"]),
-    (lambda d: xr.Dataset({"a": ("b", np.ones(3))}), ["has no variable 'force_n'"]),
 ]
 
 
@@ -326,8 +283,7 @@ def test_a_file_that_breaks_the_contract_is_refused_with_the_reason(data, tmp_pa
     ],
 )
 def test_a_table_that_is_none_of_samples_is_refused(tmp_path, text, said):
-    columns = [f"force_0_0_{axis}_n" for axis in "xyz"] + [f"resistance_0_0_{pillar}_ohm" for pillar in "zxy"]
-    (tmp_path / "a.csv").write_text(text.format(",".join(columns)))
+    (tmp_path / "a.csv").write_text(text.format(",".join(columns_of(LABELS, 1, 1))))
     assert said in refusal(tmp_path / "a.csv")
 
 
@@ -337,14 +293,14 @@ def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
         assert "no such file" in refusal(tmp_path / f"none.{form}") or form == "zarr"
     path = write(data, tmp_path / "a.nc")
     content = path.read_bytes()
-    for share in (0.0, 0.1, 0.5, 0.9):
+    for share in (0.0, 0.1, 0.9):
         path.write_bytes(content[: int(share * len(content))])
         assert "truncated or not NetCDF" in refusal(path)
     (tmp_path / "file.zarr").write_text("no directory")
     (tmp_path / "empty.zarr").mkdir()
     for place in (tmp_path / "file.zarr", tmp_path / "empty.zarr"):
         refusal(place)
-    for header in (".zgroup", ".zattrs", "force_n/.zarray", "force_n/.zattrs", "axis/0"):
+    for header in (".zgroup", ".zattrs", "force_n/.zarray", "axis/0"):
         whole = (copy / header).read_bytes()
         (copy / header).write_bytes(whole[:-6])
         refusal(copy)
@@ -376,28 +332,21 @@ def test_a_damaged_leaf_is_refused_when_it_is_read(copy, change, said):
     ("name", "old", "new", "said"),
     [
         ("length_mm/.zarray", b'"zarr_format": 2', b'"zarr_format": 6', "headers are damaged"),
-        ("length_mm/.zarray", b'"dtype"', b'"dtypf"', "headers are damaged"),
         (".zattrs", b'"seed": 0', b'"seed": 1', "do not match 'header_hash'"),
-        ("force_n/.zattrs", b"leaf_hashes", b"leaf_hashew", None),
         ("force_n/.zattrs", b'leaf_hashes": [\n', b'leaf_hashes": ["0", \n', "content_hash"),
         ("electrode/0", b"U\x00\x00\x001\x00\x00\x00", b"U\x00\x00\x001\x00\x00\x01", "headers are damaged"),
     ],
 )
 def test_damage_that_no_json_or_codec_shows_is_refused(copy, name, old, new, said):
-    """A variable is not left out without a word; of forces without hashes the numbers themselves are read."""
     content = (copy / name).read_bytes()
     assert old in content
     (copy / name).write_bytes(content.replace(old, new))
-    if said is None:
-        assert len(read_samples(copy)[:5]) == 5
-    else:
-        assert said in refusal(copy)
+    assert said in refusal(copy)
 
 
 @pytest.mark.parametrize(
     ("header", "change"),
     [
-        (".zarray", '"filters": [{"id": "pickle"}], "dtype": "|O"'),
         (".zarray", '"filters": [{"id": "pick\\u006ce", "name": "zlib"}], "dtype": "|O"'),
         (".zarray", '"compressor": {"id": "json2"}'),
         ("zarr.json", '"codecs": ["bytes", {"name": "numcodecs.pickle"}]'),
@@ -422,7 +371,7 @@ def small(request, response, tmp_path_factory):
 
 
 @given(place=st.integers(0, 2**20), bit=st.integers(0, 7))
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None, derandomize=True)
 def test_a_flipped_bit_is_refused_in_one_line_or_changes_nothing(small, place, bit):
     """Wherever it is: in numbers, labels, headers, attributes, hashes."""
     path, before = small
@@ -449,8 +398,8 @@ def test_a_flipped_bit_is_refused_in_one_line_or_changes_nothing(small, place, b
 
 
 def test_a_changed_copy_must_not_carry_the_hashes(data, tmp_path):
-    """Copied by another program, compressed and without our last line, a file is taken while it states the truth."""
-    content = data.to_xarray()
+    """A file without our last line is taken while it states the truth; the hash is of forces and resistances."""
+    content = data.to_xarray().assign_attrs(seed=99).drop_vars("length_mm")
     content.to_netcdf(tmp_path / "copy.nc", encoding={name: {"zlib": True} for name in content.data_vars})
     assert np.array_equal(read_samples(tmp_path / "copy.nc").force_n, data.force_n)
     content.isel(sample=slice(3)).to_netcdf(tmp_path / "part.nc")
@@ -468,9 +417,6 @@ def test_a_file_is_current_while_recipe_and_content_are(data, tmp_path, form):
     assert is_current(path, recipe)
     assert not is_current(path, "0123456789abcdef")
     assert not is_current(tmp_path / f"none.{form}", recipe)
-    (tmp_path / f"text.{form}").write_text("hello\n" * 100)
-    assert not is_current(tmp_path / f"text.{form}", recipe)
-    assert not is_current(by_others(data, tmp_path / f"b.{form}", lambda d: xr.Dataset({"a": ("x", [1.0])})), recipe)
     if form == "nc":
         with netCDF4.Dataset(path, "a") as opened:
             opened["resistance_ohm"][1, 0, 0, 0] = 1.5e4  # by hand
@@ -480,44 +426,37 @@ def test_a_file_is_current_while_recipe_and_content_are(data, tmp_path, form):
 
 
 @pytest.mark.parametrize("form", LABELLED)
-def test_failed_write_leaves_the_old_file_and_no_litter(data, tmp_path, form):
+def test_failed_write_leaves_the_old_file_and_no_litter_and_only_a_data_set_is_replaced(data, tmp_path, form):
     path = write(data, tmp_path / f"a.{form}")
     with pytest.raises(TypeError):
         replace(data, made_from={"note": object()}).write(path)
     assert np.array_equal(read_samples(path)[:].force_n, data.force_n)
+    data[:3].write(path)
+    assert len(read_samples(path)) == 3
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_only_a_data_set_is_replaced(copy, data, tmp_path):
     (tmp_path / "mine.zarr").mkdir()
     (tmp_path / "mine.zarr/thesis.txt").write_text("years of work")
     with pytest.raises(FileFormatError, match="something else"):
         data.write(tmp_path / "mine.zarr")
-    data.write(copy)
-    assert len(read_samples(copy)) == 5
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["copy.zarr", "mine.zarr"]
 
 
 def test_any_choice_from_disk_is_that_from_memory(many, leaves):
     """Over leaves' borders, out of order, twice, none, by a mask, from the end; in blocks, all in order."""
     stored = read_samples(leaves, labels_only=True)
-    assert isinstance(stored, StoredSamples)
     mask = np.zeros(len(many), dtype=bool)
     mask[LEAF - 2 : LEAF + 2] = True
     for which in (slice(LEAF - 5, LEAF + 5), slice(None, None, -997), [LEAF + 1, 3, 3, -1], slice(0, 0), mask, -2):
-        few = stored[which]
-        assert np.array_equal(few.resistance_ohm, many.resistance_ohm[which].reshape(few.resistance_ohm.shape))
-        for samples in (few, many[which]):
+        for samples in (stored[which], many[which]):
             assert np.array_equal(samples.force_n, many.force_n[which].reshape(samples.force_n.shape))
+            assert np.array_equal(samples.resistance_ohm, many.resistance_ohm[which].reshape(samples.force_n.shape))
             assert "recipe" not in samples.made_from  # it is that of all samples
             assert samples.design == many.design
-        assert few.length_mm is None
+        assert stored[which].length_mm is None
     for samples in (many, stored):
         with pytest.raises(IndexError, match=f"no sample {len(many)}: there are {len(many)}"):
             samples[len(many)]
-        for size in (1000, LEAF, 2 * LEAF):
+        for size in (1000, 2 * LEAF):
             assert np.array_equal(np.concatenate([block.force_n for block in samples.blocks(size)]), many.force_n)
-    assert many[:5].content_hash != many.content_hash
 
 
 def test_float32_is_the_nearest_number_and_keeps_its_own_hash(data, tmp_path):
@@ -542,11 +481,10 @@ def test_what_memory_cannot_hold_is_refused(leaves, monkeypatch):
     ("changed", "said"),
     [
         ({"force_n": np.ones((5, 2, 3))}, r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
-        ({"resistance_ohm": np.ones((5, 2, 2, 3))}, r"resistance_ohm has .* expected \(5, 2, 3, 3\)"),
         ({"displacement_mm": np.ones((5, 2, 3, 3))}, r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
         ({"dead": np.zeros((2, 3), dtype=bool)}, r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(data, changed, said):
-    with pytest.raises(SampleError, match=said):
+    with pytest.raises(ValueError, match=said):
         replace(data, **changed)

@@ -20,17 +20,18 @@ def applied(imperfections: Imperfections, exact_ohm: np.ndarray = EXACT, seed: i
     return imperfections.apply(exact_ohm, np.random.default_rng(seed))
 
 
-def test_the_default_is_perfect():
-    assert np.array_equal(applied(Imperfections()), EXACT)
-    assert not Imperfections().dead_mask(ROWS, COLS).any()
-
-
 def test_a_specimen_is_a_factor_and_then_an_offset_for_every_sample():
-    """Each pillar has its own; noise does not touch them."""
+    """Each pillar has its own, in every specimen, and a wider spread is the same one; by default there is none."""
+    assert np.array_equal(applied(Imperfections()), EXACT)
     gain, offset = REAL.gain_and_offset(ROWS, COLS)
     assert applied(REAL) == pytest.approx(gain * EXACT + offset, rel=1e-15)  # rounding
     assert np.array_equal(applied(REAL, seed=1), applied(REAL, seed=2))
     assert len(np.unique(gain)) == len(np.unique(offset)) == ROWS * COLS * 3
+    for mine, theirs in zip((gain, offset), replace(REAL, specimen=1).gain_and_offset(ROWS, COLS), strict=True):
+        assert (mine != theirs).all()
+    wide, same = replace(REAL, gain_spread=0.6).gain_and_offset(ROWS, COLS)
+    assert wide - 1.0 == pytest.approx(3 * (gain - 1.0), rel=1e-12)  # rounding next to 1
+    assert np.array_equal(offset, same)
 
 
 def test_factors_are_uniform_and_offsets_normal():
@@ -44,22 +45,12 @@ def test_factors_are_uniform_and_offsets_normal():
     assert offset.std() == pytest.approx(50.0, rel=4 / np.sqrt(2 * n))  # of a deviation
 
 
-def test_another_specimen_differs_in_every_pillar_and_a_wider_spread_is_the_same_one():
-    for mine, theirs in zip(*(replace(REAL, specimen=s).gain_and_offset(ROWS, COLS) for s in (1, 2)), strict=True):
-        assert (mine != theirs).all()
-    (gain, offset), (wide, same) = (replace(REAL, gain_spread=s).gain_and_offset(ROWS, COLS) for s in (0.1, 0.3))
-    assert wide - 1.0 == pytest.approx(3 * (gain - 1.0), rel=1e-12)  # rounding next to 1
-    assert np.array_equal(offset, same)
-
-
 def test_noise_acts_on_the_specimen_anew_for_every_reading_and_the_converter_comes_last():
     error = applied(replace(REAL, noise=0.01)) / applied(REAL) - 1.0
     assert error.std() == pytest.approx(0.01, rel=4 / np.sqrt(2 * error.size))  # of a deviation
     assert len(np.unique(error)) == error.size
-    read = applied(replace(REAL, noise=0.01, bits=10))
-    counts = 1023 * SENSE_OHM / (read + SENSE_OHM)
+    counts = 1023 * SENSE_OHM / (applied(replace(REAL, noise=0.01, bits=10)) + SENSE_OHM)
     assert counts == pytest.approx(np.rint(counts), abs=1e-9)  # rounding
-    assert len(np.unique(read)) < 1024
 
 
 @pytest.mark.parametrize(
@@ -89,8 +80,7 @@ def test_dead_pillars_leave_what_the_others_read_as_it_was():
     broken = replace(real, dead_pillars=((0, 0, "z"),), dead_cols=(5,))
     exact = EXACT.copy()
     exact[:, 0, 0, 0] = 1e12
-    given = exact.copy()
-    dead = broken.dead_mask(ROWS, COLS)
+    given, dead = exact.copy(), broken.dead_mask(ROWS, COLS)
     read = applied(broken, exact)
     assert np.array_equal(read[:, ~dead], applied(real)[:, ~dead])
     assert (read[:, dead] == OPEN_OHM).all()
@@ -102,8 +92,7 @@ def test_dead_pillars_leave_what_the_others_read_as_it_was():
     [
         ({"dead_rows": (12,)}, "an array of 6 × 5 units has no row wire 12: its row wires are 0 to 11."),
         ({"dead_cols": (0, 10)}, "an array of 6 × 5 units has no column wire 10: its column wires are 0 to 9."),
-        ({"dead_pillars": ((6, 0, "z"),)}, "an array of 6 × 5 units has no pillar 6,0,z: its rows are 0 to 5"),
-        ({"dead_pillars": ((0, 5, "y"),)}, "an array of 6 × 5 units has no pillar 0,5,y: "),
+        ({"dead_pillars": ((0, 5, "y"),)}, "an array of 6 × 5 units has no pillar 0,5,y: its rows are 0 to 5"),
         ({"offset_ohm": 1e4}, "offset_ohm=10000 takes a pillar's resistance to -"),
     ],
 )
@@ -111,12 +100,10 @@ def test_what_does_not_fit_the_array_is_refused(broken, message):
     with pytest.raises(DesignError) as caught:
         applied(Imperfections(**broken), EXACT[:, :, :5])
     assert str(caught.value).startswith(message)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_place_is_read_with_and_without_blanks_and_nothing_else():
     assert place_of("0,3,z") == place_of(" 0 , 3 , z ") == (0, 3, "z")
-    for text in ("", "z", "0,3", "0;3;z", "-1,3,z", "0,3,z,1", "0,3.5,z", "0,3,z\n4", "9" * 5000 + ",0,z"):
-        with pytest.raises(DesignError, match=r"is no place of a pillar: write row,col,pillar") as caught:
+    for text in ("", "z", "0,3", "-1,3,z", "0,3,z,1", "0,3.5,z", "0,3,z\n4", "9" * 5000 + ",0,z"):
+        with pytest.raises(DesignError, match=r"is no place of a pillar: write row,col,pillar"):
             place_of(text)
-        assert "\n" not in str(caught.value)

@@ -5,12 +5,10 @@ import pytest
 
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.indentation import largest_strain, samples_of, write_contact
-from dataset.protocols import pad_protocol
 from dataset.resistance import pillar_resistances
 from fem.array.solving import ResponseSettings, array_response
 from fem.contact import Sphere, press
 from geometry.design import Array, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import pillar_volumes
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
@@ -42,8 +40,3 @@ def test_labels_are_those_of_the_contact(tmp_path, shared_cache):
     assert kept.force_n[0] == pytest.approx(contact.force_n, rel=1e-12)
     assert kept.resistance_ohm == pytest.approx(samples_of([contact]).resistance_ohm, rel=1e-12)
     assert 0 < largest_strain(contact) < 0.3
-
-
-def test_what_takes_loads_on_pads_alone_says_so():
-    with pytest.raises(DesignError, match="presses shapes"):
-        pad_protocol("indent")

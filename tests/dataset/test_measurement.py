@@ -38,31 +38,20 @@ def test_settings_do_not_move_the_generator():
     assert len(set(after)) == 1
 
 
-@pytest.mark.parametrize("bits", [8, 12, 16])
-def test_converter_errs_by_half_a_step_at_most(bits):
-    """The divider's share moves by half a count: |dR| = (R + Rs)²/Rs · |d share|, to first order in a step."""
+@pytest.mark.parametrize("bits", [4, 12, 24])
+def test_a_converter_errs_by_half_a_step_at_most(bits):
+    """The divider's share moves by half a count; counts fall as resistance grows, and come back from it."""
     read = measured(RESISTANCES, 0.0, bits, rng())
     share_error = np.abs(SENSE_OHM / (read + SENSE_OHM) - SENSE_OHM / (RESISTANCES + SENSE_OHM))
     half_step = 0.5 / (2**bits - 1)
-    assert share_error.max() <= half_step * (1 + 1e-9)  # rounding
-    assert share_error.max() > 0.99 * half_step  # reached: no finer than it says
-    ohms = half_step * (RESISTANCES + SENSE_OHM) ** 2 / SENSE_OHM
-    assert (np.abs(read - RESISTANCES) <= 1.02 * ohms).all()  # second order: a step is up to 1.6 % at 8 bits
-
-
-@pytest.mark.parametrize("bits", [4, 12, 24])
-@pytest.mark.parametrize("sense_ohm", [1e3, SENSE_OHM])
-def test_counts_come_back_from_their_resistance(bits, sense_ohm):
-    counts = np.unique(np.linspace(1, 2**bits - 1, 1000).astype(np.int64))
-    assert np.array_equal(
-        counts_from_resistance(resistance_from_counts(counts, bits, sense_ohm), bits, sense_ohm), counts
-    )
-
-
-def test_counts_fall_as_resistance_grows_to_the_ends_of_the_range():
-    assert (np.diff(counts_from_resistance(RESISTANCES, 24)) < 0).all()
-    assert counts_from_resistance(np.array([0.0, SENSE_OHM, 1e12]), bits=12).tolist() == [4095, 2048, 0]
-    assert resistance_from_counts(np.array([0, 4095]), bits=12).tolist() == [np.inf, 0.0]
+    assert 0.99 * half_step < share_error.max() <= half_step * (1 + 1e-8)  # reached, but for rounding
+    for sense_ohm in (1e3, SENSE_OHM):
+        counts = np.unique(np.linspace(1, 2**bits - 1, 1000).astype(np.int64))
+        ohms = resistance_from_counts(counts, bits, sense_ohm)
+        assert (np.diff(ohms) < 0).all()
+        assert np.array_equal(counts_from_resistance(ohms, bits, sense_ohm), counts)
+    assert counts_from_resistance(np.array([0.0, 1e12]), bits).tolist() == [2**bits - 1, 0]
+    assert resistance_from_counts(np.array([0, 2**bits - 1]), bits).tolist() == [np.inf, 0.0]
 
 
 @pytest.mark.parametrize("lost", [0.2, 1e9])
@@ -85,17 +74,14 @@ def test_drifts_have_the_covariance_that_is_stated():
     stated = shared @ shared.T + np.diag(DRIFTING.deviation(columns)[0] ** 2)
     np.testing.assert_allclose(np.cov(drifted.T), stated, atol=0.04 * stated.max())
     np.testing.assert_allclose(DRIFTING.total(columns, rows, cols)[0] ** 2, stated.diagonal())
-    assert (shared[:, 3] == 40.0).all()
     corner = np.abs(shared[[0, -1], :3] / columns[0, [0, -1], None])
     np.testing.assert_allclose(corner, [[0.005, 0.01, 0.01]] * 2)  # a tilt is stated at the outermost units
 
 
-def test_drift_leaves_noise_as_it_is_and_none_changes_nothing():
+def test_drift_leaves_noise_as_it_is_and_is_new_in_each_sample():
     exact = np.full((5, 2, 2, 3), 1e4)
-    noisy = ReadingError(noise=1e-3, bits=12)
-    assert np.array_equal(noisy.read(exact, rng()), measured(exact, 1e-3, 12, rng()))
-    both = ReadingError(noise=1e-3, drift=0.005)
     drift_alone = ReadingError(drift=0.005).drifted(exact, rng())
-    assert np.array_equal(both.read(exact, rng()), measured(drift_alone, 1e-3, None, rng()))
+    both = ReadingError(noise=1e-3, bits=12, drift=0.005).read(exact, rng())
+    assert np.array_equal(both, measured(drift_alone, 1e-3, 12, rng()))
     assert np.ptp(drift_alone, axis=(1, 2, 3)).max() == 0  # common to a sample
-    assert np.ptp(drift_alone[:, 0, 0, 0]) > 0  # and new in each
+    assert np.ptp(drift_alone[:, 0, 0, 0]) > 0

@@ -9,9 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from dataset import Samples, pillar_lengths, pillar_resistances
+from fem.array.closed_forms import layer_response
 from fem.array.response import ArrayResponse
+from fem.array.sensitivities import ResponseSensitivities
 from geometry import Array, SensorDesign
 from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
+from geometry.tolerances import RESISTIVITY, changed, usual_deviations
 
 #: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
 _OWN = np.array(
@@ -60,6 +63,31 @@ def response(design: SensorDesign) -> ArrayResponse:
         residual=0.0,
         unknowns=0,
         seconds={},
+    )
+
+
+def layer_sensitivities(design: SensorDesign) -> ResponseSensitivities:
+    """Derivatives of the closed form of a layer by all uncertain parameters of its design, central differences."""
+    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
+    by = []
+    for name, sd in deviations.items():
+        above, below = (layer_response(changed(design, name, step * sd)).influence_mm_per_n for step in (0.1, -0.1))
+        by.append((above - below) / (0.2 * sd))
+    return ResponseSensitivities(
+        design=design,
+        parameters=tuple(deviations),
+        deviation=np.array(list(deviations.values())),
+        influence_mm_per_n=np.stack(by),
+    )
+
+
+def softness(design: SensorDesign) -> ResponseSensitivities:
+    """Derivatives of `response` by the rubber's modulus alone."""
+    return ResponseSensitivities(
+        design=design,
+        parameters=("rubber.young_mpa",),
+        deviation=np.array([0.61]),
+        influence_mm_per_n=-response(design).influence_mm_per_n[None] / 6.1,
     )
 
 

@@ -1,16 +1,15 @@
 """Faults of pillars and wires are named from a window of scans; sound sensors raise no alarm."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from dataset import Samples
 from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.trainer import train
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import response, sensor
 
 SENSOR = sensor(3, 3)
 FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
@@ -34,20 +33,12 @@ def readings(force_n, seed=1):
 
 
 @pytest.fixture(scope="module")
-def model():
+def expected():
     force_n = loads(400, 5)
-    data = replace(
-        labelled(SENSOR, "xyz", 400, 0),
-        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), noise=NOISE, bits=12,
-    )  # fmt: skip
-    return train(data, "all", response=response(SENSOR))
-
-
-@pytest.fixture(scope="module")
-def expected(model):
-    found = FaultTest.of(model)
-    assert found is not None
-    return found
+    own = Samples(
+        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), design=SENSOR, noise=NOISE, bits=12
+    )
+    return FaultTest.of(train(own, "all", response=response(SENSOR)))
 
 
 def stuck(ohms):
@@ -64,10 +55,6 @@ def swapped(ohms):
 
 def swapped_wires(ohms):
     ohms[:, :, [0, 1], 1] = ohms[:, :, [1, 0], 1]
-
-
-def noisy(ohms):
-    ohms[:, 1, 1, 2] *= 1.0 + 30.0 * NOISE * np.random.default_rng(2).standard_normal(len(ohms))
 
 
 def opened(ohms):
@@ -88,7 +75,6 @@ FAULTS = {
     stuck_wire: "row wire 4 stuck",
     swapped: "rows 0 and 1 swapped",
     swapped_wires: "column wires 1 and 3 swapped",
-    noisy: "pillar y of row 1, col 1 noisy",
     opened: "pillar x of row 0, col 1 open",
     opened_wire: "row wire 3 open",
     no_number: "pillar z of row 2, col 2 open",
@@ -97,34 +83,27 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
 def test_each_fault_is_named_by_pillar_or_wire(fault, expected):
-    for seed in range(3):
+    for seed in range(2):
         ohms = readings(loads(WINDOW, 100 + seed), seed)
         fault(ohms)
         assert [str(found) for found in expected.named(ohms)] == [FAULTS[fault]]
 
 
 def test_sound_sensors_raise_no_alarm(expected):
-    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches."""
-    touch = np.zeros((WINDOW, 27))
+    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches.
+
+    Nor a pillar that reads the same at rest, where nothing says that it should move, nor one of another gain, since
+    forces on its pad move it as well.
+    """
+    touch, rest = np.zeros((2, WINDOW, 27))
     touch[:, 14] = np.linspace(0.0, 300.0, WINDOW)
     light = np.random.default_rng(3).uniform(0.0, 5.0, (WINDOW, 27))
-    rest = np.zeros((WINDOW, 27))
     kinds = [touch, light, rest]
-    for seed in range(25):
+    for seed in range(12):
         usual = loads(WINDOW, 1000 + seed)
         for force_n in (usual, np.repeat(usual[:4], WINDOW // 4, axis=0), kinds[seed % 3]):
             assert expected.named(readings(force_n, seed)) == ()
-
-
-def test_a_pillar_at_rest_is_not_stuck(expected):
-    """Nothing moves, so nothing says that a reading should."""
-    ohms = readings(np.zeros((WINDOW, 27)))
-    stuck(ohms)
-    assert expected.named(ohms) == ()
-
-
-def test_another_gain_of_one_pillar_is_not_told(expected):
-    """Readings alone cannot: forces on its pad move it as well."""
-    ohms = readings(loads(WINDOW, 100))
-    ohms[:, 1, 1, 0] *= 1.02
-    assert expected.named(ohms) == ()
+    still, other = readings(rest), readings(loads(WINDOW, 100))
+    stuck(still)
+    other[:, 1, 1, 0] *= 1.02
+    assert expected.named(still) == expected.named(other) == ()

@@ -1,4 +1,4 @@
-"""The model file: same bits back, refusals in one line, nothing half-written."""
+"""The model file: refusals in one line, nothing half-written; `test_contract` has its round trip."""
 
 import json
 import re
@@ -9,7 +9,6 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from dataset import Samples
 from decoupler import (
     NetworkConfig,
     TrainingConfig,
@@ -34,38 +33,47 @@ def decoupler():
     return train(DATA, "all", NETWORK, FEW)
 
 
-def test_same_training_gives_the_same_file(decoupler, tmp_path):
-    write_model(decoupler, tmp_path / "a")
+@pytest.fixture
+def path(decoupler, tmp_path):
+    write_model(decoupler, tmp_path / "model.safetensors")
+    return tmp_path / "model.safetensors"
+
+
+def opened(path):
+    with safe_open(path, framework="np") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, no mapping
+        return json.loads(file.metadata()["tripillar"]), arrays
+
+
+def test_same_training_gives_the_same_file_which_anyone_can_read(path, tmp_path):
     write_model(train(DATA, "all", NETWORK, FEW), tmp_path / "b")
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert path.read_bytes() == (tmp_path / "b").read_bytes()
+    header, _ = opened(path)
+    assert (header["network"]["hidden"], header["made_from"]["training"]["seed"]) == (4, 0)
+    assert header["made_from"]["recipe"] == model_cache_key(DATA, "all", NETWORK, FEW)
+    assert header["made_from"]["data_hash"] == DATA.content_hash
 
 
-def test_what_is_no_model_file_is_refused(decoupler, tmp_path):
-    path = tmp_path / "model.safetensors"
-    write_model(decoupler, path)
+def test_what_is_no_model_file_is_refused_and_a_failed_write_leaves_the_old_one(decoupler, path, tmp_path):
     whole = path.read_bytes()
+    with pytest.raises(TypeError):
+        write_model(replace(decoupler, made_from={"no": object()}), path)
+    assert [entry.read_bytes() for entry in tmp_path.iterdir()] == [whole]
     for share in (0.0, 0.01, 0.5, 0.999):
         path.write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(FileFormatError, match=r"damaged|truncated or no safetensors file"):
             read_model(path)
+    path.write_bytes(whole.replace(b"tripillar-sha256:", b"tripillar-sha255:"))
+    with pytest.raises(FileFormatError, match=r"sha256 is 'tripillar-sha255:.*', no hash"):
+        read_model(path)
     save_file({"weight": np.ones(3)}, path)
     for other, said in (
         (path, "no model of this program"),
-        (tmp_path / "none", "no such file: give a file made by 'tripillar train'"),
+        (tmp_path / "none", "no such file"),
         (tmp_path, "a folder"),
     ):
         with pytest.raises(FileFormatError, match=said):
             read_model(other)
-
-
-def test_header_can_be_read_by_anyone(decoupler, tmp_path):
-    path = tmp_path / "model.safetensors"
-    write_model(decoupler, path)
-    with safe_open(path, framework="np") as opened:
-        header = json.loads(opened.metadata()["tripillar"])
-    assert header["network"]["hidden"] == 4
-    assert header["made_from"]["training"]["seed"] == 0
-    assert header["made_from"]["recipe"] == model_cache_key(DATA, "all", NETWORK, FEW)
 
 
 def test_recipe_follows_all_that_matters():
@@ -89,39 +97,21 @@ def test_recipe_follows_all_that_matters():
     ("change", "message"),
     [
         (lambda header, arrays: header.pop("rows"), "its header makes no sense"),
-        (
-            lambda header, arrays: header.update(format="tripillar-model-9"),
-            "format is tripillar-model-9, not",
-        ),
+        (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
         (lambda header, arrays: header["network"].update(net="deep"), "net='deep' is unknown"),
         (lambda header, arrays: header["network"].update(depth=3), "network has the keys"),
-        (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
-        (lambda header, arrays: header.update(rows="2"), "rows is '2', must be a whole number from 1 on"),
         (lambda header, arrays: header.update(cols=0), "cols is 0, must be a whole number from 1 on"),
-        (lambda header, arrays: header.update(noise=-1.0), "noise=-1.0 must be a finite number not below 0"),
         (lambda header, arrays: header.update(noise=np.nan), "noise=nan must be a finite number"),
-        (lambda header, arrays: header.update(noise="low"), "noise='low' must be a finite number"),
         (lambda header, arrays: header.update(bits="x"), "bits='x' must be a whole number from 4 to 24"),
-        (lambda header, arrays: header.update(bits=99), "bits=99 must be a whole number from 4 to 24"),
         (lambda header, arrays: header.update(made_from=3), "its header makes no sense"),
-        (
-            lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1e9),
-            "its arrays do not belong together",
-        ),
+        (lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1e9), "its arrays do not belong together"),
         (lambda header, arrays: arrays.pop("input_scaling.centre"), "centre"),
-        (
-            lambda header, arrays: arrays.update({"output_scaling.centre": np.ones(3)}),
-            "its arrays do not belong together",
-        ),
+        (lambda header, arrays: arrays.update({"output_scaling.centre": np.ones(3)}), "do not belong together"),
         (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is not finite"),
     ],
 )
-def test_file_that_contradicts_itself_is_refused(decoupler, tmp_path, change, message):
-    path = tmp_path / "model.safetensors"
-    write_model(decoupler, path)
-    with safe_open(path, framework="np") as opened:
-        metadata, arrays = opened.metadata(), {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
-    header = json.loads(metadata["tripillar"])
+def test_file_that_contradicts_itself_is_refused(path, change, message):
+    header, arrays = opened(path)
     change(header, arrays)
     save_file(arrays, path, {"tripillar": json.dumps(header)})
     with pytest.raises(FileFormatError, match="damaged, its content does not match the hash it states"):
@@ -132,32 +122,12 @@ def test_file_that_contradicts_itself_is_refused(decoupler, tmp_path, change, me
         read_model(path)
 
 
-def test_a_model_that_states_no_hash_is_refused(decoupler, tmp_path):
-    path = tmp_path / "model.safetensors"
-    write_model(decoupler, path)
-    path.write_bytes(path.read_bytes().replace(b"tripillar-sha256:", b"tripillar-sha255:"))
-    with pytest.raises(FileFormatError, match=r"sha256 is 'tripillar-sha255:.*', no hash"):
-        read_model(path)
-
-
-def test_failed_write_leaves_the_old_file(decoupler, tmp_path):
-    path = tmp_path / "model.safetensors"
-    path.write_text("old")
-    with pytest.raises(TypeError):
-        write_model(replace(decoupler, made_from={"no": object()}), path)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["model.safetensors"]
-    assert path.read_text() == "old"
-
-
 def test_data_of_another_sensor_are_refused(decoupler):
     """What differs is named with both values; data that state no design are taken if the array fits."""
     require_same_sensor(decoupler, DATA, "m", "d")
     require_same_sensor(decoupler, replace(DATA, design=None), "m", "d")
     other = replace(DATA.design, array=Array(rows=2, cols=3, pitch_mm=17.0))
-    with pytest.raises(
-        FileFormatError, match=r"m was trained for another sensor .* \(array.pitch_mm: model 15, data 17\)"
-    ):
+    with pytest.raises(FileFormatError, match=r"another sensor .* \(array.pitch_mm: model 15, data 17\)"):
         require_same_sensor(decoupler, replace(DATA, design=other), "m", "d")
-    smaller = Samples(force_n=DATA.force_n[:, :1, :2], resistance_ohm=DATA.resistance_ohm[:, :1, :2])
     with pytest.raises(FileFormatError, match="rows: model 2, data 1; cols: model 3, data 2"):
-        require_same_sensor(decoupler, smaller, "m", "d")
+        require_same_sensor(decoupler, labelled(sensor(1, 2), "xyz", 4, 0), "m", "d")

@@ -12,16 +12,18 @@ from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
 
 PAD_MM2 = 144.0
+TIMED = "load,row,col,fx_n,fy_n,fz_n,from_s,to_s"
+KINDS = "load,kind,row,col,fx_n,fy_n,fz_n,kpa,error,tilt,share"
 
 
-def table(tmp_path, *lines, header="load,row,col,fx_n,fy_n,fz_n,from_s,to_s"):
+def table(tmp_path, *lines, header=TIMED):
     path = tmp_path / "loads.csv"
     path.write_text("\n".join([header, *lines]))
     return path
 
 
-def one(tmp_path, line, header="load,kind,row,col,fx_n,fy_n,fz_n,kpa,error,tilt,share", rows=2, cols=3):
-    (load,) = read_loads(table(tmp_path, f"a,{line}", header=header), rows, cols, PAD_MM2)
+def one(tmp_path, line, header=KINDS):
+    (load,) = read_loads(table(tmp_path, f"a,{line}", header=header), 2, 3, PAD_MM2)
     return load
 
 
@@ -30,30 +32,23 @@ def test_lines_of_one_load_act_together(tmp_path):
     nothing, a, b = read_loads(path, 2, 3, PAD_MM2)
     assert (nothing.name, nothing.force_n.any(), nothing.from_s, nothing.to_s) == ("nothing", False, 0.0, 1.0)
     assert len(nothing.unknown_n) == 0
-    assert a.force_n[1, 2].tolist() == [0, 0, 5]
-    assert a.force_n[0, 1].tolist() == [1.5, 0, -2]
-    assert (a.force_n != 0).sum() == 3
+    assert (a.force_n[1, 2].tolist(), a.force_n[0, 1].tolist(), (a.force_n != 0).sum()) == ([0, 0, 5], [1.5, 0, -2], 3)
     assert (b.force_n[1, 1, 2], b.from_s, b.to_s) == (9.81, None, None)
-
-
-def test_a_table_of_weights_needs_few_columns(tmp_path):
-    (load,) = read_loads(table(tmp_path, "x,0,0,2.5", header="load,row,col,fz_n"), 1, 1, PAD_MM2)
-    assert load.force_n.tolist() == [[[0, 0, 2.5]]]
+    assert one(tmp_path, "0,0,2.5", header="load,row,col,fz_n").force_n[0, 0].tolist() == [0, 0, 2.5]
 
 
 def test_a_pads_force_is_known_as_well_as_stated(tmp_path):
     """Standard deviation along the force is its error, across it its tilt; neither by default above 1 %."""
     exact = one(tmp_path, "pad,1,2,,,500 g,,2 %,1 %,")
     assert exact.force_n[1, 2, 2] == pytest.approx(0.5 * 9.80665)
-    assert np.sqrt((exact.unknown_n**2).sum(axis=0))[1, 2] == pytest.approx(
-        4.903 * np.array([0.01, 0.01, 0.02]), rel=1e-3
-    )
-    assert not np.delete(exact.unknown_n.reshape(-1, 6, 3), 5, axis=1).any()
+    deviation = np.sqrt((exact.unknown_n**2).sum(axis=0))
+    assert deviation[1, 2] == pytest.approx(4.903 * np.array([0.01, 0.01, 0.02]), rel=1e-3)
+    assert np.count_nonzero(deviation) == 3
     assert np.abs(one(tmp_path, "pad,1,2,,,500 g,,0.3,0,").unknown_n).sum() == pytest.approx(0.3)
     assert np.abs(one(tmp_path, "pad,1,2,,,500 g,,,,").unknown_n).sum() == pytest.approx(3 * 0.01 * 4.903, rel=1e-3)
 
 
-def test_of_a_plate_only_the_sum_is_known(tmp_path):
+def test_of_a_plate_only_the_sum_is_known_and_air_presses_every_pad_alike(tmp_path):
     """The sum scatters by its error alone, each pad by its share, and all directions of the shares sum to 0."""
     plate = one(tmp_path, "plate,0-1,1-2,20,,400,,1 %,0,25 %")
     assert plate.force_n.sum(axis=(0, 1)).tolist() == [20, 0, 400]
@@ -64,33 +59,24 @@ def test_of_a_plate_only_the_sum_is_known(tmp_path):
     # of 4 pads: the stated deviation times sqrt(3/4), as of anything whose sum is known
     deviation = np.sqrt((shares**2).sum(axis=0))
     assert deviation[1, 1] == pytest.approx(np.sqrt(3 / 4) * np.array([np.hypot(10, 1.25), 10, 25]))
-
-
-def test_air_presses_every_pad_alike(tmp_path):
     air = one(tmp_path, "air,,,,,,50,2 kPa,,1 %")
     assert air.force_n[..., 2] == pytest.approx(np.full((2, 3), 50e-3 * PAD_MM2))
     assert air.unknown_n[0][..., 2] == pytest.approx(np.full((2, 3), 2e-3 * PAD_MM2))
     assert np.linalg.norm(air.unknown_n[1:, 0, 1, 2]) == pytest.approx(0.01 * 50e-3 * PAD_MM2)
 
 
-def test_readings_in_the_table_are_pairs(tmp_path):
+def test_pairs_that_are_kept_come_back(tmp_path):
+    """One after another, with all that is known of their forces; a table of another array is left alone."""
     header = "load,kind,row,col,fz_n,noise,r_0_0_z,r_0_0_x,r_0_0_y"
     path = table(tmp_path, "rest,nothing,,,,0.1 %,10000,14000,", "w,pad,0,0,1 kg,0.001,9900,13990,13990", header=header)
     pairs = read_pairs(path, 1, 1, PAD_MM2)
     assert (len(pairs), pairs.noise, pairs.names) == (2, 0.001, ("rest", "w"))
     assert np.isnan(pairs.resistance_ohm[0, 0, 0]).tolist() == [False, False, True]
     assert [len(unknown) for unknown in pairs.unknown_n] == [0, 3]
-    with pytest.raises(FileFormatError, match=r"load 'x' has no readings: give columns r_0_0_z"):
-        read_pairs(table(tmp_path, "x,0,0,2.5", header="load,row,col,fz_n"), 1, 1, PAD_MM2)
-
-
-def test_pairs_that_are_kept_come_back(tmp_path):
-    """One after another, with all that is known of their forces; a table of another array is left alone."""
     path, ohms = tmp_path / "pairs.csv", np.array([[[9900.0, np.nan, 13990.0]]])
     header = "load,kind,row,col,fx_n,fz_n,error,tilt"
-    loads = read_loads(
-        table(tmp_path, "a,,0,0,,1 kg,2 %,", "b,,0,0,5,,,0", "b,,0,0,,1,,", header=header), 1, 1, PAD_MM2
-    )
+    lines = "a,,0,0,,1 kg,2 %,", "b,,0,0,5,,,0", "b,,0,0,,1,,"
+    loads = read_loads(table(tmp_path, *lines, header=header), 1, 1, PAD_MM2)
     for load in loads:
         keep_pair(path, replace(load, resistance_ohm=ohms, noise=2e-4))
     back = read_pairs(path, 1, 1, PAD_MM2)
@@ -104,73 +90,46 @@ def test_pairs_that_are_kept_come_back(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("lines", "header", "says"),
     [
-        ("a,9,0,0,0,1,0,1", "no unit in row 9; rows are 0 to 1, columns 0 to 2"),
-        ("a,0,-1,0,0,1,0,1", "no unit in col -1"),
-        ("a,0,0,0,0,much,0,1", "line 2: fz_n is 'much', must be a number of newtons, or with a unit: N, kN, g, kg"),
-        ("a,0,0,0,0,nan,0,1", "fz_n is 'nan'"),
-        ("a,0,0,0,0,5 lb,0,1", "fz_n is '5 lb'"),
-        (
-            "a,0,0,0,0,5000,0,1",
-            "5000 N on a pad is 34.7 MPa, more than 20: forces are in newtons; write grams as '500 g'",
-        ),
-        ("a,0.5,0,0,0,1,0,1", "row is '0.5', must be a whole number"),
-        ("a,0,0,0,0,1,5,", "acts from 5.0 s to None s"),
-        ("a,0,0,0,0,1,5,2", "acts from 5.0 s to 2.0 s"),
-        ("a,0,0,0,0,1,0,1\na,0,1,0,0,1,0,2", "lines with different times"),
-        ("a,0", "col is '', must be"),
-        ("a,0,0,0,0,1,0,1,7", "more values than the header has columns"),
+        (["a,9,0,0,0,1,0,1"], TIMED, "no unit in row 9; rows are 0 to 1, columns 0 to 2"),
+        (["a,0,0,0,0,much,0,1"], TIMED, "line 2: fz_n is 'much', must be a number of newtons, or with a unit: N, kN"),
+        (["a,0,0,0,0,nan,0,1"], TIMED, "fz_n is 'nan'"),
+        (["a,0,0,0,0,5000,0,1"], TIMED, "5000 N on a pad is 34.7 MPa, more than 20: forces are in newtons; write"),
+        (["a,0.5,0,0,0,1,0,1"], TIMED, "row is '0.5', must be a whole number"),
+        (["a,0,0,0,0,1,5,2"], TIMED, "acts from 5.0 s to 2.0 s"),
+        (["a,0,0,0,0,1,0,1", "a,0,1,0,0,1,0,2"], TIMED, "lines with different times"),
+        (["a,0,0,0,0,1,0,1,7"], TIMED, "more values than the header has columns"),
+        (["a,string,0,0,,,1,,,,"], KINDS, "kind is 'string', must be one of pad, plate, air, nothing"),
+        (["a,air,,,,,400,,,,"], KINDS, "fz_n is no part of kind air; it takes kpa"),
+        (["a,plate,,,,,400,,-1 %,,"], KINDS, "error is '-1 %', must be a number from 0 on, or a percentage"),
+        (["a,pad,0,0,,,400,,1 %,,20 %"], KINDS, "share is '20 %', but one pad takes all"),
+        (["a,plate,1-0,,,,400,,,,"], KINDS, "no unit in row 1-0"),
+        (["1"], "spam", "needs a header"),
+        ([], TIMED, "no lines"),
+        (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )
-def test_a_line_that_makes_no_sense_is_named(tmp_path, line, says):
+def test_a_line_that_makes_no_sense_is_named(tmp_path, lines, header, says):
+    path = table(tmp_path, *lines, header=header)
     with pytest.raises(FileFormatError) as refused:
-        read_loads(table(tmp_path, line), 2, 3, PAD_MM2)
+        (read_pairs if "no readings" in says else read_loads)(path, 2, 3, PAD_MM2)
     assert says in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("string,0,0,,,1,,,,", "kind is 'string', must be one of pad, plate, air, nothing"),
-        ("air,,,,,400,,,,", "fz_n is no part of kind air; it takes kpa"),
-        ("plate,,,,,400,,-1 %,,", "error is '-1 %', must be a number from 0 on, or a percentage"),
-        ("pad,0,0,,,400,,1 %,,20 %", "share is '20 %', but one pad takes all"),
-        ("plate,1-0,,,,400,,,,", "no unit in row 1-0"),
-        ("nothing,,,,,400,,,,", "fz_n is no part of kind nothing; it takes none"),
-    ],
-)
-def test_a_kind_takes_what_it_means(tmp_path, line, says):
-    with pytest.raises(FileFormatError) as refused:
-        one(tmp_path, line)
-    assert says in str(refused.value)
-
-
-def test_other_files_are_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"needs a header .*not 'spam'; it has spam"):
-        read_loads(table(tmp_path, "1", header="spam"), 2, 3, PAD_MM2)
-    with pytest.raises(FileFormatError, match="no lines"):
-        read_loads(table(tmp_path), 2, 3, PAD_MM2)
-    with pytest.raises(FileFormatError, match="no such file"):
-        read_loads(tmp_path / "nowhere.csv", 2, 3, PAD_MM2)
-
-
-def test_pairs_of_samples_are_exact():
+def test_pairs_are_exact_if_of_samples_and_refused_if_they_are_none():
     dead = np.zeros((2, 3, 3), dtype=bool)
     dead[1, 2, 0] = True
     samples = Samples(force_n=np.ones((4, 2, 3, 3)), resistance_ohm=np.full((4, 2, 3, 3), 1e4), noise=0.01, dead=dead)
     pairs = Pairs.of(samples)
     assert np.isnan(pairs.resistance_ohm).sum() == 4
     assert (pairs.noise, len(pairs[1:]), sum(map(len, pairs.unknown_n))) == (0.01, 3, 0)
-
-
-def test_what_are_no_pairs_is_refused():
     ohms, newtons = np.full((2, 1, 1, 3), 1e4), np.zeros((2, 1, 1, 3))
-    with pytest.raises(SampleError, match=r"resistance_ohm has shape \(1, 1, 1, 3\), expected \(2, 1, 1, 3\)"):
-        Pairs(resistance_ohm=ohms[:1], force_n=newtons)
-    with pytest.raises(SampleError, match=r"'pair 0' reads -10000 Ω at pillar 0,0,z"):
-        Pairs(resistance_ohm=-ohms, force_n=newtons)
-    with pytest.raises(SampleError, match="no pillar of any pair was read"):
-        Pairs(resistance_ohm=np.nan * ohms, force_n=newtons)
-    with pytest.raises(SampleError, match="1 unknown_n and 2 names"):
-        Pairs(resistance_ohm=ohms, force_n=newtons, unknown_n=(np.zeros((0, 1, 1, 3)),))
+    for given, says in (
+        ({"resistance_ohm": ohms[:1]}, r"resistance_ohm has shape \(1, 1, 1, 3\), expected \(2, 1, 1, 3\)"),
+        ({"resistance_ohm": -ohms}, "'pair 0': resistance_ohm is -10000.0 at sample 0, row 0, col 0, pillar z"),
+        ({"resistance_ohm": np.nan * ohms}, "no pillar of any pair was read"),
+        ({"resistance_ohm": ohms, "unknown_n": (np.zeros((0, 1, 1, 3)),)}, "1 unknown_n and 2 names"),
+    ):
+        with pytest.raises(SampleError, match=says):
+            Pairs(force_n=newtons, **given)

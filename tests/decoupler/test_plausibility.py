@@ -38,21 +38,20 @@ def lighter(data, times):
 PAIRS = read(labelled(SENSOR, "xyz", n_samples=30, seed=1))
 
 
-@pytest.mark.parametrize("times", [1.0, 0.1, 0.01], ids=["full loads", "a tenth", "a hundredth"])
-@pytest.mark.parametrize("axes", ["z", "x", "xyz"])
+@pytest.mark.parametrize("times", [1.0, 0.01], ids=["full loads", "a hundredth"])
+@pytest.mark.parametrize("axes", ["z", "xyz"])
 def test_honest_samples_are_never_doubted(axes, times):
     """Exact or noisy, read by a converter or not, of a poor specimen with dead pillars, one of them or many."""
     component = ALL if len(axes) > 1 else component_named(f"f{axes}")
     exact = lighter(labelled(SENSOR, axes, n_samples=100, seed=2), times)
     own = SensorModel.of(response(SENSOR), component)
-    dead = {"dead_pillars": ((0, 2, "z"),), "dead_rows": (3,)}
-    for noise, bits in ((0.0, None), (0.0, 12), (1e-3, 12), (1e-2, None)):
-        for more in ({}, {"gain_spread": 0.1, "offset_ohm": 100.0}, {"gain_spread": 0.1, **dead}):
-            data = read(exact, Imperfections(noise=noise, bits=bits, **more))
-            for n in (1, 3, 10, 100):
-                for forward in (JOINT, own, None):
-                    assert doubt(data[:n], component, forward) is None, (noise, bits, more, n)
-            assert disturbance(data, component, JOINT) is None
+    poor = {"gain_spread": 0.1, "offset_ohm": 100.0, "dead_pillars": ((0, 2, "z"),), "dead_rows": (3,)}
+    for noise, bits, more in ((0.0, None, {}), (0.0, 12, poor), (1e-3, 12, poor), (1e-2, None, {})):
+        data = read(exact, Imperfections(noise=noise, bits=bits, **more))
+        for n in (1, 3, 100):
+            for forward in (JOINT, own, None):
+                assert doubt(data[:n], component, forward) is None, (noise, bits, more, n)
+        assert disturbance(data, component, JOINT) is None
 
 
 def turned(*, force=lambda F: F, ohm=lambda R: R):
@@ -61,6 +60,7 @@ def turned(*, force=lambda F: F, ohm=lambda R: R):
 
 OTHERS = read(labelled(SENSOR, "xyz", n_samples=30, seed=9))
 SHUFFLED = np.random.default_rng(0).permutation(30)
+NOT_LINKED = "if nothing linked them: give readings of this sensor, each beside its own load"
 WRONG = {
     "kΩ": (turned(ohm=lambda R: R / 1000), r"0\.00\d+ times the design's: give them in Ω"),
     "mΩ": (turned(ohm=lambda R: R * 1000), r"times the design's: give them in Ω"),
@@ -68,19 +68,17 @@ WRONG = {
     "mN": (turned(force=lambda F: F * 1000), "seem to be in mN: divide"),
     "signs": (turned(force=lambda F: -F), "all forces seem to have the other sign"),
     "sign of z": (turned(force=lambda F: F * [1, 1, -1]), "Fz seems to have the other sign"),
-    "sign of y": (turned(force=lambda F: F * [1, -1, 1]), "Fy seems to have the other sign"),
-    "axes": (turned(force=lambda F: F[..., [1, 0, 2]]), "Fx and Fy seem to be exchanged"),
-    "pillars": (turned(ohm=lambda R: R[..., [1, 0, 2]]), "pillars z and x seem to be exchanged"),
-    "pillars as axes": (turned(ohm=lambda R: R[..., [1, 2, 0]]), "pillars seem to stand in the order x, y, z"),
+    "axes": (turned(force=lambda F: F[..., [1, 0, 2]]), "axes seem to stand in the order y, x, z"),
     "transposed": (turned(force=lambda F: F.swapaxes(1, 2)), "rows and columns of the forces seem to be exchanged"),
     "rows": (turned(force=lambda F: F[:, ::-1]), "rows of the forces seem to stand in reverse order"),
     "columns": (turned(ohm=lambda R: R[:, :, ::-1]), "columns of the forces seem to stand in reverse order"),
-    "order": (turned(ohm=lambda R: R[SHUFFLED]), r"far better in another order, \d\d of 30 are out of place"),
-    "shifted": (turned(ohm=lambda R: np.roll(R, 1, axis=0)), r"another order, 30 of 30 are out of place"),
-    "of others": (turned(ohm=lambda R: OTHERS.resistance_ohm), "if nothing linked them"),
-    "constant": (turned(ohm=lambda R: np.repeat(R[:1], 30, axis=0)), "if nothing linked them"),
+    "pillars": (turned(ohm=lambda R: R[..., [1, 0, 2]]), "pillars seem to stand in the order x, z, y"),
+    "pillars as axes": (turned(ohm=lambda R: R[..., [1, 2, 0]]), "pillars seem to stand in the order x, y, z"),
+    "order": (turned(ohm=lambda R: R[SHUFFLED]), NOT_LINKED),
+    "of others": (turned(ohm=lambda R: OTHERS.resistance_ohm), NOT_LINKED),
+    "constant": (turned(ohm=lambda R: np.repeat(R[:1], 30, axis=0)), NOT_LINKED),
     "unloaded": (turned(force=lambda F: 0 * F), "every force is 0 N, though the resistances differ by more"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -91,18 +89,19 @@ def test_what_is_wrong_is_named(name):
     assert doubt(data[:10], ALL, JOINT) is not None
 
 
+def test_arrays_that_are_not_square_have_no_rows_for_columns():
+    pairs = labelled(sensor(1, 2), "xyz", n_samples=30, seed=1)
+    joint = SensorModel.of(response(sensor(1, 2)), ALL)
+    assert doubt(pairs, ALL, joint) is None
+    assert "Fz seems" in doubt(replace(pairs, force_n=pairs.force_n * [1, 1, -1]), ALL, joint)
+
+
 def test_kilohms_are_noticed_without_a_design():
     """One pair is enough; other sizes may be another rubber's."""
     kilohms = turned(ohm=lambda R: 1e-3 * R)
     assert "as in kΩ: give them in Ω" in doubt(kilohms[:1], ALL, None)
     for times in (1e-5, 1e-2, 1.0, 100.0):
         assert doubt(turned(ohm=lambda R, times=times: times * R), ALL, None) is None
-
-
-def test_four_pairs_in_a_wrong_order_are_enough():
-    four = PAIRS[:4]
-    wrong = replace(four, resistance_ohm=four.resistance_ohm[[1, 2, 3, 0]])
-    assert "4 of 4 are out of place" in (doubt(wrong, ALL, JOINT) or "")
 
 
 def test_one_net_alone_is_warned_of_forces_that_it_leaves_out():

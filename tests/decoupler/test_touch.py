@@ -8,63 +8,56 @@ import pytest
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
-from decoupler.touch.decoder import TouchDecoder, Touched
+from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
-from decoupler.touch.morph import PRIOR, Part, fitted
-from decoupler.touch.pillars import Pillars
+from decoupler.touch.morph import PRIOR, Part, Pillars, fitted
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
-from fem.contact import Cylinder, press, surface_compliance
+from fem.contact import Cylinder, Turned, press, surface_compliance
 from geometry.design import Array, SensorDesign
 from geometry.errors import FileFormatError
 
-DESIGN = SensorDesign(array=Array(rows=4, cols=4))
+pytestmark = pytest.mark.usefixtures("shared_cache")
+DESIGN = SensorDesign(array=Array(rows=3, cols=3))
 READ = ReadingError(noise=1e-3, bits=12)
-N = 25
+N = 16
 
 
-@pytest.fixture(scope="module")
-def decoder(module_cache):
+@pytest.fixture
+def decoder():
+    """By a library that is made once a session."""
     return TouchDecoder(
         design=DESIGN, errors=READ, library=touch_library(DESIGN, 150)[0], pillars=Pillars.designed(DESIGN)
     )
 
 
 @pytest.fixture(scope="module")
-def module_cache():
-    """The cache of all tests, also for fixtures that live as long as the module."""
-    with pytest.MonkeyPatch.context() as patch:
-        import os
-
-        patch.setenv("TRIPILLAR_CACHE", f"{os.environ['TRIPILLAR_TESTS']}/cache")
-        yield
-
-
-@pytest.fixture(scope="module")
-def contacts(module_cache):
+def contacts():
     """Contacts that the library has not seen, read with noise and converter."""
     response = solve_response(DESIGN, ResponseSettings(method="layer"))
     settings = DatasetSettings(protocol="indent", samples=N, seed=105, noise=READ.noise, bits=READ.bits)
     return simulate(response, settings)
 
 
-@pytest.mark.parametrize("symmetry", [3, 4, 6])  # the three mirrors, alone and one after another
+@pytest.mark.parametrize("symmetry", [4, 7])  # the mirrors: of the diagonal alone, and all three one after another
 def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
     """A bar pressed and dragged, solved anew in each symmetry: electrodes and loads of units, to the grids' error."""
     surface = surface_compliance(DESIGN)[0]
 
     def contact(symmetry):
-        turn, at, slide = 20.0, np.array([4.0, -3.0]), np.array([1.0, 0.3])
+        turn, at, slide = 20.0, np.array([11.5, 4.5]), np.array([1.0, 0.3])
         if symmetry & 4:
             turn, at, slide = 90.0 - turn, at[::-1], slide[::-1]
         for bit, axis in ((1, 0), (2, 1)):
             if symmetry & bit:
                 turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
-        return press(surface, Cylinder(6.0, 9.0, turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5)
+        return press(
+            surface, Turned(Cylinder(6.0, 9.0), turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
+        )
 
     solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
-    moved = decoder.library.grid.moved_mm(*turned)
+    moved = decoder.library.grid.pressed_mm(*turned)
     assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
     part = Part.of(decoder.sensing, *turned)
     force_n = part.units(np.zeros((1, 9)))[0, :, :3]
@@ -74,7 +67,7 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
 
 
 def test_a_changed_press_is_found_again(decoder):
-    """Moved, stretched, turned, heavier and dragged: exact readings lead back to its forces; slopes are differences."""
+    """Moved, stretched, turned, heavier and dragged: exact readings lead back to its forces."""
     part = decoder._starts([0], 1)[0]
     true = 0.4 * PRIOR[None] * np.array([1, -1, 1, 1, -1, 1, 1, -1, 1])
     reading = decoder.sensing.reading(part.moved(true))[0]
@@ -96,46 +89,43 @@ def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
     one, two = found.loaded_coverage
     assert 0.6 < one < 0.97
     assert two > 0.9
-    readings = decoder.reading(contacts.resistance_ohm)
-    quick = np.stack([decoder.quick(reading)[0][:, 2] for reading in readings])
+    quick = np.stack([decoder.quick(reading)[0][:, 2] for reading in decoder.reading(contacts.resistance_ohm)])
     missed = np.sqrt(((quick - contacts.force_n[..., 2].reshape(N, -1)) ** 2).mean())
     assert found.by_force["fz"].errors.rmse_n < missed < none
 
 
-def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder, contacts):
+def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder):
     generator, rest_ohm = np.random.default_rng(0), decoder.rest_resistances()
     scans = READ.read(np.repeat(rest_ohm[None], 50, axis=0), generator)
-    force_n = decoder.forces(scans)
-    assert np.count_nonzero(force_n.any(axis=(1, 2, 3))) <= 1  # one in a thousand is promised
+    assert np.count_nonzero(decoder.forces(scans).any(axis=(1, 2, 3))) <= 1  # one in a thousand is promised
     reading, net_n = decoder.regression.reading, decoder.regression.unit[:, :, 2].sum(axis=1)
     seen_by = np.linalg.norm(reading, axis=1) / net_n
     part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
-    light = part.units(np.zeros((1, 9)))[0]
-    moved = part.moved(np.zeros((1, 9))) / light[:, 2].sum()  # of 1 N
-    ohms = decoder.sensing.ohms(decoder.sensing.reading(moved))
-    seen = READ.read(np.repeat(ohms.reshape(1, 4, 4, 3), 20, axis=0), generator)
-    missed = np.abs(decoder.forces(seen).reshape(20, 16, 3) - light[:, :3] / light[:, 2].sum())
+    light = part.units(np.zeros((1, 9)))[0, :, :3]
+    net_n = light[:, 2].sum()
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(part.moved(np.zeros((1, 9))) / net_n))  # of 1 N
+    touches = decoder.touches(READ.read(np.repeat(ohms.reshape(1, 3, 3, 3), 20, axis=0), generator))
+    missed = np.abs(np.stack([each.force_n for each in touches]) - light / net_n)
     assert missed[..., 2].max() < 1.1
-    assert (missed.reshape(20, 4, 4, 3) <= decoder.half_widths(seen)[1]).mean() > 0.95
+    assert (missed <= np.stack([each.half_widths_n[1] for each in touches])).mean() > 0.95
 
 
 def test_two_contacts_are_told_apart(decoder):
     """One near an electrode of each of two opposite units, solved alone: together they are no press of the library."""
     surface = surface_compliance(DESIGN)[0]
     both = [
-        press(surface, Cylinder(4.0, 4.0, 30.0), 0.8, at_mm=at, friction=0.3) for at in ((-18.0, -18.0), (12.0, 12.0))
+        press(surface, Turned(Cylinder(4.0, 4.0), 30.0), 0.8, at_mm=at, friction=0.3)
+        for at in ((-18.0, -12.0), (11.0, 17.0))
     ]
     moved = sum(one.electrode_mm.reshape(1, -1) for one in both)
     found = decoder.touched(decoder.sensing.reading(moved)[0])
     expected = sum(one.force_n for one in both).reshape(-1, 3)
     assert any(len(fit.parts) == 2 for fit in found.fits)
     assert (np.abs(found.force_n - expected) < 3 * found.deviation_n).all()
-    assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 10}
-    first, second = sorted(found.contacts, key=lambda one: one.centre_mm[0])
-    for one, solved in zip((first, second), both, strict=True):
-        place = solved.centre_mm
+    assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 8}
+    for one, solved in zip(sorted(found.contacts, key=lambda one: one.centre_mm[0]), both, strict=True):
         assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)
-        assert one.centre_mm == pytest.approx(place, abs=1.0)
+        assert one.centre_mm == pytest.approx(solved.centre_mm, abs=1.0)
         pressed = Part.of(decoder.sensing, *presses_of([solved]).turned(0, 0, np.zeros(2))).contact(np.zeros((1, 9)))
         assert (np.abs(one.half_mm - pressed[0, 5:]) < 3 * one.half_deviation_mm).all()
 
@@ -143,13 +133,14 @@ def test_two_contacts_are_told_apart(decoder):
 def test_soft_rubber_and_more_pillars_feel_touches_better(monkeypatch):
     """What is linear knows force over stiffness: rubber half as stiff is a touch twice as heavy."""
     monkeypatch.setattr("decoupler.touch.limits.TOUCHES", 8)
-    rubber = replace(DESIGN.matrix_material, young_mpa=DESIGN.matrix_material.young_mpa / 2)
-    soft = replace(DESIGN, matrix_material=rubber, pillar_material=rubber)
-    unit, array = replace(DESIGN.unit, span_mm=6.0), replace(DESIGN.array, pitch_mm=10.0)
-    close = replace(DESIGN, unit=unit, array=array, pad=replace(DESIGN.pad, size_mm=8.0))
+    design = replace(DESIGN, array=Array(rows=2, cols=2))
+    rubber = replace(design.matrix_material, young_mpa=design.matrix_material.young_mpa / 2)
+    soft = replace(design, matrix_material=rubber, pillar_material=rubber)
+    unit, array = replace(design.unit, span_mm=6.0), replace(design.array, pitch_mm=10.0)
+    close = replace(design, unit=unit, array=array, pad=replace(design.pad, size_mm=8.0))
     known, heavy, softer, denser = (
-        np.array(touch_limits(design, force_n, READ))
-        for design, force_n in ((DESIGN, 10.0), (DESIGN, 20.0), (soft, 10.0), (close, 10.0))
+        np.array(touch_limits(each, force_n, READ))
+        for each, force_n in ((design, 10.0), (design, 20.0), (soft, 10.0), (close, 10.0))
     )
     assert softer == pytest.approx(heavy, rel=1e-3)
     assert (softer < 0.8 * known).all()
@@ -157,21 +148,16 @@ def test_soft_rubber_and_more_pillars_feel_touches_better(monkeypatch):
 
 
 def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):
-    write_touch(decoder, tmp_path / "touch.safetensors")
-    again = read_model(tmp_path / "touch.safetensors")
-    some = contacts.resistance_ohm[:3]
+    path, some = tmp_path / "touch.safetensors", contacts.resistance_ohm[:3]
+    write_touch(decoder, path)
+    again = read_model(path)
     assert np.array_equal(again.forces(some), np.concatenate([decoder.forces(one[None]) for one in some]))
-    assert np.array_equal(again.half_widths(some)[0], decoder.half_widths(some)[0])
-    whole = bytearray((tmp_path / "touch.safetensors").read_bytes())
+    whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 1
-    (tmp_path / "touch.safetensors").write_bytes(whole)
+    path.write_bytes(whole)
     with pytest.raises(FileFormatError, match=r"touch\.safetensors: "):
-        read_model(tmp_path / "touch.safetensors")
-
-
-def test_readings_that_are_none_are_refused(decoder):
-    with pytest.raises(SampleError, match=r"expected \(n, 4, 4, 3\)"):
+        read_model(path)
+    with pytest.raises(SampleError, match=r"expected \(n, 3, 3, 3\)"):
         decoder.forces(np.ones((1, 6, 6, 3)))
     with pytest.raises(SampleError, match="not finite or not above 0"):
-        decoder.forces(np.full((1, 4, 4, 3), np.nan))
-    assert isinstance(replace(decoder).touched(decoder.reading(decoder.rest_resistances()[None])[0]), Touched)
+        decoder.forces(np.full((1, 3, 3, 3), np.nan))

@@ -19,6 +19,10 @@ def assert_close(actual, expected):
     assert torch.linalg.norm(actual - expected) <= 1e-10 * torch.linalg.norm(expected)
 
 
+def eye(n):
+    return torch.eye(n, dtype=torch.float64)
+
+
 @pytest.fixture(params=["plain", "skip"])
 def problem(request):
     """Samples, and a network away from any special point."""
@@ -29,9 +33,8 @@ def problem(request):
     return TrainingSet(inputs, targets, network.skip), network
 
 
-@pytest.fixture
-def dense(problem):
-    """The problem's matrix of blocks, the dense Jacobian of its residuals, and these."""
+def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
+    """K ∘ ZᵀZ, I ⊗ AᵀA and W₂ C between them, put together, are JᵀJ."""
     samples, network = problem
     hidden, output = network.hidden.detach(), network.output.detach()
 
@@ -39,47 +42,20 @@ def dense(problem):
         weights = {"hidden": hidden, "output": output}
         return (torch.func.functional_call(network, weights, samples.X[:, :-1]) - samples.targets).reshape(-1)
 
-    by_hidden, by_output = torch.func.jacrev(residual, argnums=(0, 1))(hidden, output)
-    J = torch.cat([by_hidden.flatten(1), by_output.flatten(1)], dim=1)
-    return GaussNewton(samples, point_at(samples, hidden, output)), J, residual(hidden, output)
-
-
-@pytest.fixture
-def variable(problem):
-    """The problem at the best output weights, and Kaufman's matrix: J₁ᵀJ₁ less what the output layer can follow."""
-    samples, network = problem
-    point = projected(samples, network.hidden.detach(), RIDGE)
-
-    def outputs(hidden, output):
-        return (samples.activations(hidden) @ output.T).reshape(-1)
-
-    J1, J2 = (J.flatten(1) for J in torch.func.jacrev(outputs, argnums=(0, 1))(point.hidden, point.output))
-    M = J2.T @ J2 + RIDGE * torch.eye(J2.shape[1], dtype=torch.float64)
-    return samples, point, J1.T @ J1 - J1.T @ J2 @ torch.linalg.solve(M, J2.T @ J1)
-
-
-def test_blocks_and_gradient_equal_the_dense_ones(dense):
-    """K ∘ ZᵀZ, I ⊗ AᵀA and W₂ C between them, put together, are JᵀJ."""
-    blocks, J, residual = dense
-    p = N_IN + 1
+    J = torch.cat([J.flatten(1) for J in torch.func.jacrev(residual, argnums=(0, 1))(hidden, output)], dim=1)
+    blocks, p = GaussNewton(samples, point_at(samples, hidden, output)), N_IN + 1
     K = blocks.K.repeat_interleave(p, 0).repeat_interleave(p, 1)
     C = blocks.C.view(N_HIDDEN, p, -1)
     between = torch.einsum("kj,jab->jakb", blocks.W2, C).reshape(N_HIDDEN * p, -1)
-    AtA = torch.kron(torch.eye(N_OUT, dtype=torch.float64), blocks.AtA)
-    matrix = torch.cat([torch.cat([K * blocks.ZtZ, between], 1), torch.cat([between.T, AtA], 1)], 0)
-    assert_close(matrix, J.T @ J)
+    AtA = torch.kron(eye(N_OUT), blocks.AtA)
+    assert_close(torch.cat([torch.cat([K * blocks.ZtZ, between], 1), torch.cat([between.T, AtA], 1)], 0), J.T @ J)
     assert blocks.scale == pytest.approx((J.T @ J).diagonal().max().item(), rel=1e-12)
-    gradient = torch.cat([blocks.gradient_hidden.flatten(), blocks.gradient_output.flatten()])
-    assert_close(gradient, J.T @ residual)
-
-
-@pytest.mark.parametrize("damping", [1e-3, 1.0, 1e3])
-def test_damped_step_equals_the_dense_one(dense, damping):
-    blocks, J, residual = dense
-    expected = torch.linalg.solve(J.T @ J + damping * torch.eye(J.shape[1], dtype=torch.float64), -J.T @ residual)
-    step = blocks.direction(damping)
-    assert step is not None
-    assert_close(torch.cat([step[0].flatten(), step[1].flatten()]), expected)
+    downhill = J.T @ residual(hidden, output)
+    assert_close(torch.cat([blocks.gradient_hidden.flatten(), blocks.gradient_output.flatten()]), downhill)
+    for damping in (1e-3, 1.0, 1e3):
+        step = blocks.direction(damping)
+        expected = torch.linalg.solve(J.T @ J + damping * eye(J.shape[1]), -downhill)
+        assert_close(torch.cat([step[0].flatten(), step[1].flatten()]), expected)
 
 
 def test_singular_matrix_gives_no_step():
@@ -90,40 +66,35 @@ def test_singular_matrix_gives_no_step():
     assert GaussNewton(samples, point).step(0.0) is None
 
 
-def test_products_and_blocks_are_those_of_kaufmans_matrix(variable):
-    samples, point, matrix = variable
-    p, model = N_IN + 1, Projected(samples, RIDGE, point)
-    columns = [model.product(e.reshape(N_HIDDEN, N_IN + 1)).reshape(-1) for e in torch.eye(len(matrix)).double()]
+def test_variable_projection_is_kaufmans(problem):
+    """Products, blocks, gradient and steps by the dense J₁ᵀJ₁ less what the output layer can follow."""
+    samples, network = problem
+    point, p = projected(samples, network.hidden.detach(), RIDGE), N_IN + 1
+
+    def outputs(hidden, output):
+        return (samples.activations(hidden) @ output.T).reshape(-1)
+
+    J1, J2 = (J.flatten(1) for J in torch.func.jacrev(outputs, argnums=(0, 1))(point.hidden, point.output))
+    matrix = J1.T @ J1 - J1.T @ J2 @ torch.linalg.solve(J2.T @ J2 + RIDGE * eye(J2.shape[1]), J2.T @ J1)
+    model = Projected(samples, RIDGE, point)
+    columns = [model.product(e.reshape(N_HIDDEN, p)).reshape(-1) for e in eye(len(matrix))]
     assert_close(torch.stack(columns, dim=1), matrix)
     assert_close(model.blocks, torch.stack([matrix[j : j + p, j : j + p] for j in range(0, N_HIDDEN * p, p)]))
     assert model.scale == pytest.approx(matrix.diagonal().max().item(), rel=1e-10)
 
-
-def test_gradient_is_that_of_the_projected_cost(variable):
-    samples, point, _ = variable
     hidden = point.hidden.clone().requires_grad_()
     A = samples.activations(hidden)
-    output = torch.linalg.solve(A.T @ A + RIDGE * torch.eye(A.shape[1], dtype=torch.float64), A.T @ samples.targets)
+    output = torch.linalg.solve(A.T @ A + RIDGE * eye(A.shape[1]), A.T @ samples.targets)
     cost = 0.5 * ((A @ output - samples.targets) ** 2).sum() + 0.5 * RIDGE * (output**2).sum()
     cost.backward()
     assert point.cost == pytest.approx(cost.item(), rel=1e-12)
-    assert_close(Projected(samples, RIDGE, point).gradient, hidden.grad)
+    assert_close(model.gradient, hidden.grad)
 
-
-@pytest.mark.parametrize("damping", [1e-2, 1.0, 1e2])
-def test_conjugate_gradients_to_the_end_give_the_factored_step(variable, damping):
-    samples, point, matrix = variable
-    model = Projected(samples, RIDGE, point)
-    found = model.direction(damping, close_enough=0.0, most_products=3 * len(matrix))
-    damped = matrix + damping * torch.eye(len(matrix), dtype=torch.float64)
-    assert_close(found.reshape(-1), torch.linalg.solve(damped, -model.gradient.reshape(-1)))
-
-
-def test_promise_holds_for_steps_that_stop_early(variable):
-    """The fall of the quadratic −gᵀd − ½ dᵀHd, worked out by the matrix."""
-    samples, point, matrix = variable
-    model = Projected(samples, RIDGE, point)
-    trial, promised = model.step(0.1)
+    for damping in (1e-2, 1.0, 1e2):
+        found = model.direction(damping, close_enough=0.0, most_products=3 * len(matrix))
+        damped = matrix + damping * eye(len(matrix))
+        assert_close(found.reshape(-1), torch.linalg.solve(damped, -model.gradient.reshape(-1)))
+    trial, promised = model.step(0.1)  # which stops early: the fall of the quadratic −gᵀd − ½ dᵀHd all the same
     d = (trial.hidden - point.hidden).reshape(-1)
     assert promised == pytest.approx((-model.gradient.reshape(-1) @ d - d @ matrix @ d / 2).item(), rel=1e-8)
 
@@ -137,12 +108,10 @@ def test_hidden_layer_never_sees_what_is_held_out():
     config = TrainingConfig(max_iterations=6, goal_mse=0.0, patience=100)
     paths = []
     for changed in (0.0, 0.01):
-        other = targets.clone()
+        other, errors = targets.clone(), []
         other[70:] += changed
-        errors = []
-        train_varpro(
-            TrainingSet(inputs, other, True), hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse)
-        )
+        samples = TrainingSet(inputs, other, True)
+        train_varpro(samples, hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse))
         paths.append(errors)
     assert paths[0] == paths[1]
 
@@ -157,8 +126,7 @@ def test_noise_leaves_a_linear_map():
     point, outcome = train_varpro(samples, hidden, 1e-9, 15, TrainingConfig(), lambda *_: None)
     assert outcome.reason == "validation"
     assert not point.hidden.any()
-    X = samples.X.numpy()
-    linear = np.linalg.lstsq(X, samples.targets.numpy(), rcond=None)[0]
+    linear = np.linalg.lstsq(samples.X.numpy(), samples.targets.numpy(), rcond=None)[0]
     np.testing.assert_allclose(point.output[:, 12:].numpy(), linear.T, atol=1e-6)  # the ridge's own size
 
 

@@ -28,116 +28,82 @@ from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
 SENSOR = sensor(2, 3)
 TRAIN, TEST = split(labelled(SENSOR, "x", n_samples=400, seed=0), 300)
 FX = component_named("fx")
+SECOND_ORDER = pytest.mark.parametrize("trainer", ["varpro", "lm"])
+EVERY = pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
 
 
-@pytest.mark.parametrize("trainer", ["varpro", "lm"])
+def trained(data=TRAIN, progress=lambda *_: None, known=None, hidden=4, net="skip", feature="root", **config):
+    network = NetworkConfig(hidden=hidden, net=net, feature=feature)
+    return train(data, "fx", network, TrainingConfig(**config), progress, known)
+
+
+@SECOND_ORDER
 @pytest.mark.parametrize("net", ["plain", "skip"])
-def test_second_order_trainers_reach_the_goal(trainer, net):
-    """Nodes enough for six forces: the goal is reached, and unseen samples beat least squares by far."""
-    config = TrainingConfig(trainer=trainer, goal_mse=1e-7, held_out=0.0)
-    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=12, net=net), config)
+def test_second_order_trainers_reach_the_goal_or_the_pca_floor(trainer, net):
+    """Nodes enough for six forces: unseen samples beat least squares by far. Three nodes: within 2 % of the floor."""
+    decoupler = trained(hidden=12, net=net, trainer=trainer, goal_mse=1e-7, held_out=0.0)
     outcome = decoupler.made_from["outcome"]
-    assert outcome["reason"] == "goal"
-    assert outcome["mse"] <= 1e-7
+    assert (outcome["reason"], outcome["mse"] <= 1e-7) == ("goal", True)
     linear = component_errors(LeastSquares.fitted(Columns.of(TRAIN, FX)).forces(TEST.resistance_ohm), TEST, FX)["fx"]
     assert evaluate(decoupler, TEST)["fx"].rel_err < linear.rel_err / 4
+    if net == "plain":
+        outcome = trained(hidden=3, net="plain", trainer=trainer, held_out=0.0).made_from["outcome"]
+        floor = pca_floor(TRAIN.force_n, FX, 3).scaled_mse
+        assert outcome["reason"] == "stagnation"
+        assert floor < outcome["mse"] < 1.02 * floor
 
 
-def test_momentum_rule_learns():
+def test_momentum_rule_learns_and_says_where_it_runs_away():
     """It creeps, but ends well below the spread of the forces (scaled variance 1/3)."""
-    config = TrainingConfig(trainer="momentum", max_iterations=400)
-    outcome = train(TRAIN, "fx", NetworkConfig(hidden=12), config).made_from["outcome"]
-    assert outcome["reason"] == "iterations"
-    assert outcome["mse"] < 0.02
+    outcome = trained(hidden=12, trainer="momentum", max_iterations=400).made_from["outcome"]
+    assert (outcome["reason"], outcome["mse"] < 0.02) == ("iterations", True)
+    with pytest.raises(TrainingError, match="learning_rate was 1000, lower it"):
+        trained(trainer="momentum", learning_rate=1e3)
 
 
+@EVERY
 @pytest.mark.parametrize(("net", "feature"), [("skip", "root"), ("plain", "resistance")])
-@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
-def test_reported_error_is_that_of_the_model(trainer, net, feature):
+def test_reported_error_is_that_of_the_model_and_a_seed_fixes_the_bits(trainer, net, feature):
     """Torch on scaled inputs, NumPy on ohms: found again in newtons; 1e-6 is for the rounding of the scaling."""
-    network = NetworkConfig(hidden=4, net=net, feature=feature)
-    decoupler = train(TRAIN, "fx", network, TrainingConfig(trainer=trainer, max_iterations=5))
-    outcome = decoupler.made_from["outcome"]
-    error_n = decoupler.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
-    scaled = error_n.reshape(len(error_n), -1) / decoupler.output_scaling.half_range
+    told = []
+    asked = {"net": net, "feature": feature, "trainer": trainer, "goal_mse": 0.0, "max_iterations": 4}
+    first, again = trained(progress=lambda *call: told.append(call), **asked), trained(**asked)
+    outcome = first.made_from["outcome"]
+    error_n = first.forces(TRAIN.resistance_ohm)[..., 0] - TRAIN.force_n[..., 0]
+    scaled = error_n.reshape(len(error_n), -1) / first.output_scaling.half_range
     assert np.mean(scaled**2) == pytest.approx(outcome["mse"], rel=1e-6)
+    assert (outcome["iterations"], outcome["reason"]) == (4, "iterations")
+    assert [iteration for iteration, _ in told] == [0, 1, 2, 3, 4]
+    assert [mse for _, mse in told] == sorted((mse for _, mse in told), reverse=True)  # steps only ever go down
+    np.testing.assert_array_equal(first.hidden_weights, again.hidden_weights)
+    assert not np.array_equal(first.hidden_weights, trained(**asked, seed=1).hidden_weights)
 
 
-@pytest.mark.parametrize("trainer", ["varpro", "lm"])
-def test_narrow_plain_net_stops_at_the_pca_floor(trainer):
-    """Six independent forces through three nodes: never below the floor, and within 2 % of it."""
-    config = TrainingConfig(trainer=trainer, held_out=0.0)
-    outcome = train(TRAIN, "fx", NetworkConfig(hidden=3, net="plain"), config).made_from["outcome"]
-    floor = pca_floor(TRAIN.force_n, FX, 3).scaled_mse
-    assert outcome["reason"] == "stagnation"
-    assert floor < outcome["mse"] < 1.02 * floor
-
-
-@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+@EVERY
 def test_a_net_on_the_response_starts_from_its_inverse(trainer):
     """Before the first step it gives the forces of the inverse itself (rounding), and then no worse ones.
 
     Of the light samples that training adds, a tenth, the inverse misses less than of the others.
     """
-    network = NetworkConfig(hidden=4, feature="inverse")
-    config = TrainingConfig(trainer=trainer, goal_mse=0.0, max_iterations=30)
     errors = []
-    decoupler = train(TRAIN, "fx", network, config, lambda _, mse: errors.append(mse), response(SENSOR))
-    outcome = decoupler.made_from["outcome"]
-    columns = decoupler.columns(TRAIN.resistance_ohm)
-    known = decoupler.inverse.forces(columns)
+    decoupler = trained(
+        progress=lambda _, mse: errors.append(mse), known=response(SENSOR), feature="inverse", trainer=trainer,
+        goal_mse=0.0, max_iterations=30,
+    )  # fmt: skip
+    known = decoupler.inverse.forces(decoupler.columns(TRAIN.resistance_ohm))
     scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
     if trainer != "varpro":  # whose output layer is never at its start
         assert np.mean(scaled**2) / 1.1 <= errors[0] <= np.mean(scaled**2)
-    assert outcome["mse"] <= np.mean(scaled**2)
+    assert decoupler.made_from["outcome"]["mse"] <= np.mean(scaled**2)
 
 
-def test_stops_after_the_iterations_it_was_given():
-    calls = []
-    config = TrainingConfig(goal_mse=0.0, max_iterations=4)
-    outcome = train(TRAIN, "fx", NetworkConfig(hidden=4), config, lambda *call: calls.append(call)).made_from["outcome"]
-    assert (outcome["iterations"], outcome["reason"]) == (4, "iterations")
-    assert [iteration for iteration, _ in calls] == [0, 1, 2, 3, 4]
-    errors = [mse for _, mse in calls]
-    assert errors == sorted(errors, reverse=True)  # damped steps only ever go down
-
-
-@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
-def test_a_seed_fixes_the_bits(trainer):
-    def weights(seed):
-        config = TrainingConfig(trainer=trainer, max_iterations=3, seed=seed)
-        return train(TRAIN, "fx", NetworkConfig(hidden=4), config).hidden_weights
-
-    np.testing.assert_array_equal(weights(1), weights(1))
-    assert not np.array_equal(weights(1), weights(2))
-
-
-def test_the_samples_that_judge_are_drawn_from_all(monkeypatch):
-    """Files may be sorted by load: not the last samples judge the hidden layer, and a seed says which."""
-    seen = []
-
-    def spy(samples, hidden, ridge, held_out, *others):
-        seen.append(samples.targets[len(samples.targets) - held_out :].numpy().copy())
-        return train_varpro(samples, hidden, ridge, held_out, *others)
-
-    monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
-    for seed in (1, 1, 2):
-        decoupler = train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
-    last = decoupler.output_scaling.scale(force_columns(TRAIN.force_n, FX)[-30:])
-    once, again, other = seen
-    assert once.shape == last.shape
-    np.testing.assert_array_equal(once, again)
-    in_last = [(row == last).all(axis=1).any() for row in once]
-    assert 0 <= sum(in_last) < 12  # 3 of 30 are expected; 12 or more have a chance of 1e-5
-    assert not np.array_equal(once, other)
-
-
-def test_readings_of_one_load_judge_together_or_not_at_all(monkeypatch):
-    """Three readings of each load, a tenth held out: no load on both sides."""
+def test_the_samples_that_judge_are_drawn_from_all_and_readings_of_one_load_stay_together(monkeypatch):
+    """Files may be sorted by load: not the last samples judge, a seed says which, and no load is on both sides."""
     sides = []
 
     def spy(samples, hidden, ridge, held_out, *others):
-        sides.append((samples.targets[: len(samples.targets) - held_out], samples.targets[-held_out:]))
+        parts = samples.targets[: len(samples.targets) - held_out], samples.targets[-held_out:]
+        sides.append([{tuple(row) for row in side.tolist()} for side in parts])
         return train_varpro(samples, hidden, ridge, held_out, *others)
 
     monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
@@ -147,25 +113,28 @@ def test_readings_of_one_load_judge_together_or_not_at_all(monkeypatch):
         resistance_ohm=np.concatenate(TRAIN.resistance_ohm * factor),
         force_n=np.tile(TRAIN.force_n, (3, 1, 1, 1)),
     )
-    for seed in range(3):
-        train(often, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=1, seed=seed))
-        fitted, judging = ({tuple(row) for row in side.tolist()} for side in sides[-1])
-        assert 0.08 * len(TRAIN.force_n) < len(judging) <= 0.1 * len(TRAIN.force_n)
-        assert not fitted & judging
+    for seed in (1, 1, 2):
+        scaling = trained(often, hidden=2, max_iterations=1, seed=seed).output_scaling
+    last = {tuple(row) for row in scaling.scale(force_columns(TRAIN.force_n, FX)[-30:]).tolist()}
+    (fitted, once), (_, again), (_, other) = sides
+    assert 0.08 * len(TRAIN) < len(once) <= 0.1 * len(TRAIN)
+    assert not fitted & once
+    assert once == again != other
+    assert len(once & last) < 12  # 3 of 30 are expected; 12 or more have a chance of 1e-5
 
 
 def test_global_state_of_torch_is_left_alone():
     threads, state = torch.get_num_threads(), torch.random.get_rng_state()
     torch.set_num_threads(2)
     try:
-        train(TRAIN, "fx", NetworkConfig(hidden=2), TrainingConfig(max_iterations=2))
+        trained(hidden=2, max_iterations=2)
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
-@pytest.mark.parametrize("trainer", ["varpro", "lm", "momentum"])
+@EVERY
 def test_awkward_columns_train_to_finite_weights(trainer):
     """A constant, a doubled and a rescaled column, forces in µN: nothing divides by 0 or overflows."""
     R, F = TRAIN.resistance_ohm.copy(), TRAIN.force_n * 1e-6
@@ -173,42 +142,16 @@ def test_awkward_columns_train_to_finite_weights(trainer):
     R[:, 0, 1, 1] = R[:, 0, 2, 1]
     R[:, 1, 0, 1] *= 1e6
     F[:, 1, 1, 0] = 3e-6
-    decoupler = train(
-        replace(TRAIN, resistance_ohm=R, force_n=F),
-        "fx",
-        NetworkConfig(hidden=4),
-        TrainingConfig(trainer=trainer, max_iterations=30),
-    )
-    outcome = decoupler.made_from["outcome"]
-    assert outcome["mse"] < 0.2
+    decoupler = trained(replace(TRAIN, resistance_ohm=R, force_n=F), trainer=trainer, max_iterations=30)
+    assert decoupler.made_from["outcome"]["mse"] < 0.2
     np.testing.assert_allclose(decoupler.forces(R)[:, 1, 1, 0], 3e-6, rtol=1e-15)
 
 
-@pytest.mark.parametrize("trainer", ["varpro", "lm"])
-def test_fewer_samples_than_weights_still_train(trainer):
-    few, _ = split(TRAIN, 5)
-    outcome = train(few, "fx", NetworkConfig(hidden=12), TrainingConfig(trainer=trainer)).made_from["outcome"]
-    assert outcome["reason"] == "goal"
-
-
-def test_one_sample_is_too_few():
+@SECOND_ORDER
+def test_fewer_samples_than_weights_still_train_but_not_one(trainer):
+    assert trained(TRAIN[:5], hidden=12, trainer=trainer).made_from["outcome"]["reason"] == "goal"
     with pytest.raises(SampleError, match="1 samples cannot train a network"):
-        train(split(TRAIN, 1)[0], "fx", NetworkConfig(), TrainingConfig())
-
-
-def test_a_momentum_rule_that_runs_away_says_so():
-    config = TrainingConfig(trainer="momentum", learning_rate=1e3)
-    with pytest.raises(TrainingError, match="learning_rate was 1000, lower it"):
-        train(TRAIN, "fx", NetworkConfig(hidden=4), config)
-
-
-def test_what_a_model_was_made_from_is_kept():
-    decoupler = train(TRAIN, "fx", NetworkConfig(hidden=4), TrainingConfig(seed=3, max_iterations=2))
-    outcome = decoupler.made_from["outcome"]
-    assert decoupler.made_from["data_hash"] == TRAIN.content_hash
-    assert decoupler.made_from["training"]["seed"] == 3
-    assert decoupler.made_from["outcome"]["iterations"] == outcome["iterations"]
-    assert decoupler.design == SENSOR
+        trained(TRAIN[:1], trainer=trainer)
 
 
 def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
@@ -233,7 +176,7 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
         assert len(at_rest) > 2
         assert np.abs(at_rest / rest_ohm - 1.0).max() < most
     model = train(TRAIN, "fx", network, response=other)
-    assert model.made_from["n_samples"] == len(TRAIN.force_n)
+    assert model.made_from["n_samples"] == len(TRAIN)
     missed_n = [one.forces(TEST.resistance_ohm) - TEST.force_n[..., :1] for one in (model, model.least_squares)]
     assert np.std(missed_n[0]) < 0.1 * np.std(missed_n[1])
     monkeypatch.setattr(trainer, "MAX_UNEXPLAINED", 1e-9)

@@ -1,16 +1,15 @@
 """The χ² of a reading: quiet under every load that the model knows, loud where none explains it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from dataset import Samples
 from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import response, sensor
 
 SENSOR = sensor(3, 3)
 FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
@@ -34,11 +33,8 @@ def loads(n, seed):
 @pytest.fixture(scope="module")
 def model():
     force_n = loads(400, 5)
-    data = replace(
-        labelled(SENSOR, "xyz", 400, 0),
-        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), noise=NOISE,
-    )  # fmt: skip
-    return train(data, "all", response=response(SENSOR))
+    own = Samples(force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), design=SENSOR, noise=NOISE)
+    return train(own, "all", response=response(SENSOR))
 
 
 def test_usual_loads_raise_no_alarm(model):

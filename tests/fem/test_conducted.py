@@ -10,11 +10,9 @@ from fem.array.conducted import conducted_pillars, displacement_gradients
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import design_interior
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.solving import ResponseSettings, array_response
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
 from geometry.design import Array, Electrics, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import electrode_squares, pad_squares
 
 
@@ -87,9 +85,3 @@ def test_a_response_file_keeps_conduction(pressed, tmp_path):
     back = read_response(tmp_path / "response.nc")
     assert back.content_hash == response.content_hash != replace(response, conducted=None).content_hash
     assert back.conducted.error_estimate == response.conducted.error_estimate
-
-
-def test_closed_forms_have_no_strain_in_the_pillars():
-    design = SensorDesign(electrics=Electrics(model="conduction"))
-    with pytest.raises(DesignError, match="conduction needs the strain in the pillars"):
-        array_response(design, ResponseSettings(method="layer"))

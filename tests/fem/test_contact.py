@@ -12,9 +12,9 @@ from fem.contact import (
     Cylinder,
     Flat,
     ShapeError,
-    Solid,
     Sphere,
     SurfaceCompliance,
+    Turned,
     press,
     read_solid,
     surface_compliance,
@@ -62,7 +62,7 @@ def test_sphere_and_disc_on_a_half_space_are_hertz_and_boussinesq():
 
 @pytest.mark.parametrize(
     ("radius_mm", "depth_mm", "force_n", "edge_mm", "peak_mpa"),
-    [(10.0, 0.5, 15.856, 2.417, 1.2711), (10.0, 1.5, 104.255, 4.392, 2.4944), (4.0, 1.0, 26.584, 2.053, 2.8342)],
+    [(10.0, 1.5, 104.255, 4.392, 2.4944), (4.0, 1.0, 26.584, 2.053, 2.8342)],
 )
 def test_spheres_on_the_thin_slab_are_ngsolve_s(radius_mm, depth_mm, force_n, edge_mm, peak_mpa):
     """Axially symmetric, by `python -m studies.bench.peers.contact`."""
@@ -76,7 +76,7 @@ def test_spheres_on_the_thin_slab_are_ngsolve_s(radius_mm, depth_mm, force_n, ed
 def test_the_estimate_covers_what_finer_grids_and_increments_change(pair: SurfaceCompliance):
     """Of forces and electrodes; the tiles, the same in both, are in the estimate as well."""
     path = {"at_mm": (3.0, 2.0), "slide_mm": (0.3, -0.2), "friction": 0.7}
-    coarse, fine = (press(pair, Cylinder(6.0, 5.0, 20.0), 0.8, cells=cells, **path) for cells in (16, 80))
+    coarse, fine = (press(pair, Turned(Cylinder(6.0, 5.0), 20.0), 0.8, cells=cells, **path) for cells in (16, 80))
     for name, estimate in (("force_n", coarse.error_estimate), ("electrode_mm", coarse.electrode_error_estimate)):
         one, other = getattr(coarse, name), getattr(fine, name)
         assert np.linalg.norm(one - other) < estimate * np.linalg.norm(other)
@@ -135,15 +135,6 @@ def test_units_share_the_whole_force_about_its_centre_and_gaps_close_where_it_pr
     assert patch.unit_loads(np.ones((3, 1, 3)), pair.design.array)[0, :, 2].tolist() == [1.5, 1.5]
 
 
-def test_mirrored_contacts_are_mirror_images(pair: SurfaceCompliance):
-    """At the rim as well, and where a part of the shape hangs over."""
-    left, right = (
-        press(pair, Sphere(6.0), 1.0, at_mm=(x, 2.0), slide_mm=(x / 100, 0.1), friction=0.4) for x in (-14.0, 14.0)
-    )
-    assert left.net_force_n * [-1, 1, 1] == pytest.approx(right.net_force_n, rel=1e-3)
-    assert left.centre_mm * [-1, 1] == pytest.approx(right.centre_mm, rel=1e-3)
-
-
 def test_stl_of_a_box_is_a_flat_punch_and_no_solid_is_refused(pair: SurfaceCompliance, tmp_path: Path):
     trimesh.creation.box((6.0, 4.0, 3.0)).export(tmp_path / "box.stl")
     by_file, by_size = (press(pair, shape, 0.4) for shape in (read_solid(tmp_path / "box.stl"), Flat((6.0, 4.0))))
@@ -168,26 +159,11 @@ def test_stl_of_a_box_is_a_flat_punch_and_no_solid_is_refused(pair: SurfaceCompl
         ({"at_mm": (float("nan"), 0.0)}, "finite"),
         ({"cells": 8}, "cells=8 must be from 16"),
         ({"radius_mm": 0.0}, "radius_mm=0"),
+        ({"sensor": SensorDesign(pad=Pad(kind="stiff"))}, "stiff plates"),
+        ({"sensor": SensorDesign(array=Array(rows=20))}, "too many"),
     ],
 )
 def test_contacts_that_cannot_be_are_refused(pair: SurfaceCompliance, changes: dict, told: str):
-    given = {"radius_mm": 5.0, "depth_mm": 1.0, **changes}
-    with pytest.raises((ContactError, ShapeError), match=told):
-        press(pair, Sphere(given.pop("radius_mm")), **given)
-
-
-def test_sensors_that_it_is_no_model_of_are_refused():
-    for design, told in (
-        (SensorDesign(pad=Pad(kind="stiff")), "stiff plates"),
-        (SensorDesign(array=Array(rows=20)), "too many"),
-    ):
-        with pytest.raises(DesignError, match=told):
-            surface_compliance(design)
-
-
-def test_height_map_is_empty_outside_its_box_and_beside_holes():
-    heights = np.zeros((3, 3))
-    heights[0, 0] = np.inf
-    solid = Solid(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]), heights)
-    x = np.array([1.5, -0.5, 0.5, -1.0])
-    assert solid.heights_mm(x, np.array([0.0, -0.5, -0.5, -0.5])).tolist() == [np.inf, np.inf, 0.0, np.inf]
+    given = {"sensor": pair, "radius_mm": 5.0, "depth_mm": 1.0, **changes}
+    with pytest.raises((ContactError, ShapeError, DesignError), match=told):
+        press(given.pop("sensor"), Sphere(given.pop("radius_mm")), given.pop("depth_mm"), **given)

@@ -49,7 +49,7 @@ def test_all_laws_are_hooke_s_at_small_strain(law):
     assert np.allclose(law.stress(strain, np.zeros(1)), 0.0)
 
 
-@pytest.mark.parametrize(("lean", "order"), [((0.0, 0.0), 2), (LEAN, 3), (LEAN, 4)])
+@pytest.mark.parametrize(("lean", "order"), [((0.0, 0.0), 2), (LEAN, 3)])
 def test_stiffness_at_rest_is_the_tangent_at_rest(lean, order):
     block = body(lean, order=order)
     at_rest = block.tangent(np.zeros((block.n_nodes, 3)), np.zeros((block.n_elements, block.n_pressures)))

@@ -1,9 +1,18 @@
-"""Boards that tests start; those that simulate the firmware skip where its tools are missing."""
+"""Boards that tests start, and a pressed sensor; what simulates the firmware skips where its tools are missing."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
+from dataset import measured
+from decoupler import NetworkConfig, TrainingConfig, train
 from hardware.boards.simavr_board import MCUS, SimavrBoard, find_tools, write_table
-from tests.hardware.simulated import DISTINCT, build
+from hardware.readout.calibration import Electronics
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.hardware.boards import DISTINCT, build
+from tests.hardware.models import INFO
 
 
 @pytest.fixture(scope="session")
@@ -29,3 +38,15 @@ def board(built, tmp_path):
         return SimavrBoard(elf, mcu, table, program=built / "simavr-board", **options)
 
     return start
+
+
+@pytest.fixture(scope="session")
+def pressed():
+    """Samples of a sensor of 2 × 3 units with 0.1 % of noise, a model of them, and what a board counts under them."""
+    exact = labelled(sensor(2, 3), "xyz", n_samples=400, seed=0)
+    noisy = measured(exact.resistance_ohm, 1e-3, None, np.random.default_rng(0))
+    samples = replace(exact, resistance_ohm=noisy, noise=1e-3)
+    network = NetworkConfig(hidden=4, feature="inverse")
+    model = train(samples, "all", network, TrainingConfig(), response=response(sensor(2, 3)))
+    counts = Electronics().crossbar(INFO).counts(exact.resistance_ohm[:50])
+    return SimpleNamespace(samples=samples, model=model, counts=counts)

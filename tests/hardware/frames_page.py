@@ -6,8 +6,6 @@ from pathlib import Path
 
 PAGE = (Path(__file__).parents[2] / "docs" / "frames.md").read_text()
 VECTORS = [json.loads(block) for block in re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)]
-INFO_VECTORS = [vector for vector in VECTORS if "protocol" in vector["fields"]]
-FRAME_VECTORS = [vector for vector in VECTORS if "counts" in vector["fields"]]
 HEADINGS = {"D": "Data frame", "I": "INFO frame", "E": "ERRORS frame"}
 
 

@@ -5,6 +5,9 @@ from typing import ClassVar
 import numpy as np
 
 from decoupler.data.columns import COMPONENTS, Scaling
+from hardware.link.frames import Info, ScanMode
+
+INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
 
 
 class Unknown:

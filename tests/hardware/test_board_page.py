@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import OPEN_OHM
-from geometry.wiring import crossings_from_pillars
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import MIN_OHM, Corrector, Crossbar
+from tests.geometry.closed_forms import crossings_from_pillars
 
 PAGE = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
 STEPS = 1024  # of the ATmega's converter

@@ -1,15 +1,12 @@
 """Net wrench and centre of pressure: closed forms, and deviations held to errors of readings."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, train
 from geometry.design import SensorDesign
 from hardware.readout.wrench import MIN_NORMAL_N, SIGNS, net_wrench, pad_positions, wrench_weights
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 AXES = ("x", "y", "z")
 PLACES = pad_positions(SensorDesign())
@@ -57,23 +54,15 @@ def test_the_centres_deviation_is_that_of_drawn_errors():
     assert found.centre_deviation_mm[0] == pytest.approx(drawn.std(axis=0), rel=0.03)
 
 
-def test_deviations_hold_the_errors_of_net_forces():
+def test_deviations_hold_the_errors_of_net_forces(pressed):
     """Of the six sums of new samples 68 % lie within; as if forces erred alone, far fewer of the sums of Fz would."""
-
-    def samples(n, seed):
-        found = labelled(sensor(2, 3), "xyz", n_samples=n, seed=seed)
-        noisy = measured(found.resistance_ohm, 1e-3, None, np.random.default_rng(seed))
-        return replace(found, resistance_ohm=noisy, noise=1e-3)
-
-    network = NetworkConfig(hidden=4, feature="inverse")
-    model = train(samples(400, 0), "all", network, TrainingConfig(), response=response(sensor(2, 3)))
-    new = samples(500, 1)
+    new, model = labelled(sensor(2, 3), "xyz", n_samples=500, seed=1), pressed.model
+    noisy_ohm = measured(new.resistance_ohm, 1e-3, None, np.random.default_rng(1))
     weights = wrench_weights(pad_positions(model.design), AXES)
-    half_n, covariance = model.deviations(new.resistance_ohm, weights)
-    assert np.array_equal(half_n, model.half_widths(new.resistance_ohm)[0])
-    error = (model.forces(new.resistance_ohm) - new.force_n).reshape(500, -1) @ weights
+    half_n, covariance = model.deviations(noisy_ohm, weights)
+    assert np.array_equal(half_n, model.half_widths(noisy_ohm)[0])
+    error = (model.forces(noisy_ohm) - new.force_n).reshape(500, -1) @ weights
     stated = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    within = (np.abs(error) <= stated).mean(axis=0)
-    assert within == pytest.approx(0.68, abs=0.1)
+    assert (np.abs(error) <= stated).mean(axis=0) == pytest.approx(0.68, abs=0.1)
     alone = np.sqrt((half_n.reshape(500, -1) ** 2) @ weights**2)
     assert ((np.abs(error) <= alone).mean(axis=0)[:3] < 0.5).all()

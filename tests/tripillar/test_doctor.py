@@ -1,12 +1,13 @@
 """The doctor on a machine that is well, and on one that is not."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from serial.tools import list_ports
 
 from fem.factor import SolverError
-from hardware.link import serial_ports as ports
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.doctor import known_answers, surroundings
@@ -38,8 +39,7 @@ def test_what_is_wrong_is_a_line_each_and_not_the_end(tmp_path, monkeypatch):
     column, pillar = known_answers.check_answers()
     assert (column.state, column.found, "pypardiso" in column.advice) == ("wrong", "SolverError: no factor", True)
     assert (pillar.state, pillar.found[:13]) == ("wrong", "error 1.2e-02")  # 100 / 8100
-    listed = ports.ListedPort(device="/dev/null", description="", hardware_id="")
-    monkeypatch.setattr(ports, "list_ports", lambda: [listed])
+    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device="/dev/null")])
     assert surroundings.serial_ports().state == "ok"
     house = House(tmp_path)
     house.environment |= {"VTK_DEFAULT_OPENGL_WINDOW": "vtkNoSuchWindow", "DISPLAY": ""}

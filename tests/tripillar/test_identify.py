@@ -11,22 +11,16 @@ from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.model_file import read_model
-from fem.array.sensitivities import ResponseSensitivities
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
-from tests.decoupler.synthetic_sensor import response, sensor
+from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.house import House
 from tripillar.face import identifying
 from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
-SENSITIVITIES = ResponseSensitivities(
-    design=DESIGN,
-    parameters=("rubber.young_mpa",),
-    deviation=np.array([0.61]),
-    influence_mm_per_n=-RESPONSE.influence_mm_per_n[None] / 6.1,
-)
+SENSITIVITIES = softness(DESIGN)
 LOADS = """load,kind,row,col,fx_n,fz_n,error,tilt,share
 rest,nothing,,,,,,,
 all,plate,,,,3600,0,0,0

@@ -40,7 +40,7 @@ design extra -> unexpected extra argument: extra. See 'tripillar design --help'
 design --out -> --out needs a value
 design --out dir -> dir is a folder: give the name of a file in it
 design --out small.toml/under/a/file.toml -> small.toml
-design --rows 0 -> --rows 0 must be above 0
+design --rows 0 -> --rows 0 must be from 1 to 255
 cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
 cad --out cad --design broken.toml -> broken.toml: not valid TOML
 cad --out cad --design data.nc -> data.nc: not a text file
@@ -128,8 +128,6 @@ tare missing -o x.json --calibration small.toml -> small.toml is no calibration
 board --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
 board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
 board --period 0 -> --period 0 must be from 0.1 to 600 s
-board --scene sphere.toml -> kind='sphere' is unknown
-board --scene sphere.toml --pressure 3 -> a scene has its own design and loads: leave --design and --pressure out
 board --seconds 0 -> --seconds 0 must be above 0 s
 """
 CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]

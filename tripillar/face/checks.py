@@ -1,8 +1,9 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
 from dataset import SampleError, Samples
+from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
-from decoupler.data.enough import AnySamples, drawn
+from decoupler.data.enough import drawn
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained
 from decoupler.inverse.sensor_model import SensorModel

@@ -2,14 +2,11 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from geometry.design import SensorDesign
 from geometry.design_file import write_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.storage.files import write_bytes
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, ModelLike, job, pads_model_of, to_write
@@ -28,25 +25,20 @@ def export(
     out: File,
     model: ModelLike | None = None,
     precision: Literal["float", "double"] | None = None,
-    licence: Annotated[str | None, Parameter(name="--license")] = None,
 ) -> Path:
-    """Write a model, a data set or a recording for other programs: ONNX or C, Parquet or CSV, NetCDF or MCAP.
-
-    A data set's card says in Markdown what it holds, how it was made and under which licence.
+    """Write a model, a data set or a recording for other programs: ONNX or C, CSV, NetCDF or MCAP.
 
     Parameters
     ----------
     data : path, optional
         Data set (.nc or .zarr) or recording (.frames, or a board's bytes) to write.
     out : path
-        File to write: of a model .onnx, or .h for a header in C; of a data set .parquet, .csv or .md, its card; of a
-        recording .nc (NetCDF), .mcap (Foxglove, ROS) or .csv.
+        File to write: of a model .onnx, or .h for a header in C; of a data set .csv; of a recording .nc (NetCDF), .mcap
+        (Foxglove, ROS) or .csv.
     model : Decoupler or path, optional
         Model file to write in their place.
     precision : str, optional
         Precision of a model's numbers; default: double in .onnx, float in .h.
-    licence : str, optional
-        Licence of a data set for its card, such as cc-by-4.0.
 
     Returns
     -------
@@ -56,18 +48,13 @@ def export(
     caller, path = current(), Path(out)
     if (data is None) == (model is None):
         raise DesignError("give a data set, a recording or model=FILE, one of them.")
-    if licence is not None and path.suffix != ".md":
-        raise DesignError("licence= is written into the card of a data set: give out=FILE.md.")
     if precision is not None and model is None:
         raise DesignError("precision= is for models: a table has the numbers of its data set.")
     result: dict[str, Any] = {"file": str(path)}
     if model is not None:
         to_write("out", path, ".onnx .h", (model,))
         exported = stages.export_model(pads_model_of(model, "export"), path, precision)
-        checked = (
-            f"largest deviation from the model: {exported.deviation or 0:.1e} of full scale ({exported.precision})"
-        )
-        text = f"not checked: {exported.unchecked}" if exported.deviation is None else checked
+        text = f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})"
         result |= asdict(exported)
     elif _is_recording(source := Path(data or "")):
         to_write("out", path, ".nc .mcap .csv", (source,))
@@ -77,22 +64,19 @@ def export(
         result |= {"frames": len(recorded.run), "statistics": asdict(recorded.statistics)}
         text = f"{len(recorded.run)} frames, {recorded.statistics.lost} lost"
     else:
-        to_write("out", path, ".parquet .csv .md", (source,))
+        to_write("out", path, ".csv", (source,))
         samples = stages.read_samples(source)
-        result |= {"samples": len(samples), "columns": len(stages.columns_of(samples))}
-        text = f"{result['samples']} samples, {result['columns']} columns"
-        if path.suffix == ".md":
-            write_bytes(path, stages.card_text(samples, source, licence or stages.UNSTATED).encode())
-        else:
-            advance = caller.bars.begin("export", total=len(samples))
-            stages.write_table(samples, path, lambda n: advance(n, ""))
+        advance = caller.bars.begin("export", total=len(samples))
+        columns = stages.write_table(samples, path, lambda n: advance(n, ""))
+        result |= {"samples": len(samples), "columns": len(columns)}
+        text = f"{len(samples)} samples, {len(columns)} columns"
     caller.answer(lambda: result, text, path)
     return path
 
 
 def _is_recording(path: Path) -> bool:
     """Whether a file is a recording, and no data set."""
-    return path.suffix not in (".zarr", ".parquet", ".csv", ".nc") and not path.is_dir()
+    return path.suffix not in (".zarr", ".csv", ".nc") and not path.is_dir()
 
 
 def damage(path: Path, recorded: "stages.Recording") -> str:

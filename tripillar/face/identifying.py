@@ -188,10 +188,10 @@ def identify(
     result: dict[str, Any] = {
         "pairs": found.n_pairs,
         "parameters": {name: list(value) for name, value in found.parameters.items()},
-        "excess": found.excess,
+        "excess": found.posterior.excess,
     }
     lines = [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in found.parameters.items()]
-    lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.excess:.3g}")
+    lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.posterior.excess:.3g}")
     if path is not None:
         stages.write_model(found.decoder, path)
         result["file"] = str(path)

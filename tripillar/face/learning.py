@@ -284,7 +284,7 @@ def _cross_validated(
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
     summary, table = stages.summary, stages.crossval_table
     current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [table(tested)])
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None, "light": None}
+    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 

@@ -141,11 +141,15 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
     if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
     if kind == "flat" and "size_mm" in given:
-        return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn_deg=given.get("turn_deg", 0.0))
+        flat = stages.Flat(_pair("size_mm", given["size_mm"], alone=True))
+        return stages.Turned(flat, given.get("turn_deg", 0.0))
     radius_mm = given.pop("radius_mm")
     if kind == "flat":
         return stages.Flat(radius_mm=radius_mm)
-    return stages.Sphere(radius_mm) if kind == "sphere" else stages.Cylinder(radius_mm, **given)
+    turn_deg = given.pop("turn_deg", 0.0)
+    return (
+        stages.Sphere(radius_mm) if kind == "sphere" else stages.Turned(stages.Cylinder(radius_mm, **given), turn_deg)
+    )
 
 
 def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:

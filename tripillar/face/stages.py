@@ -8,19 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dataset.card import UNSTATED, card_text
     from dataset.finite_strain import n_groups, require_finite
     from dataset.indentation import largest_strain, samples_of as samples_of_contacts, write_contact
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.measurement import ReadingError, Readout
     from dataset.protocols import INDENT, PROTOCOLS, pad_protocol
-    from dataset.samples import Samples, joined, require_dtype, require_samples
+    from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.simulation import DatasetSettings, require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
-    from dataset.table import columns_of, holds_samples, write_table
+    from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, component_named
-    from decoupler.data.enough import ENOUGH, AnySamples, drawn
+    from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import loads_of as loads_of_protocol
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from decoupler.touch.assessment import assess_touch
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
-    from decoupler.touch.pillars import Pillars
+    from decoupler.touch.morph import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
     from decoupler.training.suited import suited_component, suited_feature, without_stuck
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
-    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, press, read_solid
+    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid
     from fem.contact.surface import require_bare
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
@@ -61,12 +60,11 @@ if TYPE_CHECKING:
     from geometry.mould import write_cad
     from geometry.pool import open_pool
     from hardware.boards.simulated import (
-        PressAndSlide, counts_over_time, press_and_slide, run_board, scene_motion, suited_kind, write_truth,
+        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, write_truth,
     )  # fmt: skip
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
-    from hardware.link.serial_ports import list_ports
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -80,6 +78,7 @@ if TYPE_CHECKING:
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
+    from serial.tools.list_ports import comports
     from tripillar.doctor import Check
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
@@ -92,15 +91,15 @@ if TYPE_CHECKING:
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
     from tripillar.sweep.finite_samples import simulate_finite
     from tripillar.sweep.leaves import LeafJob, make_directory
-    from tripillar.sweep.optimize import search, trial_sample, tried
+    from tripillar.sweep.optimize import search
     from tripillar.sweep.rows import Row, write_parquet
-    from tripillar.sweep.run import are_cached, judge_all, kept_rows
+    from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
     from tripillar.terminal.force_view import print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import PageOptions, open_page
+    from tripillar.viewer.page.opening import open_page
     from tripillar.viewer.showing import require_shown, show_deformed
     from tripillar.viewer.sights import largest_mm, linear_note, read_body
 

@@ -89,11 +89,6 @@ def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
             table.add_row("", "limit knowing the usual loads", "", f"{one.limits.bayes_n:.3f}", "", "", style="dim")
         for label, errors in one.baselines.items():
             table.add_row("", label, *_cells(errors), "")
-        if one.light is not None:
-            light, limit = one.light, one.light.touch_limit_n
-            times = "–" if limit is None else f"{light.touch_rmse_n / limit:.3f}"
-            table.add_row("", "this model with nothing on the sensor", "", f"{light.at_rest_rmse_n:.3f}", "", "")
-            table.add_row("", "this model under 0-10 N on one pad", "", f"{light.touch_rmse_n:.3f}", "", times)
         table.add_section()
     return table
 

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from dataset import Samples
-from dataset.measurement import ReadingError
 from decoupler.data.columns import Columns
 from decoupler.data.pairs import Pairs
-from decoupler.evaluation.assessment import light_touches
 from decoupler.evaluation.metrics import ForceErrors, component_errors, evaluate, pca_floor
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
@@ -88,10 +86,8 @@ def compare(
         {label: component_errors(forces(ohm), test, component)[name] for label, forces in decouplers.items()}
         for ohm in (test.resistance_ohm, read_ohm)
     )
-    forward = SensorModel.of(response, component)
-    at_rest = {
-        label: light_touches(model, forward, ReadingError())[name].at_rest_rmse_n for label, model in models.items()
-    }
+    rest_ohm = SensorModel.of(response, component).at_rest_ohm()[None]
+    at_rest = {label: float(np.sqrt(np.mean(model.outputs(rest_ohm) ** 2))) for label, model in models.items()}
     made, pairs = (
         measured_on(truth, response.design, protocol, samples, seed)
         for samples, seed in ((len(test), TEST_SEED), (PAIRS, PAIRS_SEED))

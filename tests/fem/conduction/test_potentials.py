@@ -51,16 +51,6 @@ def test_bar_under_uniform_strain_follows_its_length_and_section(F):
     assert resistance(bar, F) == pytest.approx(5.0 * F[2, 2] / area, rel=1e-12)
 
 
-def test_prism_sheared_to_a_rhombus_has_the_resistance_of_a_square():
-    """A rhombus is its own conjugate: between opposite sides a sheet of one ohm per square is one ohm.
-
-    Its obtuse corners are singular: the graded mesh leaves 1e-3.
-    """
-    cosine, sine = np.cos(np.pi / 3), np.sin(np.pi / 3)
-    square = box(graded(0, 1, 0, 1), [0.0, 0.5], graded(0, 1, 0, 1), 3)
-    assert resistance(square, [[1, 0, cosine], [0, 1, 0], [0, 0, sine]]) == pytest.approx(1 / 0.5, rel=1e-3)
-
-
 def test_strip_electrode_on_a_wide_end_adds_its_constriction():
     """ρ/(π t) ln(1/sin(π e/2b)) by conformal mapping, for an electrode 2e on the end 2b of a sheet of thickness t."""
     e, b, t, length = 0.4, 1.0, 0.5, 4.0

@@ -1,6 +1,5 @@
 """Equilibrium at finite strain: against the linear solver, against itself, and refused where there is none."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,6 @@ from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad, FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene, Sensor
-from fem.scene.solution import FiniteSolution
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.system import TetrahedralSystem
@@ -29,6 +27,7 @@ from tests.fem.scenes import pressed_block
 
 PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
+FINER = np.array([0.0, 1.5, 4.5, 7.5, 10.5, 13.5, 15.0])
 RUBBER = Material(model="neo-hookean")
 BODY = RubberBody.of(Boxes.between([LINE, LINE, np.array([0.0, 6.0, 10.0])]), [RUBBER])
 PROBES = (
@@ -36,24 +35,29 @@ PROBES = (
     Probe(name="inside", kind="point", position_mm=(5.0, 6.0, 5.0)),
 )
 SCENE = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, probes=PROBES)
+TURNED = StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))
+KINDS = ("dead", "follower", "stiff", "moment")
 
 
-KINDS = ("dead", "follower", "stiff")
-
-
-def loads_of(kind: str, mpa: float) -> list[Load]:
+def load_of(kind: str, mpa: float) -> Load:
     return {
-        "dead": [DeadLoad(**PAD, traction_mpa=(0.1 * mpa, 0.0, -mpa))],
-        "follower": [FollowerLoad(**PAD, pressure_mpa=mpa, traction_mpa=(0.1 * mpa, 0.0))],
-        "stiff": [StiffLoad(**PAD, force_n=(14.4 * mpa, 0.0, -144.0 * mpa))],
+        "dead": DeadLoad(**PAD, traction_mpa=(0.1 * mpa, 0.0, -mpa)),
+        "follower": FollowerLoad(**PAD, pressure_mpa=mpa, traction_mpa=(0.1 * mpa, 0.0)),
+        "stiff": StiffLoad(**PAD, force_n=(14.4 * mpa, 0.0, -144.0 * mpa)),
+        "moment": TURNED,
     }[kind]
 
 
+def on_tetrahedra(load: Load, across: np.ndarray = FINER, up: tuple[float, ...] = (0.0, 4.0, 8.0, 10.0)):
+    mesh = MeshTet.init_tensor(across, across, np.array(up))
+    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+
+
 @pytest.mark.parametrize("mpa", [1e-12, 1e-6])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS[:3])
 def test_small_loads_give_the_tangent_s_answer(kind, mpa):
     """They differ by the strain, which is about mpa / 6, and by what the residual may be; plates tilt as well."""
-    system = System(BODY, loads_of(kind, mpa))
+    system = System(BODY, [load_of(kind, mpa)])
     found = find_equilibrium(system)
     factor = system.new_factor()
     factor.factor(system.matrix(system.rest_tangent()))
@@ -62,38 +66,41 @@ def test_small_loads_give_the_tangent_s_answer(kind, mpa):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_equilibrium_needs_few_iterations_and_holds_its_loads(kind):
-    system = System(BODY, loads_of(kind, 1.5))
-    found = find_equilibrium(system)
-    assert found.steps == 1
-    assert found.iterations <= 6
-    assert found.residual <= 1e-9
-    internal, _, _ = BODY.internal_forces(found.state.u[None])
-    base = BODY.boxes.points_mm[:, 2] == 0.0
-    pushed = system.nodal_loads(found.state, 1.0).sum(axis=0) + system.force_n.sum(axis=0)
-    assert np.allclose(internal[0, base].sum(axis=0), -pushed, atol=1e-6)
+def test_boxes_and_tetrahedra_are_at_equilibrium_in_few_iterations(kind):
+    """The base holds all loads. One rubber at strains of 10 %: the coarse tetrahedra are 1 to 6 % too stiff, plates
+    most. The work is a cubic's integral over the one load step."""
+    stored = []
+    for system in (System(BODY, [load_of(kind, 1.5)]), on_tetrahedra(load_of(kind, 1.5))):
+        found = find_equilibrium(system)
+        assert found.steps == 1
+        assert found.iterations <= 6
+        assert found.residual <= RESIDUAL
+        assert found.is_stable is (None if kind in ("follower", "moment") else True)
+        of_state = (found.state.u[None],) if system.body is BODY else (found.state.u, found.state.p)
+        internal = system.body.internal_forces(*of_state)[0].reshape(-1, 3)
+        pushed = system.nodal_loads(found.state, 1.0).sum(axis=0) + system.force_n.sum(axis=0)
+        assert np.allclose(internal[system.points_mm[:, 2] == 0.0].sum(axis=0), -pushed, atol=1e-6)
+        if found.is_stable:
+            assert abs(found.energy_imbalance) < 1e-2
+        stored.append(found.stored_mj)
+    assert np.isclose(*stored, rtol=0.06)
 
 
 def test_a_plate_stays_rigid_and_its_moments_balance():
-    system = System(BODY, [StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))])
+    system = System(BODY, [TURNED])
     state = find_equilibrium(system).state
-    x = BODY.boxes.points_mm[system.plates.node] + state.u[system.plates.node]
     rest = BODY.boxes.points_mm[system.plates.node]
-    assert np.allclose(
-        np.linalg.norm(x[:, None] - x[None], axis=-1), np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    )
+    x = rest + state.u[system.plates.node]
+    apart, at_rest = (np.linalg.norm(one[:, None] - one[None], axis=-1) for one in (x, rest))
+    assert np.allclose(apart, at_rest)
     internal, _, _ = BODY.internal_forces(state.u[None])
     arm = x - (np.array([7.5, 7.5, 10.0]) + state.shift[0])
-    moment = np.cross(arm, internal[0, system.plates.node]).sum(axis=0)
-    assert np.allclose(moment, [0.0, 60.0, 20.0], atol=1e-5)
+    assert np.allclose(np.cross(arm, internal[0, system.plates.node]).sum(axis=0), TURNED.moment_nmm, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["dead", "stiff"])
-def test_work_of_the_loads_is_stored(kind):
-    """The work is a cubic's integral over the one load step: right to 1 % at a shortening of 10 %."""
-    found = find_equilibrium(System(BODY, loads_of(kind, 1.0)))
-    assert abs(found.energy_imbalance) < 1e-2
-    many = find_equilibrium(System(BODY, loads_of(kind, 1.0)), first_step=0.125)
+def test_many_steps_end_where_one_does_and_store_the_work():
+    system = System(BODY, [load_of("stiff", 1.0)])
+    found, many = (find_equilibrium(system, first_step=step) for step in (1.0, 0.125))
     assert many.steps > 3
     assert abs(many.energy_imbalance) < 1e-4
     assert np.allclose(many.state.u, found.state.u, atol=1e-8)
@@ -103,10 +110,16 @@ def test_a_load_without_equilibrium_is_refused_in_one_line():
     """On few elements, as each that the load squeezes is brought to rest by itself."""
     line = LINE[[0, 1, 3, 4]]
     body = RubberBody.of(Boxes.between([line, line, np.array([0.0, 6.0, 10.0])]), [RUBBER])
-    with pytest.raises(UnreachableLoadError, match=r"no stable equilibrium above 0\.\d+ of the load") as refused:
+    with pytest.raises(UnreachableLoadError, match=r"^no stable equilibrium above 0\.\d+ of the load.*stiff plate.*$"):
         find_equilibrium(System(body, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -6.0))]))
-    assert "stiff plate" in str(refused.value)
-    assert "\n" not in str(refused.value)
+
+
+def test_a_pillar_on_tetrahedra_that_buckles_is_refused(monkeypatch):
+    """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
+    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
+    load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
+    with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
+        find_equilibrium(on_tetrahedra(load, np.array([0.0, 1.0, 2.0]), (0.0, 3.0, 6.0, 9.0, 12.0)))
 
 
 def neo_hookean(young_mpa: float, poisson: float) -> Material:
@@ -119,12 +132,10 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
         base_mm=(3.0, 2.0, 1.5), top_mm=(3.0, 2.0, 4.0), section_mm=(6.0, 4.0), material=neo_hookean(6.0, 0.0)
     )
     given = {"inclusions": (inside,), "tolerance": 1e-2}
-    scene = pressed_block((6.0, 4.0, 4.0), neo_hookean(2.0, 0.0), (0.0, 0.0, -0.2), **given)
-    found, plan = solve_scene(scene)
+    found, plan = solve_scene(pressed_block((6.0, 4.0, 4.0), neo_hookean(2.0, 0.0), (0.0, 0.0, -0.2), **given))
     assert plan.method == "finite"
     q = 0.1 / np.array([1.0, 3.0])  # p / 2μ
-    expected = ((np.sqrt(q**2 + 1) - q - 1) * [1.5, 2.5]).sum()
-    assert np.allclose(found.probes["top"], [0.0, 0.0, expected], atol=1e-5)
+    assert np.allclose(found.probes["top"], [0.0, 0.0, ((np.sqrt(q**2 + 1) - q - 1) * [1.5, 2.5]).sum()], atol=1e-5)
     assert found.error_estimate < 1e-2
 
 
@@ -135,46 +146,8 @@ def test_two_rubbers_that_lean_are_solved_on_tetrahedra():
     scene = pressed_block((4.0, 4.0, 2.0), soft, (0.1, 0.0, -0.5), inclusions=(leaning,), tolerance=0.2)
     found, plan = solve_scene(scene)
     assert plan.method == "finite on tetrahedra"
-    assert isinstance(found, FiniteSolution)
     assert found.error_estimate < 0.2
     assert abs(found.energy_imbalance) < 1e-2
-
-
-FINER = np.array([0.0, 1.5, 4.5, 7.5, 10.5, 13.5, 15.0])
-
-
-def on_tetrahedra(loads: list[Load], lines: Sequence[np.ndarray] = (FINER, FINER, np.array([0.0, 4.0, 8.0, 10.0]))):
-    mesh = MeshTet.init_tensor(*lines)
-    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), loads)
-
-
-@pytest.mark.parametrize("kind", ["dead", "follower", "stiff", "moment"])
-def test_tetrahedra_are_at_equilibrium_as_boxes_are(kind):
-    """One rubber on both, at strains of 10 %: the coarse tetrahedra are 1 to 6 % too stiff, plates most."""
-    load = StiffLoad(**PAD, force_n=(30.0, 0.0, -150.0), moment_nmm=(0.0, 60.0, 20.0))
-    load = load if kind == "moment" else loads_of(kind, 1.5)[0]
-    system = on_tetrahedra([load])
-    found = find_equilibrium(system)
-    assert found.steps == 1
-    assert found.iterations <= 6
-    assert found.is_stable is (None if kind in ("follower", "moment") else True)
-    base = system.body.points_mm[:, 2] == 0.0
-    internal, _, _ = system.body.internal_forces(found.state.u, found.state.p)
-    pushed = internal[~base].sum(axis=0) if kind == "follower" else system.dead.sum(axis=0) + system.force_n.sum(axis=0)
-    assert np.allclose(internal[base].sum(axis=0), -pushed, atol=1e-6)
-    if found.is_stable:
-        assert abs(found.energy_imbalance) < 1e-2
-    rough = find_equilibrium(System(BODY, [load]))
-    assert np.isclose(found.stored_mj, rough.stored_mj, rtol=0.06)
-
-
-def test_a_pillar_on_tetrahedra_that_buckles_is_refused(monkeypatch):
-    """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
-    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
-    load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
-    across = np.array([0.0, 1.0, 2.0])
-    with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
-        find_equilibrium(on_tetrahedra([load], (across, across, np.linspace(0.0, 12.0, 5))))
 
 
 @pytest.mark.parametrize(
@@ -188,26 +161,20 @@ def test_plates_that_touch_or_lie_off_the_grid_s_lines_are_refused(centres, widt
 
 def test_too_little_memory_is_not_told_as_a_load_out_of_reach(monkeypatch):
     monkeypatch.setattr("fem.factor.MEMORY_SHARE", 1e-12)
-    system = System(BODY, loads_of("follower", 1.0))
     with pytest.raises(FactorMemoryError):
-        find_equilibrium(system, Factor(symmetric=False))
+        find_equilibrium(System(BODY, [load_of("follower", 1.0)]), Factor(symmetric=False))
 
 
 STIFF = StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 30.0, -60.0), moment_nmm=(20.0, 0.0, 0.0))
-UPRIGHT = StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -108.0))
 PUSHED = FollowerLoad(center_mm=(3.0, 7.5), size_mm=(3.0, 6.0), pressure_mpa=0.5)
 
 
 @pytest.mark.parametrize(
     ("loads", "planes"),
-    [
-        ((STIFF,), "x = 7.5 mm"),
-        ((UPRIGHT,), "x = 7.5 and y"),
-        ((PUSHED, replace(PUSHED, center_mm=(12.0, 7.5))), "x = 7.5 and y"),
-    ],
+    [((STIFF,), "x = 7.5 mm"), ((PUSHED, replace(PUSHED, center_mm=(12.0, 7.5))), "x = 7.5 and y")],
 )
 def test_a_part_between_mirrors_is_the_whole(loads, planes):
-    """Plates that a plane cuts, and loads beside it; on one grid, of which the part has its own half or quarter."""
+    """A plate that a plane cuts, and loads beside it; on one grid, of which the part has its own half or quarter."""
     scene = replace(SCENE, loads=loads)
     plan = make_plan(scene)
     assert f"the body mirrors in {planes}" in "".join(plan.lines)
@@ -221,13 +188,12 @@ def test_a_part_between_mirrors_is_the_whole(loads, planes):
 
 def test_squeezed_elements_take_few_iterations():
     """At a pressure of half Young's modulus the elements at a plate's corners lose 95 % of their volume."""
-    scene = replace(SCENE, loads=(UPRIGHT,))
+    scene = replace(SCENE, loads=(StiffLoad(center_mm=(7.5, 7.5), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -108.0)),))
     mirrors = make_plan(scene).mirrors
     body = RubberBody.of(finite_boxes(scene, 2, mirrors), [RUBBER])
     found = find_equilibrium(System(body, scene.loads, mirrors))
     assert found.least_j < 0.1
-    assert found.is_stable
-    assert found.steps == 1
+    assert (found.is_stable, found.steps) == (True, 1)
     assert found.iterations <= 8
 
 
@@ -252,10 +218,8 @@ def test_a_plate_s_corner_leaves_a_symmetric_saddle():
     scene = Scene(body=Block(size_mm=(12.0, 12.0, 8.0)), material=material, loads=(load,), probes=PROBES)
     line = np.array([6.0, 8.5, 8.935, 9.0, 9.148, 10.0, 12.0])
     boxes = Boxes.between([line, line, np.array([0.0, 5.0, 7.5, 7.837, 7.979, 8.0])])
-    system = System(RubberBody.of(boxes, [material]), [load], make_plan(scene).mirrors)
-    found = find_equilibrium(system)
-    assert found.is_stable
-    assert found.steps == 1
+    found = find_equilibrium(System(RubberBody.of(boxes, [material]), [load], make_plan(scene).mirrors))
+    assert (found.is_stable, found.steps) == (True, 1)
     assert found.iterations <= 10
     x, y, z = boxes.points_mm.T
     sunk = found.state.u[:, 2]
@@ -266,12 +230,9 @@ def test_a_plate_s_corner_leaves_a_symmetric_saddle():
 def test_plates_that_squeeze_corners_to_a_fortieth_find_equilibrium():
     """Sample 0 of `three-axis`, seed 77, whose plates' corners were taken for a load without equilibrium."""
     design = SensorDesign(
-        unit=Unit(height_mm=8.0, span_mm=8.0),
-        array=Array(rows=2, cols=2, pitch_mm=13.0),
-        pad=Pad(kind="stiff", size_mm=10.8),
-        matrix_material=RUBBER,
-        pillar_material=RUBBER,
-    )
+        unit=Unit(height_mm=8.0, span_mm=8.0), array=Array(rows=2, cols=2, pitch_mm=13.0),
+        pad=Pad(kind="stiff", size_mm=10.8), matrix_material=RUBBER, pillar_material=RUBBER,
+    )  # fmt: skip
     forces = np.array(
         [[71.47, 70.92, -538.69], [42.59, -16.04, -318.5], [-30.76, -22.46, -261.28], [-57.08, 7.27, -492.94]]
     )
@@ -281,9 +242,8 @@ def test_plates_that_squeeze_corners_to_a_fortieth_find_equilibrium():
     ]
     scene = Scene(body=Sensor(design=design), material=RUBBER, loads=tuple(loads), probes=PROBES, tolerance=0.1)
     found = find_equilibrium(System(RubberBody.of(finite_boxes(scene, 2), [RUBBER]), loads))
-    assert found.is_stable
+    assert (found.is_stable, found.steps) == (True, 1)
     assert found.least_j < 0.03
-    assert found.steps == 1
     assert found.iterations <= 15
     sampled = SampleSolver(replace(design, matrix_material=Material(), pillar_material=Material()))
     answer = sampled.displacements(forces[None])

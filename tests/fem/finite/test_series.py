@@ -43,11 +43,3 @@ def test_partial_sums_converge_to_equilibrium_at_their_order(preload_n):
             errors.append(np.abs(u - state.u).max())
             assert np.allclose(turn, state.rotation, atol=2.0 * errors[-1])
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order + 1, abs=0.35)
-
-
-def test_samples_are_expanded_alike_alone_and_together():
-    base = BaseState.of(system_under(np.zeros((2, 3))))
-    loads = np.random.default_rng(2).normal(size=(3, 2, 2, 3)) * 20.0
-    together = load_series(base, loads, orders=3)
-    alone = load_series(base, loads[1:2], orders=3)
-    assert np.allclose(together.u[:, 1], alone.u[:, 0], rtol=1e-10, atol=1e-14)

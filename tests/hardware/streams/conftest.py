@@ -1,34 +1,17 @@
-"""A pressed sensor behind a simulated board, and a model that reads it."""
+"""A pressed sensor behind a simulated board, and a recording of it."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, train
 from hardware import live
 from hardware.boards.virtual_board import VirtualBoard
-from hardware.link.frames import Frame, Info, ScanMode
-from hardware.readout.calibration import Electronics
+from hardware.link.frames import Frame
 from hardware.recording import Recorder, read_recording
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.hardware.models import INFO
 
-INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
 BEGAN_S = 1.8e9  #: Unix time
-
-
-@pytest.fixture(scope="package")
-def pressed():
-    """Samples of a sensor of 2 × 3 units, a model of them, and what a board counts under them."""
-    samples = labelled(sensor(2, 3), "xyz", n_samples=400, seed=0)
-    noisy = measured(samples.resistance_ohm, 1e-3, None, np.random.default_rng(0))
-    network = NetworkConfig(hidden=4, feature="inverse")
-    data = replace(samples, resistance_ohm=noisy, noise=1e-3)
-    model = train(data, "all", network, TrainingConfig(), response=response(sensor(2, 3)))
-    counts = Electronics().crossbar(INFO).counts(samples.resistance_ohm[:50])
-    return SimpleNamespace(samples=samples, model=model, counts=counts)
 
 
 @pytest.fixture(scope="package")

@@ -1,6 +1,5 @@
 """Streams of forces to Foxglove and Rerun: what their files hold, and what a client of each receives."""
 
-import asyncio
 import json
 import logging
 import shutil
@@ -27,7 +26,7 @@ from tests.hardware.recording.test_failures import room_for
 from tests.hardware.streams.test_exports import messages
 
 chunk = pytest.importorskip("rerun.chunk")
-websockets = pytest.importorskip("websockets")
+connect = pytest.importorskip("websockets.sync.client").connect
 
 
 def rows_of_rrd(path):
@@ -211,45 +210,31 @@ def wait_for(is_so):
         time.sleep(0.005)
 
 
-class Client:
-    """Subscribes to all that is advertised, twice; `messages` by topic: [(log time, content)]."""
-
-    def __init__(self, port):
-        self.messages, self._url = {}, f"ws://127.0.0.1:{port}"
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._listen()))
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._thread.join(10)  # the server has gone: the connection is closed
-
-    async def _listen(self):
-        async with websockets.connect(self._url, subprotocols=["foxglove.sdk.v1"], max_size=None) as connection:
-            topics = {}
-            async for message in connection:
-                if isinstance(message, bytes) and message[0] == 1:  # a message of a subscribed channel
-                    subscription, log_ns = struct.unpack_from("<IQ", message, 1)
-                    found = self.messages.setdefault(topics[subscription], [])
-                    found.append((log_ns, json.loads(message[13:])))
-                elif isinstance(message, str) and (told := json.loads(message))["op"] == "advertise":
-                    topics = {100 + channel["id"]: channel["topic"] for channel in told["channels"]}
-                    asked = [{"id": 100 + channel["id"], "channelId": channel["id"]} for channel in told["channels"]]
-                    await connection.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+def subscribing(ids):
+    return json.dumps({"op": "subscribe", "subscriptions": [{"id": 100 + k, "channelId": k} for k in ids]})
 
 
 def test_a_client_of_foxglove_receives_what_was_sent(board):
-    with FoxgloveStream(board.description, port=0) as stream, Client(stream.port) as client:
+    with (
+        FoxgloveStream(board.description, port=0) as stream,
+        connect(f"ws://127.0.0.1:{stream.port}", subprotocols=["foxglove.sdk.v1"]) as client,
+    ):
         stream.add(board.take(1)[0])  # before anyone listens: the description is kept for who comes later
+        assert json.loads(client.recv())["op"] == "serverInfo"
+        topics = {100 + channel["id"]: channel["topic"] for channel in json.loads(client.recv())["channels"]}
+        client.send(subscribing(id - 100 for id in topics))
         wait_for(lambda: stream._server.has_listeners(SCENE))
         for scan in (sent := board.take(30)):
             stream.add(scan)
         stream.__exit__(None, None, None)  # which waits until all is read
-    assert [content for _, content in client.messages[SENSOR]] == [board.description.plain()]
+        found = {}
+        for message in client:
+            _, subscription, log_ns = struct.unpack_from("<BIQ", message)
+            found.setdefault(topics[subscription], []).append((log_ns, json.loads(message[13:])))
+    assert [content for _, content in found[SENSOR]] == [board.description.plain()]
     for topic in set(CONTENTS) - {CONTACTS}:
-        assert [log_ns for log_ns, _ in client.messages[topic]] == [scan.stamp_ns for scan in sent]
-    check_contents(lambda topic, k: client.messages[topic][k][1], board.description, sent)
+        assert [log_ns for log_ns, _ in found[topic]] == [scan.stamp_ns for scan in sent]
+    check_contents(lambda topic, k: found[topic][k][1], board.description, sent)
 
 
 def handshake(port, path="/", **headers):
@@ -308,20 +293,17 @@ def frame_of(text):
 
 def test_clients_and_what_waits_for_them_are_bounded(board):
     """Who never reads costs no more than `MAX_WAITING` bytes, and the end waits for none of them."""
-    [scan] = board.take(1)
     with FoxgloveStream(board.description, port=0) as stream:
         held, server = [handshake(stream.port) for _ in range(MAX_CLIENTS)], stream._server
         wait_for(lambda: len(server._clients) == MAX_CLIENTS)
         held.append(handshake(stream.port))
         assert [status for status, _ in held] == [101] * MAX_CLIENTS + [503]
-        everything = [{"id": 7, "channelId": k} for k in range(20_000)]
-        for said in ("{", "[]", '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [{}]}', '{"op": "?"}'):
-            held[0][1].sendall(frame_of(said))
         for _, connection in held[:MAX_CLIENTS]:
-            connection.sendall(frame_of(json.dumps({"op": "subscribe", "subscriptions": everything[:1000]})))
+            for said in ("{", "[]", '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [{}]}', '{"op": "?"}'):
+                connection.sendall(frame_of(said))
+            connection.sendall(frame_of(subscribing(range(1000))))
         wait_for(lambda: all(map(len, server._clients.values())))
         assert all(len(subscribed) == 6 for subscribed in server._clients.values())
-        stream.add(scan)
         for k in range(200):
             server.send(FORCES, k, bytes(100_000))  # more than the system takes for those who do not read
         done = threading.Event()
@@ -329,8 +311,9 @@ def test_clients_and_what_waits_for_them_are_bounded(board):
         assert done.wait(10)
         waiting = [client.transport.get_write_buffer_size() for client in server._clients]
         assert MAX_WAITING <= max(waiting) < MAX_WAITING + 200_000
-        held[0][1].sendall(frame_of('{"op": "unsubscribe", "subscriptionIds": [7]}'))
-        wait_for(lambda: [] in [list(subscribed) for subscribed in server._clients.values()])
+        every = list(range(100, 1100))
+        held[0][1].sendall(frame_of(json.dumps({"op": "unsubscribe", "subscriptionIds": every})))
+        wait_for(lambda: not all(server._clients.values()))
         held[1][1].close()
         wait_for(lambda: len(server._clients) < MAX_CLIENTS)
         held.append(handshake(stream.port))

@@ -1,12 +1,14 @@
-"""What a converter cannot tell from rest is taken for rest, and nothing else is."""
+"""What a decoder refuses, what rest is, and that it loads no torch."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, TrainingConfig, train
+from decoupler import NetworkConfig, SampleError, TrainingConfig, train
 from decoupler.data.columns import Resting
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
@@ -19,6 +21,22 @@ DATA = replace(EXACT, resistance_ohm=measured(EXACT.resistance_ohm, 0.0, 12, RNG
 @pytest.fixture(scope="module")
 def model():
     return train(DATA, "fz", NetworkConfig(hidden=4, feature="inverse"), TrainingConfig(), response=response(SENSOR))
+
+
+def test_what_is_no_scan_of_its_sensor_is_refused_and_what_it_does_not_take_does_no_harm(model):
+    R = DATA.resistance_ohm.copy()
+    R[4:, 1, 2, 0] = -1.0
+    for ohms, said in (
+        (R, "resistance_ohm is -1.0 at sample 4, row 1, col 2, pillar z; it must be finite, 1e-09 to"),
+        (R[0], r"shape \(2, 3, 3\), expected \(n_samples, rows, cols, 3\)"),
+        (R[:4].transpose(0, 2, 1, 3), "of 3 × 2 units, the model's sensor has 2 × 3"),
+    ):
+        with pytest.raises(SampleError, match=said):
+            model.forces(ohms)
+    assert model.forces(R[:0]).shape == (0, 2, 3, 1)
+    R = DATA.resistance_ohm.copy()
+    R[..., 1:] = np.nan
+    np.testing.assert_array_equal(model.forces(R), model.forces(DATA.resistance_ohm))
 
 
 def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(model):
@@ -34,4 +52,9 @@ def test_only_where_most_of_a_scan_may_be_at_rest():
     readings = 1e4 + np.array([[4.0, -4.0, 4.0, 500.0, 7.0], [4.0, -4.0, 500.0, 500.0, 7.0]])
     np.testing.assert_array_equal(resting.settled(readings)[0], [1e4, 1e4, 1e4, 10500.0, 10007.0])
     np.testing.assert_array_equal(resting.settled(readings)[1], readings[1])
-    assert Resting.read_with(np.full(5, 1e4), None) is None
+
+
+def test_using_a_model_loads_no_torch():
+    """A live sensor starts in a fraction of a second; torch alone takes seconds."""
+    code = "import sys, decoupler; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
