@@ -73,7 +73,7 @@ def test_a_given_response_is_used_and_what_is_of_another_design_or_type_refused(
     ("call", "says"),
     [
         (lambda: tp.write({}, "x"), "a dict cannot be written"),
-        (lambda: tp.train({}), "samples is of type dict, expected Samples"),
+        (lambda: tp.train({}), "samples is of type dict, expected AnySamples"),
         (lambda: tp.evaluate(None, folds=2), "give data="),
         (lambda: tp.dataset(nois=0.1), "nois= is no argument; there are bits, "),
         (lambda: tp.record("port", "a.frames", timeot=1.0), "timeot= is no argument; there are baud, timeout"),
@@ -84,17 +84,15 @@ def test_what_is_of_another_type_or_name_is_refused(call, says):
         call()
 
 
-def test_notebooks_show_what_samples_evaluations_and_designs_are(tmp_path, shared_cache):
-    """Samples, stored ones, evaluations and designs: in a line or a few, with size and kind, no array printed."""
+def test_notebooks_show_what_samples_evaluations_and_designs_are(tmp_path):
+    """In a line or a few, with size and kind, no array printed."""
     design = replace(tp.SensorDesign(), array=replace(tp.SensorDesign().array, rows=1, cols=2))
-    samples = tp.dataset(design, "contact-fz", 60, out=tmp_path / "samples.zarr")
-    assessed = tp.evaluate(tp.train(samples, net="plain", feature="root", **QUICK), samples, limits=False)
-    for thing, said in (
-        (design, "pitch_mm"),
-        (samples, "60 "),
-        (samples[:9], "9 samples of 1 × 2"),
-        (assessed, "fz: "),
-    ):
+    known = tp.response(design, method="layer")
+    tp.write(tp.dataset(known, "contact-fz", 60), tmp_path / "samples.zarr")
+    stored = tp.read_samples(tmp_path / "samples.zarr")
+    assessed = tp.evaluate(tp.train(stored, response=known, **QUICK), stored[40:], response=known)
+    shown = ((design, "pitch_mm"), (stored, "60 "), (stored[:9], "9 samples of 1 × 2"), (assessed, "fz: "))
+    for thing, said in shown:
         for text in (repr(thing), thing._repr_html_()):
             assert said in text
             assert "array(" not in text

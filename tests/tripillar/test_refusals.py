@@ -108,7 +108,7 @@ view idle.toml --design small.toml --save x.png -> both say what to show: give o
 sweep small.toml -> unknown key 'extends'; known are design, sweep, vary, bounds
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leave --trials out
-sweep small.toml --optimize --train -> --train and --retry are of sweeps
+sweep small.toml --optimize --retry -> --retry is of sweeps
 info '' -> no port was named
 info missing -> missing: no such port; there are
 info empty -> empty: no valid frame in 0 bytes

@@ -323,8 +323,7 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     """The samples of one source, or of several joined; at finite strain with their displacements."""
     several = [samples_of(each) for each in sources]
     for each in several:
-        if not isinstance(each, stages.StoredSamples):
-            stages.require_samples("samples", each)
+        stages.require_samples("samples", each, stages.AnySamples)
     if any(each.is_finite.any() for each in several):  # these learn from displacements, too
         several = [samples_of(each, labels_only=False) for each in sources]
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
