@@ -23,16 +23,18 @@ def quantity(
     optional: bool = False,
     above_0: bool = False,
     within: tuple[float, float] | None = None,
+    below: bool = False,
     of: Sequence[str] = (),
     count: int = 1,
 ) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A number is `within` bounds, a text one `of` some, a vector has `count` numbers. `require_sound` checks all this.
+    A number is `within` bounds, of which it is `below` the upper one, a text one `of` some, a vector has `count`
+    numbers. `require_sound` checks all this.
     """
     asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "within": within, "of": of, "count": count}
-    return field(default=default, metadata=asked)
+    return field(default=default, metadata=asked | {"below": below})
 
 
 positive = partial(quantity, above_0=True)  #: a quantity above 0
@@ -51,27 +53,30 @@ def require_sound(
     for spec in fields(values):
         value, asked, said = getattr(values, spec.name), spec.metadata, ""
         count = asked.get("count", 1)
-        if (count == 1 and spec.type not in (int, float)) or (value is None and spec.default is None):
+        kind = next((one for one in (int, float) if spec.type in (one, one | None)), None)
+        if (count == 1 and kind is None) or (value is None and spec.default is None):
             if asked.get("of") and value not in asked["of"]:
                 said = f"one of {', '.join(asked['of'])}"
         else:
             is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
             given = [value] if count == 1 else list(value) if is_list else []
-            kinds = (int, np.integer) if spec.type is int else (int, float, np.integer, np.floating)
+            kinds = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
             least, largest = limits_mm if spec.name.endswith("_mm") else LIMITS
             if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
-                one = f"a {'whole' if spec.type is int else 'finite'} number"
+                one = f"a {'whole' if kind is int else 'finite'} number"
                 said = one if count == 1 else f"{count} finite numbers"
             elif asked.get("above 0") and not min(given) > 0:
                 said = "above 0"
             elif asked.get("above 0") and not least <= min(given) <= max(given) <= largest:
                 said = f"from {least:g} to {largest:g}"
-            elif spec.type is not int and max(map(abs, given)) > largest:
+            elif kind is not int and max(map(abs, given)) > largest:
                 said = f"at most {largest:g} in size"
-            elif (within := asked.get("within")) and not within[0] <= min(given) <= max(given) <= within[1]:
-                said = f"from {within[0]:g} to {within[1]:g}"
+            elif (within := asked.get("within")) and not (
+                within[0] <= min(given) <= max(given) <= within[1] and not (asked["below"] and max(given) == within[1])
+            ):
+                said = f"from {within[0]:g} to {'below ' * asked['below']}{within[1]:g}"
             else:
-                made = int if spec.type is int else float
+                made = int if kind is int else float
                 object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
         if said:
             raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")

@@ -42,29 +42,9 @@ RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the r
 def connect(
     port: str, calibration: Path | str | None = None, speed: float = 1.0, **settings: Any
 ) -> Iterator[tuple[Scanner, SensorCalibration]]:
-    """Scan a board, or a recording that is played, as long as the with block lasts.
+    """Scan a board, or a recording that is played, as long as the with block lasts; raises and parameters as of `live`.
 
-    Parameters
-    ----------
-    port : str
-        What `open_port` opens, or the path of a recording. A device that is not there is waited for up to `APPEARS_S`.
-    calibration : Path, optional
-        Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
-    speed : float
-        Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
-    **settings
-        As of `Scanner`.
-
-    Yields
-    ------
-    Scanner, SensorCalibration
-
-    Raises
-    ------
-    FileFormatError
-        If the calibration is of another board.
-    PortError, ScannerError
-        As `Scanner` does.
+    A device that is not there is waited for up to `APPEARS_S`.
     """
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
@@ -107,8 +87,12 @@ def live(
         Serial port (/dev/ttyACM0, COM3), ``socket://host:port``, or the path of a recording.
     model : Decoupler or Path
         A trained model or its file.
-    calibration, speed, **settings
-        As of `connect`.
+    calibration : Path, optional
+        Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
+    speed : float
+        Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
+    **settings
+        As of `Scanner`.
 
     Yields
     ------
@@ -201,26 +185,9 @@ def record_scans(
 ) -> tuple[int, LinkStatistics]:
     """Record for some seconds, or until Ctrl-C or the end of what is played.
 
-    Parameters
-    ----------
-    calibration : SensorCalibration, optional
-        Kept with the counts.
-    made_from : mapping, optional
-        Hashes of the model that the recording is meant for.
-    append : bool
-        Continue a recording of the same board, model and calibration.
-    advance : callable, optional
-        Called every second with the seconds, the scans so far and the scanner's trouble.
-
-    Returns
-    -------
-    int, LinkStatistics
-        Scans recorded; `lost` and `restarts` are those of the file, from its first scan to its last.
-
-    Raises
-    ------
-    FileFormatError, RecordingError
-        As `Recorder` does.
+    Calibration and hashes of the model (`hashes_of`) are kept with the counts; `append` continues a recording of the
+    same. `advance` is called every second with the seconds, the scans so far and the scanner's trouble. Returns the
+    scans recorded and what was met, `lost` and `restarts` from the file's first scan to its last; raises as `Recorder`.
     """
     unix_s = time.time() - time.perf_counter()
     start = told = time.monotonic()

@@ -137,10 +137,9 @@ class SimavrBoard:
             raise SimavrError(
                 f"{program}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
             ) from error
+        assert self.process.stdout is not None
         try:
-            self.port = self._answer((self.process.stdout or self._messages).readline())[
-                "port"
-            ]  #: the serial port's path
+            self.port = self._answer(self.process.stdout.readline())["port"]  #: the serial port's path
         except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
             self.__exit__()
             raise

@@ -22,13 +22,12 @@ PROTOCOL = 1  #: version of docs/frames.md that this code follows
 
 _DELIMITER = b"\0"
 _FRAME_HEADER = struct.Struct("<cBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
-_CRC = struct.Struct("<H")
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 MAX_OVERRUNS = _BYTE  #: largest number of overruns that a board counts; it stands for more, too
 _MAX_COUNT = _SHORT
 MAX_DRIFT = 0.01  #: largest relative error of a board's clock; ceramic resonators stay below, quartz has 1e-4
 _MAX_EARLY_S = 1.0  # largest lead of the board's clock; frames that came late set the host's idea of it
-_MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
+_MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + 2)
 
 
 class FrameError(TriPillarError, ValueError):
@@ -153,33 +152,24 @@ def pack(frame: Frame | Info | Errors) -> bytes:
         letter = b"I" if isinstance(frame, Info) else b"E"
         values = [bytes(value) if isinstance(value, tuple) else value for value in vars(frame).values()]
         packed = _ANSWERS[letter][1].pack(letter, *values)
-    return packed + _CRC.pack(_crc(packed))
+    return packed + _crc(packed)
 
 
 def packed_dtype(n_counts: int) -> np.dtype[np.void]:
-    """`pack` of data frames as a structured array, for many of them at once.
-
-    >>> frame = Frame(sequence=7, device_us=0, bits=10, counts=np.array([1, 2, 3]))
-    >>> np.frombuffer(pack(frame), packed_dtype(3))["counts"].tolist()
-    [[1, 2, 3]]
-    """
+    """`pack` of data frames as a structured array, for many of them at once."""
     scalars = [("type", "u1"), ("flags", "u1"), ("sequence", "<u2"), ("device_us", "<u4"), ("count", "<u2")]
     return np.dtype([*scalars, ("bits", "u1"), ("overruns", "u1"), ("counts", "<u2", (n_counts,)), ("crc", "<u2")])
 
 
-def _crc(packed: bytes) -> int:
-    """CRC-16/IBM-3740: polynomial 0x1021, start value 0xFFFF, not reflected.
-
-    >>> hex(_crc(b"123456789"))
-    '0x29b1'
-    """
-    return binascii.crc_hqx(packed, 0xFFFF)
+def _crc(packed: bytes) -> bytes:
+    """CRC-16/IBM-3740: polynomial 0x1021, start value 0xFFFF, not reflected."""
+    return binascii.crc_hqx(packed, 0xFFFF).to_bytes(2, "little")
 
 
 def unpack(body: bytes) -> Frame | Info | Errors | str:
     """The frame that `pack` gave as `body`, or the field of `Statistics` that says what is wrong with it."""
-    packed, received = body[: -_CRC.size], body[-_CRC.size :]
-    if received != _CRC.pack(_crc(packed)):
+    packed = body[:-2]
+    if body[-2:] != _crc(packed):
         return "bad_crc"
     try:
         if packed[:1] == b"D":
@@ -211,19 +201,10 @@ def unpack(body: bytes) -> Frame | Info | Errors | str:
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
     """Count the frames sent between two received ones; None if the board has restarted in between.
 
-    Parameters
-    ----------
-    previous, frame : Frame
-        In the order in which they came.
-    host_s : float, optional
-        By the host's clock, from the scan of `previous` to the arrival of `frame` [s].
-
-    Notes
-    -----
-    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn. In every
-    second case it moves the sequence forward, too. Without `host_s` such a restart looks like lost frames: skipped
-    scans take no sequence number and the rate may change, so any number of frames may be missing over a pause. The
-    host's clock tells a restart: a frame may be late by anything, but never early by more than the drift.
+    `host_s` is the time by the host's clock from the scan of `previous` to the arrival of `frame` [s]. Without it a
+    reset 36 to 72 min after the start may look like lost frames: it moves the board's clock forward, modulo 2³², by
+    less than half a turn, and in every second case the sequence, too. With it a restart is told: a frame may be late by
+    anything, but never early by more than the drift.
     """
     missing = (frame.sequence - previous.sequence - 1) % 2**16
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
@@ -255,14 +236,6 @@ class FrameDecoder:
     Never raises, whatever the bytes. Damage costs the frames it touches; decoding resumes after the next
     delimiter. What comes before the first delimiter is usually the tail of a frame: it is no damage.
     Never keeps more than the longest frame's bytes, 132 kB.
-
-    >>> decoder = FrameDecoder()
-    >>> wire = encode(Info(rows=1, cols=2))
-    >>> decoder.feed(wire[:10])
-    []
-    >>> [info] = decoder.feed(wire[10:])
-    >>> info.rows, info.cols, decoder.statistics.info
-    (1, 2, 1)
     """
 
     def __init__(self) -> None:

@@ -32,22 +32,11 @@ class ScannerError(TriPillarError, RuntimeError):
 
 
 class Link:
-    """The scans of one board on a port that may go and come back.
+    """The scans of one board on an open port, which `open_again` opens anew once it has gone.
 
-    `read` is for one thread and waits as long as the port does; `take` and all that is asked of a link otherwise may be
-    put under a lock.
-
-    Parameters
-    ----------
-    opened : port
-        The port, open.
-    open_again : callable, optional
-        Opens it anew once it has gone; None: its loss is raised.
-    timeout_s : float
-        How long a silence is a stall [s].
-    protocol : BoardProtocol
-    clock, wait : callable
-        As ``time.perf_counter`` and ``time.sleep``; a `wait` that returns True ends the attempts to open.
+    Without `open_again` the port's loss is raised. `read` is for one thread and waits as long as the port does; `take`
+    and all that is asked of a link otherwise may be put under a lock. A silence of `timeout_s` is a stall. `clock` and
+    `wait` are as ``time.perf_counter`` and ``time.sleep``; a `wait` that returns True ends the attempts to open.
     """
 
     def __init__(
@@ -72,13 +61,7 @@ class Link:
         self._is_new = False
 
     def read(self) -> bytes:
-        """Ask what is to be asked, and read; empty where nothing came, or while the port is lost.
-
-        Raises
-        ------
-        PortError
-            If the port has gone and is not to be opened again.
-        """
+        """Ask what is to be asked, and read; empty where nothing came, or while the port is lost."""
         if self._port is None:
             if self._open_again is not None and not self._wait(RETRY_EVERY_S):
                 with suppress(OSError):

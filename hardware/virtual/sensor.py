@@ -89,7 +89,7 @@ class VirtualSensor:
     Raises
     ------
     DesignError, ArgumentError
-        If a setting makes no sense, or model, crossbar and design are not of one size.
+        If a setting makes no sense, or model, crossbar and design are not of one size or response.
 
     Examples
     --------
@@ -194,17 +194,8 @@ class VirtualSensor:
     def reset(self, which: Tensor | None = None, seed: int | None = None) -> None:
         """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.
 
-        Parameters
-        ----------
-        which : tensor, optional
-            Numbers of environments, or a mask (e,); default: all.
-        seed : int, optional
-            Starts all that is drawn from here on anew, noise included; default: go on.
-
-        Raises
-        ------
-        DesignError
-            If an offset outweighs a resistance.
+        `which` are numbers of environments or a mask (e,), default: all; a `seed` starts all that is drawn from here on
+        anew, noise included. An offset that outweighs a resistance is a DesignError.
         """
         if seed is not None:
             self._generator.manual_seed(seed)
@@ -227,19 +218,10 @@ class VirtualSensor:
     def pad_loads(self, points_mm: Tensor, force_n: Tensor) -> Tensor:
         """Forces on the pads from forces at points of the surface, as a stiff sheet on the pads would share them.
 
-        Parameters
-        ----------
-        points_mm : tensor, shape (e, k, 2) or (e, k, 3)
-            In the sensor's frame: x along columns, y along rows, origin in the array's middle; z is not looked at.
-        force_n : tensor, shape (e, k, 3)
-            On the sensor along x and y, and Fz positive in compression; of unused points 0.
-
-        Returns
-        -------
-        tensor, shape (e, rows, cols, 3)
-            A force is shared by the four pads around it in proportion to nearness along x and y, so that total and
-            moment are kept; beyond the outermost pads' centres they take it alone. A point beyond the slab's edge does
-            not touch the sensor.
+        Takes points (e, k, 2 or 3) [mm] in the sensor's frame (x along columns, y along rows, origin in the array's
+        middle, z not looked at) and forces (e, k, 3) [N], Fz positive in compression; gives (e, rows, cols, 3). The
+        four pads around a point share its force in proportion to nearness, so that total and moment are kept; the
+        outermost take alone what is beyond their centres, nobody what is beyond the slab's edge.
         """
         e, k = points_mm.shape[:2]
         if points_mm.shape[-1] not in (2, 3) or force_n.shape != (e, k, 3) or e != self.environments:
@@ -290,13 +272,7 @@ class VirtualSensor:
         return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
-        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω].
-
-        Raises
-        ------
-        ArgumentError
-            If the sensor has no model.
-        """
+        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω]."""
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm")
@@ -328,17 +304,14 @@ class VirtualSensor:
         Returns
         -------
         Reading
-            Forces are those on each unit's share of the top; with the contacts, environment by environment.
+            Forces are those on each unit's share of the top; with the contacts, environment by environment. Bodies do
+            not feel each other through the rubber.
 
         Raises
         ------
         ArgumentError, DesignError, ContactError
-            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber (as
-            `surface_compliance`), and as `Stepper.step`.
-
-        Notes
-        -----
-        Bodies do not feel each other through the rubber.
+            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber, and as
+            `Stepper.step`.
         """
         if len(bodies) != self.environments:
             raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")

@@ -46,13 +46,6 @@ def test_first_check(row):
         assert ("bit 0" in cell) == (count >= STEPS - 1)
 
 
-def test_first_check_has_all_circuits_with_what_suits_them():
-    assert {mode for mode, *_ in FIRST_CHECK} == set(ScanMode)
-    assert {(mode, float(ohm)) for mode, ohm, *_ in FIRST_CHECK} >= {
-        (mode, Crossbar.suited(mode).sense_ohm) for mode in ScanMode
-    }
-
-
 @pytest.mark.parametrize("row", FULL_SCALE, ids=lambda row: row[0].name)
 def test_what_full_scale_costs(row):
     """Of a crossing that is read alone, by switches and amplifiers that are perfect."""

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import time
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from geometry.wiring import crossings
-from hardware.boards.simavr_board import FIRMWARE, MCUS, SimavrBoard, SimavrError, find_tools, write_table
+from hardware.boards.simavr_board import MCUS, SimavrBoard, SimavrError, find_tools, write_table
 from hardware.link.frames import Errors, ScanMode
 from tests.hardware.boards import (
     CHIP,
@@ -265,16 +264,6 @@ def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):
         ended = subprocess.run([built / "simavr-board", *arguments], capture_output=True, text=True, timeout=PATIENT_S)
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
         assert message in ended.stderr
-
-
-def test_the_example_of_the_page_runs(built, tmp_path, monkeypatch, capsys):
-    page = (FIRMWARE.parents[1] / "docs" / "board.md").read_text()
-    [example] = [block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "SimavrBoard" in block]
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "firmware").symlink_to(built)
-    monkeypatch.chdir(tmp_path)
-    exec(example, {})
-    assert "firmware=(1, 1, 0)" in capsys.readouterr().out
 
 
 def test_missing_tools_are_named_with_their_packages_and_a_board_that_was_not_built_says_how(monkeypatch, tmp_path):

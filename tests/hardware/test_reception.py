@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hardware.link.frames import encode
-from hardware.link.reception import DeviceClock, Reception
+from hardware.link.reception import DeviceClock, Reception, Stamps
 from tests.hardware.boards import INFO, a_wire
 
 LASTS_S = 2
@@ -140,14 +140,18 @@ def test_drift_jitter_bursts_of_delay_and_the_rollover_leave_microseconds(option
 
 def test_a_restart_forgets_and_times_around_the_last_frame_may_be_asked():
     clock = DeviceClock()
-    with pytest.raises(ValueError, match=r"no frame has set the clock yet: add\(\)"):
-        clock.host_time(0)
     errors(clock, *late_arrivals(10))
     clock.restart()
     clock.add(10, 5000.0)
     assert (clock.host_time(10), clock.drift) == (5000.0, 0)
     assert clock.host_time(2**32 - 10) == pytest.approx(5000.0 - 20e-6, abs=1e-9)  # before the board's 0
     assert clock.host_time(1_000_010) == pytest.approx(5001.0, abs=1e-9)
+
+
+def test_stamps_wait_for_a_small_step_back_and_follow_a_large_one():
+    stamps = Stamps()
+    found_ns = [stamps.after(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
+    assert found_ns == [5_000_000_000, 5_000_001_000, 5_250_000_000, 1_000_000_000]
 
 
 def test_times_of_a_backlog_are_apart_as_its_scans_are_and_never_repeat(reception):

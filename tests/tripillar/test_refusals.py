@@ -53,10 +53,10 @@ press --depth 0.5 --design small.toml --shape sphere --radius 5 --at 99,0 -> mis
 press --shape cube --depth 1 -> --shape cube: must be sphere, cylinder, flat, or a file
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
 press --shape flat --depth 1 --size 1,2,3 -> --size 1,2,3: must be two numbers, such as 7.5,-3
-dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1000000000
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
 dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
 dataset --protocol contact --samples 5 -o x.txt -> --out x.txt must be a file that ends in .nc or .zarr
-dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> --offset -3 must be
+dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> --offset -3.0 must be
 dataset --protocol contact --samples 5 -o x.nc --dtype float32 -> --dtype float32 belongs to zarr directories
 dataset --protocol contact --samples 5 -o x.zarr --only force,ohm -> no variable 'ohm'; there are traction, force,
 dataset --protocol contact --samples 5 -o x.zarr --only length -> holds force and resistance at least: name them, too
@@ -73,7 +73,7 @@ train -o m.safetensors -> give --data, samples to train on; or --touch
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 train --data model.safetensors -o model.safetensors -> model.safetensors is read by this command: give another name
-train --data data.nc --component fz -o m.safetensors --hidden 0 -> --hidden 0 must be a whole number from 1 up
+train --data data.nc --component fz -o m.safetensors --hidden 0 -> --hidden 0 must be from 1 on
 train --data semi.csv -o m.safetensors -> its columns are separated by semicolons
 identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
 evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
