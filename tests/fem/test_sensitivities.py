@@ -32,7 +32,7 @@ def test_a_softer_rubber_moves_in_proportion_and_known_parameters_are_left_out()
     assert len(some.influence_mm_per_n) == len(found.parameters) - 1
 
 
-@pytest.mark.parametrize("design", [PAIR, STIFF], ids=["soft", "stiff"])
+@pytest.mark.parametrize("design", [PAIR, pytest.param(STIFF, marks=pytest.mark.long)], ids=["soft", "stiff"])
 def test_derivatives_are_differences_of_whole_solves(design):
     """All parameters but E moved at once by a deviation; the grids of the solves leave some per cent of it."""
     found, _, _ = response_sensitivities(design, SETTINGS)
