@@ -22,6 +22,8 @@ from geometry.wiring import crossing_of_pillar, crossings
 
 OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
 
+SEEDS = (0, 2**63 - 1)  #: of random numbers: what files can hold
+
 Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 
 
@@ -29,9 +31,11 @@ Place = tuple[int, int, str]  #: array row, array column and name of a pillar
 class Imperfections(ReadingError):
     """One physical specimen and how it is read; the default is a perfect sensor. Wires are as in `geometry.wiring`."""
 
-    gain_spread: float = quantity(0.0, "spread of the pillars' gains: each is uniform in 1 ± this")
-    offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]")
-    specimen: int = quantity(0, "seed of gains and offsets; each is another specimen")
+    gain_spread: float = quantity(
+        0.0, "spread of the pillars' gains: each is uniform in 1 ± this", within=(0, 1), below=True
+    )
+    offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within=(0, 1e6))
+    specimen: int = quantity(0, "seed of gains and offsets; each is another specimen", within=SEEDS)
     dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
     dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")
     dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, from 0 to below 2·cols; can be repeated")
@@ -40,12 +44,6 @@ class Imperfections(ReadingError):
         super().__post_init__()
         if self.noise > 0.1:  # ten deviations from a negative resistance
             raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
-        if not 0 <= self.gain_spread < 1:
-            raise DesignError(f"gain_spread={self.gain_spread:g} must be from 0 to below 1; 0.2 is ± 20 %.")
-        if not 0 <= self.offset_ohm <= 1e6:  # far below OPEN_OHM
-            raise DesignError(f"offset_ohm={self.offset_ohm:g} must be from 0 to 1e6; it is a standard deviation.")
-        if not 0 <= self.specimen < 2**63:
-            raise DesignError(f"specimen={self.specimen} must be from 0 to below 2⁶³.")
         if not (isinstance(self.dead_pillars, tuple) and all(map(_is_place, self.dead_pillars))):
             raise DesignError(
                 f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and one of the pillars "

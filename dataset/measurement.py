@@ -5,7 +5,7 @@ the input and ground, so its reading is the fraction R_sense/(R + R_sense) of fu
 """
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,15 +37,8 @@ class Readout(Protocol):
 class ReadingError(Drifts):
     """Errors of a reading: what each pillar has by itself, and the drifts that pillars share; drawn anew for each."""
 
-    noise: float = quantity(0.0, "standard deviation of a reading, relative to the resistance")
-    bits: int | None = field(default=None, metadata={"meaning": "bits of the converter; default: exact readings"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.noise < 0:
-            raise DesignError(f"noise={self.noise!r} must be a finite number not below 0; 0.001 is 0.1 %.")
-        if self.bits is not None and (type(self.bits) is not int or not 4 <= self.bits <= 24):
-            raise DesignError(f"bits={self.bits!r} must be a whole number from 4 to 24, or None if readings are exact.")
+    noise: float = quantity(0.0, "standard deviation of a reading, relative to the resistance", within=(0, math.inf))
+    bits: int | None = quantity(None, "bits of the converter; default: exact readings", within=(4, 24))
 
     @property
     def is_exact(self) -> bool:

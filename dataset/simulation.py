@@ -9,13 +9,13 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
 import psutil
 
-from dataset.imperfections import Imperfections
+from dataset.imperfections import SEEDS, Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
 from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces
@@ -44,21 +44,12 @@ class LoadError(TriPillarError, ValueError):
 class DatasetSettings(Imperfections):
     """Settings of a dataset: its loads, and the sensor that measures them."""
 
-    protocol: str
-    samples: int = field(metadata={"meaning": "number of samples"})
-    seed: int = quantity(0, "seed of all that is random")
-    cap: float = quantity(0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.protocol not in SUMMARIES:
-            raise DesignError(f"protocol='{self.protocol}' is unknown; known are {', '.join(SUMMARIES)}.")
-        if not 1 <= self.samples <= MAX_SAMPLES:
-            raise DesignError(f"samples={self.samples} must be from 1 to {MAX_SAMPLES}; the paper uses 2200.")
-        if not 0 <= self.seed < 2**63:
-            raise DesignError(f"seed={self.seed} must be from 0 to below 2⁶³.")
-        if not 0 < self.cap < 1:
-            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
+    protocol: str = quantity(MISSING, "kind of loads", of=tuple(SUMMARIES))
+    samples: int = quantity(MISSING, "number of samples", within=(1, MAX_SAMPLES))
+    seed: int = quantity(0, "seed of all that is random", within=SEEDS)
+    cap: float = quantity(
+        0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample", above_0=True, within=(0, 1), below=True
+    )
 
 
 def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:

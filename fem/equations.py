@@ -4,13 +4,15 @@ Unknowns y come in blocks of three: displacements of the free nodes, then shift 
 half the plate's width so that all are lengths. Where pressures are unknowns of the tangent, they come after these.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fem.assembly import Assembly
 from fem.factor import Factor
 from fem.mirrors import Mirror
 from fem.plates import FollowingFaces, Plates, skew, turns
@@ -73,6 +75,7 @@ class Equations:
     #: pressures that are unknowns of the tangent, each with a negative eigenvalue of its own
     n_mixed = 0
     pressures_shape: tuple[int, ...]  #: of one state's pressures
+    element_nodes: IntArray  #: of every element, those that its stiffness is of
     mirrors: tuple[Mirror, ...] = ()  #: planes beyond which the body lies
     #: displacements of all nodes by those of independent ones, where others hang
     constraint: sp.csr_matrix | None = None
@@ -211,6 +214,42 @@ class Equations:
         turning = skew(self._unhung(reactions)[self.plates.node]) @ skew(self.plates.turned(state.rotation))
         turning = np.add.reduceat(turning, self.plates.starts, axis=0) / (self.plates.half_mm**2)[:, None, None]
         return (turning + turning.swapaxes(1, 2)) / 2 if self.symmetric else turning
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """Where element stiffness goes in the matrix of the unknowns."""
+        n, k, n_nodes = len(self.free), self.plates.count, len(self.points_mm)
+        nodes = np.concatenate([self.free, self.plates.node])
+        blocks = np.concatenate([np.arange(n), n + self.plates.plate])
+        weights = sp.csr_matrix((np.ones(len(nodes)), (nodes, blocks)), shape=(n_nodes, self.n_blocks))
+        bonded = np.arange(len(self.plates.node))
+        bonds = sp.csr_matrix((np.ones(len(bonded)), (self.plates.node, bonded)), shape=(n_nodes, len(bonded)))
+        if self.constraint is not None:
+            weights, bonds = (self.constraint @ weights).tocsr(), (self.constraint @ bonds).tocsr()
+        number = np.full(n_nodes, -1, dtype=np.int64)
+        number[self.free] = np.arange(n)
+        spins, faces = n + k + np.arange(k), number[self.faces.nodes]
+        face_rows, face_cols = np.broadcast_arrays(faces[:, :, None], faces[:, None, :])
+        return Assembly(
+            nodes=self.element_nodes,
+            weights=weights,
+            bonds=bonds,
+            spin_of=n + k + self.plates.plate,
+            chunks=self.body.chunks,
+            symmetric=self.symmetric,
+            more=[(spins, spins), (face_rows, face_cols)],
+        )
+
+    def assembled(
+        self, blocks: Iterable[tuple[slice, FloatArray]], state: State, share: float, reactions: FloatArray
+    ) -> FloatArray:
+        """Blocks of the tangent in `assembly` of the elements', with what plates and following pressures add."""
+        data = self.assembly.sum(blocks, self.plates.spins(state.rotation))
+        if self.plates.count:
+            self.assembly.add(data, 0, self.turning(state, reactions))
+        if len(self.faces.nodes):
+            self.assembly.add(data, 1, -share * self.faces.stiffness(self.points_mm + state.u))
+        return data
 
     def unstable_modes(self, factor: Factor) -> int | None:
         """Negative eigenvalues of the tangent in a factor beyond the pressures' own; None if they are not counted."""

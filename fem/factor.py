@@ -56,23 +56,16 @@ class Factor:
     Parameters
     ----------
     matrix : csr_matrix or bsr_matrix, shape (n, n), optional
-        K; left out, `factor` takes the first one. PARDISO analyses square blocks as one entry each.
+        K; left out, `factor` takes the first one. PARDISO analyses square blocks as one entry each: 6 × 6 coupled cells
+        (11 613 unknowns in blocks of 21) in 3 ms instead of 0.6 to 1.1 s.
     definite, symmetric : bool
         Positive definite, as of displacements alone (the mixed form's K is not); symmetric, or with `False` not.
     upper : bool
         True if only the upper triangle of a symmetric matrix is given; blocks on the diagonal are whole.
     by_degree : bool
-        Order by minimum degree, not by nested dissection: of boxes that are split (5 to 30 thousand unknowns) factors
-        took 20 to 30 % less time, of grids they take more.
+        Order by minimum degree, not by nested dissection: better for boxes that are split, worse for grids.
     solver : {"pardiso", "superlu"}, optional
-        Default: `solver_name`.
-
-    Notes
-    -----
-    PARDISO's LLᵀ of a slab of hexahedra (55 296 unknowns, 75 entries a row) took 2.3 s on two cores and 0.3 GB; 108
-    solutions 0.8 s, their `inner` 0.4 s. Of 242 064 unknowns: 14 s, 2.0 GB, 3.2 s, 1.2 s. One column at a time costs
-    four to five times as much each: give it all columns together. Given as blocks, 6 × 6 coupled cells (11 613
-    unknowns, 12 481 blocks of 21 × 21) took 3 ms to analyse instead of 0.6 to 1.1 s. SuperLU is many times slower.
+        Default: `solver_name`. SuperLU is many times slower.
     """
 
     def __init__(
@@ -149,8 +142,8 @@ class Factor:
     def inner(self, rhs: FloatArray) -> FloatArray:
         """Bᵀ K⁻¹ B, shape (k, k); unchecked, see `schur_product`.
 
-        K = Pᵀ L Lᵀ P of a definite matrix has half solves Y = L⁻¹ P B with YᵀY = Bᵀ K⁻¹ B, half the work. Of LDLᵀ,
-        PARDISO's steps 331 and 332 do not multiply to Bᵀ K⁻¹ B (off by 10 %): whole solves only.
+        K = Pᵀ L Lᵀ P of a definite matrix has half solves Y = L⁻¹ P B with YᵀY = Bᵀ K⁻¹ B. Those of LDLᵀ do not
+        multiply so.
         """
         if self._pardiso is not None and self.definite:
             y = self._solved(rhs, 331)
@@ -168,13 +161,9 @@ class Factor:
 class _Pardiso:
     """The library's state for one pattern; knows nothing of the `Factor` whose death releases it.
 
-    Notes
-    -----
-    The library is called directly, because pypardiso refines every answer, copies the matrix at each call and keeps
-    the factor's memory for good. Refinement steps cost a solve each: two of them made 108 right-hand sides 2.5 to 3
-    times dearer for a residual of 1e-15 instead of 2e-15, so `checked_solve` refines instead, when it must. iparm 24 =
-    10 corrupted the heap (MKL 2026.2), 24 = 1 gained 0 to 30 % of the factorisation and none of the solves, 25 = 1 or 2
-    nothing: they stay at 0. Scaling and matching (11, 13) want the values at the analysis, and tangents need neither.
+    The library is called directly, because pypardiso refines every answer, copies the matrix at each call and keeps the
+    factor's memory for good. `checked_solve` refines instead, when it must. iparm 24 = 10 corrupted the heap (MKL
+    2026.2). Scaling and matching (11, 13) want the values at the analysis, and tangents need neither.
     """
 
     def __init__(self, part: SparseMatrix, mtype: int, by_degree: bool = False, n_last: int = 0) -> None:
@@ -314,12 +303,11 @@ def _out_of_memory(n: int) -> FactorMemoryError:
 def checked_solve(
     factor: Factor, rhs: FloatArray, product: Callable[[FloatArray], FloatArray] | None = None
 ) -> tuple[FloatArray, float]:
-    """Solve and measure the largest relative residual ‖Kx − b‖/‖b‖ over the columns.
+    """Solutions (n, k) and their largest relative residual ‖Kx − b‖/‖b‖; `SolverError` if it is too large.
 
     Columns above `RESIDUAL_LIMIT` get one step of iterative refinement. Slender bodies bend so far under small forces
-    that rounding alone leaves more: a backward error of `ROUNDING` is accepted too; else a `SolverError` says what is
-    left. `product` takes x to K x where something is faster than the sparse matrix. Returns the solutions (n, k) and
-    the residual.
+    that rounding alone leaves more: a backward error of `ROUNDING` is accepted too. `product` takes x to K x where
+    something is faster than the sparse matrix.
     """
     product = product or factor.times
     x = factor.solve(rhs)
@@ -348,9 +336,7 @@ def checked_solve(
 def schur_product(factor: Factor, rhs: FloatArray) -> FloatArray:
     """Bᵀ K⁻¹ B, shape (m, m), symmetric: what eliminating K takes from the stiffness of the rest, coupled by B (n, m).
 
-    Its product with a random vector w is compared with Bᵀx, where K x = B w is solved by `checked_solve`; a
-    `SolverError` says if they differ. Columns are scaled to equal energies bᵀK⁻¹b, or forces of 1 N would hide behind
-    port modes of 1 mm.
+    Its product with a random vector is checked, columns scaled to equal energies; a `SolverError` says if it is off.
     """
     product = factor.inner(rhs)
     energies = np.abs(np.diag(product))
@@ -369,34 +355,12 @@ def schur_product(factor: Factor, rhs: FloatArray) -> FloatArray:
 
 
 def schur_complement(upper: sp.csr_matrix, n_last: int, solver: str | None = None) -> tuple[FloatArray, float]:
-    """The Schur complement of a symmetric matrix on its last unknowns, and the residual of a check.
+    """K_BB − K_BI K_II⁻¹ K_IB of a symmetric matrix on its `n_last` last unknowns B, and the residual of a check.
 
-    Parameters
-    ----------
-    upper : csr_matrix, shape (n, n)
-        Upper triangle of K. Of the unknowns I that are eliminated it must be regular.
-    n_last : int
-        Number of the others, B.
-    solver : {"pardiso", "superlu"}, optional
-        Default: `solver_name`.
-
-    Returns
-    -------
-    array, shape (n_last, n_last)
-        K_BB − K_BI K_II⁻¹ K_IB, symmetric.
-    float
-        Relative residual of K_II x = K_IB w for a random w.
-
-    Raises
-    ------
-    SolverError
-        If the complement's product with w is not K_BB w − K_BI x to `RESIDUAL_LIMIT`. Rows are compared at equal
-        energies, or forces of 1 N would hide behind displacements of 1 mm.
-
-    Notes
-    -----
-    PARDISO stops its factorisation before B: of a cell of 37 388 unknowns on 3717 that took 2.4 s, where 309
-    combinations of these as right-hand sides took 3.0 s.
+    `upper` is the upper triangle of K, regular in the others, I. `SolverError` if the complement's product with a
+    random w is not K_BB w − K_BI x to `RESIDUAL_LIMIT`, where K_II x = K_IB w; rows are compared at equal energies, or
+    forces of 1 N would hide behind displacements of 1 mm. PARDISO stops its factorisation before B: of a cell of 37 388
+    unknowns on 3717 that took 2.4 s, where 309 combinations of these as right-hand sides took 3.0 s.
     """
     n = upper.shape[0] - n_last
     across, last = upper[:n, n:], whole(upper[n:, n:])

@@ -43,10 +43,7 @@ class Plates:
     ) -> "Plates":
         """Plates on rectangles of the top face that bind these nodes of a body; they turn about `middles_mm` (k, 2).
 
-        Raises
-        ------
-        SceneError
-            If two plates share a node: together they would be a hinge, which is not modelled.
+        `SceneError` if two share a node: together they would be a hinge, which is not modelled.
         """
         node = np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
         if len(np.unique(node)) < len(node):
@@ -174,13 +171,7 @@ def _within(places: FloatArray, rectangles: FloatArray) -> NDArray[np.bool_]:
 
 
 def top_nodes(boxes: Boxes, rectangle: Rectangle) -> IntArray:
-    """Independent nodes of the top face within a rectangle, edges included.
-
-    Raises
-    ------
-    SceneError
-        If the boxes have no sides along the rectangle's edges.
-    """
+    """Independent nodes of the top face within a rectangle and on its edges; `SceneError` if these are no lines."""
     points, height = boxes.points_mm, boxes.height_mm
     slack = ON_LINE * float(np.ptp(points, axis=0).max())
     for k, place in enumerate(rectangle):

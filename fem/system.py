@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.assembly import Assembly
 from fem.equations import Equations, Misfit, State
 from fem.factor import Factor
 from fem.mirrors import (
@@ -35,16 +33,9 @@ IntArray = NDArray[np.int64]
 class System(Equations):
     """The equations of a body of boxes under loads; linear elasticity is the tangent at rest.
 
-    Parameters
-    ----------
-    body : RubberBody
-        Its base z = 0 is clamped. From order 3 on the elements' insides are eliminated, at rest only.
-    loads : sequence of loads
-        Of the whole body.
-    mirrors : tuple of Mirror
-        Planes of which `body` is the part above, its lowest sides on them. Plates lie off them or across their middles.
-    parity : Parity, optional
-        Of the fields that are meant where no other is named; default: even in every plane.
+    The body's base z = 0 is clamped; from order 3 on its elements' insides are eliminated, at rest only. `loads` are
+    those of the whole body, which lies beyond the planes of `mirrors`; plates lie off them or across their middles.
+    `parity` is that of the fields meant where no other is named; default: even in every plane.
     """
 
     body: RubberBody
@@ -72,6 +63,7 @@ class System(Equations):
         if len(body.reference.inside):
             free[boxes.nodes[:, body.reference.inside]] = False
         self.constraint, self.pressures_shape = boxes.constraint, (body.n_elements, body.n_pressures)
+        self.element_nodes = boxes.nodes[:, body.reference.surface]
         faces = FollowingFaces.on_boxes(boxes, folded)
         super().__init__(body, folded, plates, faces, boxes.points_mm, free)
         self._take_parity(self.parity)
@@ -155,33 +147,6 @@ class System(Equations):
         part.is_free = part.is_free_in(part.parity)
         return part, elements, number
 
-    @cached_property
-    def assembly(self) -> Assembly:
-        """Where element stiffness goes in the matrix of the unknowns."""
-        n, k, boxes = len(self.free), self.plates.count, self.body.boxes
-        nodes = np.concatenate([self.free, self.plates.node])
-        blocks = np.concatenate([np.arange(n), n + self.plates.plate])
-        weights = sp.csr_matrix((np.ones(len(nodes)), (nodes, blocks)), shape=(boxes.n_nodes, self.n_blocks))
-        bonded = np.arange(len(self.plates.node))
-        bonds = sp.csr_matrix((np.ones(len(bonded)), (self.plates.node, bonded)), shape=(boxes.n_nodes, len(bonded)))
-        if boxes.constraint is not None:
-            weights, bonds = (boxes.constraint @ weights).tocsr(), (boxes.constraint @ bonds).tocsr()
-        number = np.full(boxes.n_nodes, -1, dtype=np.int64)
-        number[self.free] = np.arange(n)
-        spins = n + k + np.arange(k)
-        faces = number[self.faces.nodes]
-        face_rows, face_cols = np.broadcast_arrays(faces[:, :, None], faces[:, None, :])
-        own = boxes.nodes[:, self.body.reference.surface]
-        return Assembly(
-            nodes=own,
-            weights=weights,
-            bonds=bonds,
-            spin_of=n + k + self.plates.plate,
-            chunks=self.body.chunks,
-            symmetric=self.symmetric,
-            more=[(spins, spins), (face_rows, face_cols)],
-        )
-
     def tangent(
         self,
         state: State,
@@ -196,12 +161,7 @@ class System(Equations):
         parts = self.body.tangent(state.u, state.p)
         if stiffened is not None:
             parts.make_definite(*stiffened)
-        data = self.assembly.sum(parts.blocks(), self.plates.spins(state.rotation))
-        if self.plates.count:
-            self.assembly.add(data, 0, self.turning(state, reactions))
-        if len(self.faces.nodes):
-            self.assembly.add(data, 1, -share * self.faces.stiffness(self.points_mm + state.u))
-        return data, parts
+        return self.assembled(parts.blocks(), state, share, reactions), parts
 
     def linearise(
         self,

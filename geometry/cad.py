@@ -86,15 +86,9 @@ def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
 
 
 def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
-    """Write ``NAME.step`` and ``NAME.stl`` of every solid; the same solids give the same bytes.
+    """Write ``NAME.step``, the master, and ``NAME.stl`` of every solid; the same solids give the same bytes.
 
-    The STEP file is the master: exact faces, in mm, labelled NAME. Every surface is checked before any file
-    is written.
-
-    Raises
-    ------
-    GeometryError
-        If a surface is not closed, outward and as large as its solid.
+    Every surface is checked before any file is written: `GeometryError`.
     """
     surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
     for name, surface in surfaces.items():

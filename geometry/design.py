@@ -17,15 +17,23 @@ from geometry.layout import SONG2018, Layout, footprint, min_span
 
 
 def quantity(
-    default: Any, meaning: str, optional: bool = False, above_0: bool = False, of: Sequence[str] = (), count: int = 1
+    default: Any,
+    meaning: str,
+    optional: bool = False,
+    above_0: bool = False,
+    within: tuple[float, float] | None = None,
+    below: bool = False,
+    of: Sequence[str] = (),
+    count: int = 1,
 ) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.
 
     Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A text is one `of` some, a vector has `count` numbers. `require_sound` checks all this.
+    A number is `within` bounds, of which it is `below` the upper one, a text one `of` some, a vector has `count`
+    numbers. `require_sound` checks all this.
     """
-    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "of": of, "count": count}
-    return field(default=default, metadata=asked)
+    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "within": within, "of": of, "count": count}
+    return field(default=default, metadata=asked | {"below": below})
 
 
 positive = partial(quantity, above_0=True)  #: a quantity above 0
@@ -44,25 +52,30 @@ def require_sound(
     for spec in fields(values):
         value, asked, said = getattr(values, spec.name), spec.metadata, ""
         count = asked.get("count", 1)
-        if (count == 1 and spec.type not in (int, float)) or (value is None and spec.default is None):
+        kind = next((one for one in (int, float) if spec.type in (one, one | None)), None)
+        if (count == 1 and kind is None) or (value is None and spec.default is None):
             if asked.get("of") and value not in asked["of"]:
                 said = f"one of {', '.join(asked['of'])}"
         else:
             is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
             given = [value] if count == 1 else list(value) if is_list else []
-            kinds = (int, np.integer) if spec.type is int else (int, float, np.integer, np.floating)
+            kinds = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
             least, largest = limits_mm if spec.name.endswith("_mm") else LIMITS
             if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
-                one = f"a {'whole' if spec.type is int else 'finite'} number"
+                one = f"a {'whole' if kind is int else 'finite'} number"
                 said = one if count == 1 else f"{count} finite numbers"
             elif asked.get("above 0") and not min(given) > 0:
                 said = "above 0"
             elif asked.get("above 0") and not least <= min(given) <= max(given) <= largest:
                 said = f"from {least:g} to {largest:g}"
-            elif spec.type is not int and max(map(abs, given)) > largest:
+            elif kind is not int and max(map(abs, given)) > largest:
                 said = f"at most {largest:g} in size"
+            elif (within := asked.get("within")) and not (
+                within[0] <= min(given) <= max(given) <= within[1] and not (asked["below"] and max(given) == within[1])
+            ):
+                said = f"from {within[0]:g} to {'below ' * asked['below']}{within[1]:g}"
             else:
-                made = int if spec.type is int else float
+                made = int if kind is int else float
                 object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
         if said:
             raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
@@ -110,14 +123,12 @@ MAX_UNITS = 255  #: along x or y: what a board's frames can state
 class Array:
     """A rows × cols grid of identical units on one slab."""
 
-    rows: int = positive(6, "units along y")
-    cols: int = positive(6, "units along x")
+    rows: int = quantity(6, "units along y", within=(1, MAX_UNITS))
+    cols: int = quantity(6, "units along x", within=(1, MAX_UNITS))
     pitch_mm: float = positive(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
     def __post_init__(self) -> None:
         require_sound(self)
-        if max(self.rows, self.cols) > MAX_UNITS:
-            raise DesignError(f"rows={self.rows:g}, cols={self.cols:g} must be at most {MAX_UNITS} each.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,9 +177,8 @@ class Material:
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 
-MAX_DRIFT = 0.5  #: largest standard deviation of a drift: two of them leave a pillar no resistance
-MAX_DRIFT_OHM = 5e3  #: largest standard deviation of an offset, half a pillar's usual resistance
-MAX_ELASTORESISTANCE = 10.0  #: of either coefficient
+DRIFTS = (0.0, 0.5)  #: bounds of a drift's standard deviation: two of the largest leave a pillar no resistance
+ELASTORESISTANCES = (-10.0, 10.0)  #: of either coefficient: beyond, strain leaves no resistivity above 0
 EQUATIONS = ("eq1", "conduction")
 
 
@@ -183,24 +193,18 @@ class Drifts:
         "of low drift (Sensitronics). After a warm-up 0.005, 0.005, 0.002 may do. Measure yours: unloaded, an hour.",
     )
     drift: float = quantity(
-        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True
+        0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True, within=DRIFTS
     )
-    drift_tilt: float = quantity(0.0, "standard deviation of one linear over the array along x and y, at the rim", True)
-    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True)
-    drift_offset_ohm: float = quantity(0.0, "standard deviation of one that adds as much to all readings [Ω]", True)
+    drift_tilt: float = quantity(
+        0.0, "standard deviation of one linear over the array along x and y, at the rim", True, within=DRIFTS
+    )
+    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True, within=DRIFTS)
+    drift_offset_ohm: float = quantity(
+        0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
+    )
 
     def __post_init__(self) -> None:
         require_sound(self)
-        for spec in fields(Drifts):
-            value = getattr(self, spec.name)
-            if spec.name.endswith("_ohm"):
-                if not 0 <= value <= MAX_DRIFT_OHM:
-                    raise DesignError(f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT_OHM:g} Ω.")
-            elif not 0 <= value <= MAX_DRIFT:
-                raise DesignError(
-                    f"{spec.name}={value:g} must be from 0 to {MAX_DRIFT:g}: a standard deviation relative to the "
-                    "resistance; 0.005 is 0.5 %."
-                )
 
     def with_drifts_of(self, other: "Drifts | None") -> Self:
         """A copy with the larger of each drift that both state."""
@@ -220,21 +224,19 @@ class Electrics(Drifts):
     """
 
     model: str = quantity("eq1", "eq1: R = ρ l²/V; conduction: potentials in the deformed pillars", True, of=EQUATIONS)
-    elastoresistance_along: float = quantity(0.0, "m₁₁ of the pillars' rubber, conduction only", True)
-    elastoresistance_across: float = quantity(0.0, "m₁₂ of the pillars' rubber, conduction only", True)
+    elastoresistance_along: float = quantity(
+        0.0, "m₁₁ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
+    )
+    elastoresistance_across: float = quantity(
+        0.0, "m₁₂ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = (self.elastoresistance_along, self.elastoresistance_across)
-        if self.model == "eq1" and any(given):
+        if self.model == "eq1" and (self.elastoresistance_along or self.elastoresistance_across):
             raise DesignError(
                 "eq. 1 has no elastoresistance: write model = 'conduction' in [electrics], or leave "
                 "elastoresistance_along and elastoresistance_across at 0."
-            )
-        if max(map(abs, given)) > MAX_ELASTORESISTANCE:
-            raise DesignError(
-                f"elastoresistance_along={given[0]:g}, elastoresistance_across={given[1]:g} must each be from "
-                f"-{MAX_ELASTORESISTANCE:g} to {MAX_ELASTORESISTANCE:g}: beyond, strain leaves no resistivity above 0."
             )
 
     @property

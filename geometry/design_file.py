@@ -50,10 +50,7 @@ def _key_line(values: Any, spec: Any) -> str:
 def design_from_dict(table: dict[str, Any], source: str = "the design") -> SensorDesign:
     """A design from the nested tables of a TOML file; what is not given keeps its default.
 
-    Raises
-    ------
-    DesignError
-        For an unknown key or a value that makes no sense; the message begins with `source`.
+    `DesignError`, which begins with `source`, for an unknown key or a value that makes no sense.
     """
     return STRICT.made(source, _filled, kind=SensorDesign, table=table)
 
@@ -75,15 +72,10 @@ def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
 
 
 def whole_design(text: str, source: object) -> SensorDesign:
-    """A design from the text of a design file, which must not have been cut off.
+    """A design from the text of a design file; `DesignError` as of `design_from_dict`, and if it was cut off.
 
-    Beside the design the file may state deviations (`tolerances_from_dict`) and hold a twin (`decoupler.twin`).
-
-    Raises
-    ------
-    DesignError
-        As `design_from_dict`; if a key is missing and the file does not say ``extends = "paper"``; if its last line has
-        no end.
+    Unless it says ``extends = "paper"`` no key may be missing. Beside the design the file may state deviations
+    (`tolerances_from_dict`) and hold a twin (`decoupler.twin`).
     """
     table = tables_of(text, source, DesignError)
     base = table.pop("extends", None)
@@ -127,10 +119,7 @@ def states_twin(path: Path) -> bool:
 def read_tolerances(path: Path) -> dict[str, float]:
     """Standard deviation of every uncertain parameter of a design file: usual ones, but those that it states.
 
-    Raises
-    ------
-    DesignError
-        As `read_design`, and for a parameter that the design does not have or a deviation that makes no sense.
+    `DesignError` also for a parameter that the design does not have or a deviation that makes no sense.
     """
     text = read_text(path, "write one with 'tripillar design'", DesignError)
     stated = tables_of(text, path, DesignError).get("tolerance", {})

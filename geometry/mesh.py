@@ -19,7 +19,7 @@ from trimesh.util import concatenate
 from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray
-from geometry.mesher import run_apart
+from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
@@ -109,12 +109,8 @@ def mesh_cache_key(design: SensorDesign, settings: MeshSettings) -> str:
 def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
     """Mesh of a sensor, from the cache if it is there; returns and further errors as of `kept`.
 
-    Pillars get a region of their own only where their rubber differs from the matrix.
-
-    Raises
-    ------
-    GeometryError
-        If a surface leaks, or a region's volume is more than 0.2 % from the CAD's.
+    Pillars get a region of their own only where their rubber differs from the matrix. `GeometryError` if a surface
+    leaks, or a region's volume is more than 0.2 % from the CAD's.
     """
     return cached_mesh(mesh_cache_key(design, settings), lambda: _sensor_task(design, settings), needed)
 
@@ -177,14 +173,9 @@ def prism_surface(prism: Prism) -> "Trimesh":
 
 
 def tetrahedralized(task: MeshTask) -> TetMesh:
-    """Mesh a prism so that faces follow its surfaces and lie on the planes of its prisms.
+    """Mesh a prism so that faces follow its surfaces and its prisms' planes; `GeometryError` if a thin one is lost.
 
     Chance may round a thin part off, or turn cells over in snapping: then a tighter envelope is tried.
-
-    Raises
-    ------
-    GeometryError
-        If the mesher loses the shape of a thin body or prism.
     """
     for attempt in range(ATTEMPTS - 1):
         with suppress(GeometryError):
@@ -212,15 +203,14 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
 
 
 def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Fill the surroundings of a task's surfaces with tetrahedra of the wanted edge lengths.
+    """Points (n, 3) [mm] and cells (m, 4) of tetrahedra that fill a task's surfaces and what is around them.
 
-    Returns points, shape (n, 3) [mm], and cells, shape (m, 4), also those around the body: the mesher's own filter
-    takes surfaces that share a part of a face for holes or bulges.
+    The mesher's own filter takes surfaces that share a part of a face for holes or bulges.
     """
     joined = concatenate(task.surfaces)
     with scratch() as folder:
         points, cells = run_apart(
-            "geometry.mesher:tetrahedralize",
+            tetrahedralize,
             folder.absolute(),
             np.asarray(joined.vertices),
             joined.faces.astype(np.int32),
@@ -235,11 +225,7 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 
 
 def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
-    """Points with every face that lies along a side of a prism moved onto that side.
-
-    A face (three point numbers) belongs to a side if all its points are within the slack of it. Only faces count, not
-    single points, so points inside the body stay where they are.
-    """
+    """Points with every face along a side of a prism, all its points within the slack, moved onto that side."""
     upright = points.copy()
     upright[:, :2] -= prism.axis_at(points[:, 2])  # the prism's sides are planes of a coordinate here
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
@@ -273,10 +259,9 @@ def cell_volumes(points_mm: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
 
 
 def outward(points: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Cells turned so that all volumes are positive; `GeometryError` if they are not of one orientation.
+    """Cells turned so that all volumes are positive; `GeometryError` for one turned over or made flat by snapping.
 
-    The mesher gives all its tetrahedra one orientation, the opposite of ours. One that differs was turned
-    over or made flat by snapping.
+    The mesher gives all its tetrahedra one orientation, the opposite of ours.
     """
     volumes = cell_volumes(points, cells)
     if np.median(volumes) < 0:
@@ -306,28 +291,12 @@ def check_volumes(mesh: TetMesh, task: MeshTask) -> None:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeshQuality:
-    """Shape of a mesh's tetrahedra, by VTK's measures."""
-
-    cells: int
-    worst_scaled_jacobian: float  #: 1 is a corner of a cube or better, 0 is flat
-    mean_scaled_jacobian: float
-    smallest_dihedral_deg: float  #: 70.5 in a regular tetrahedron
-
-
-def mesh_quality(mesh: TetMesh) -> MeshQuality:
-    """Worst and mean scaled Jacobian and the smallest dihedral angle of a mesh."""
+def smallest_dihedral_deg(mesh: TetMesh) -> float:
+    """Smallest dihedral angle of a mesh's tetrahedra [°], by VTK; 70.5 in a regular one."""
     import pyvista as pv
 
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, mesh.points_mm)
-    measured = grid.cell_quality(["scaled_jacobian", "min_angle"])
-    return MeshQuality(
-        cells=len(mesh.cells),
-        worst_scaled_jacobian=float(measured["scaled_jacobian"].min()),
-        mean_scaled_jacobian=float(measured["scaled_jacobian"].mean()),
-        smallest_dihedral_deg=float(measured["min_angle"].min()),
-    )
+    return float(grid.cell_quality("min_angle")["min_angle"].min())
 
 
 def write_mesh(mesh: TetMesh, path: Path) -> None:

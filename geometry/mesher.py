@@ -2,11 +2,11 @@
 
 import ctypes
 import os
-import pickle
+import re
 import signal
-import subprocess
 import sys
-from importlib import import_module
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,54 +18,31 @@ from geometry.errors import GeometryError
 PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 
 
-def run_apart(place: str, *arguments: Any, **named: Any) -> Any:
-    """Load and run a function in a new process, and return its result.
+def run_apart(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """Run a function of a module in a new process, and return its result; `GeometryError` if that crashed.
 
-    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB. `place`
-    is the function's module and name, "geometry.mesher:tetrahedralize"; what it takes and gives must be such that it
-    can be pickled.
-
-    Raises
-    ------
-    GeometryError
-        If the process crashed, or was ended for want of memory.
+    A copy of this process (fork) would start faster, but the mesher crashes in a copy of one that has used TBB.
     """
-    asked = pickle.dumps((place, arguments, named), pickle.HIGHEST_PROTOCOL)
-    command, pipe = [sys.executable, "-m", "geometry.mesher"], subprocess.PIPE
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(place for place in sys.path if place)}
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment) as process:
-        try:
-            answer, _ = process.communicate(asked)
-        except BaseException:  # Ctrl-C
-            process.kill()
-            raise
-    code = process.returncode
-    if code:
-        why = f"signal {-code}" if code < 0 else f"exit code {code}"
-        culprit = place.partition(":")[0].rpartition(".")[2]
-        raise GeometryError(f"the {culprit} crashed ({why}): is there enough memory and room on the disk?")
-    given, error = pickle.loads(answer)
-    if error is not None:
-        raise error
-    return given
+    from loky import ProcessPoolExecutor
+
+    executor = ProcessPoolExecutor(1, initializer=_begin)
+    try:
+        return executor.submit(function, *arguments, **named).result()
+    except BrokenExecutor as error:
+        code = re.search(r"SIG[A-Z]+|EXIT\(\d+\)", str(error))
+        said = f"{function.__name__} crashed ({code[0] if code else 'without a word'})"
+        raise GeometryError(f"{said}: is there enough memory and room on the disk?") from None
+    finally:
+        executor.shutdown(kill_workers=True)
 
 
-def _answer() -> None:
-    """In the new process: leave Ctrl-C to the one that began it, and hand over what came out."""
+def _begin() -> None:
+    """In the new process: leave Ctrl-C to the one that began it, and end with it, however that is ended."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it ends with the other, however that is ended
-    answers = os.fdopen(os.dup(1), "wb")
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.dup2(2, 1)  # whatever prints, prints elsewhere
-    place, arguments, named = pickle.load(sys.stdin.buffer)
-    module, _, function = place.partition(":")
-    try:
-        outcome: tuple[Any, Exception | None] = (getattr(import_module(module), function)(*arguments, **named), None)
-    except Exception as error:
-        outcome = (None, error)
-    pickle.dump(outcome, answers, pickle.HIGHEST_PROTOCOL)
-    answers.close()
 
 
 def tetrahedralize(
@@ -77,7 +54,3 @@ def tetrahedralize(
     os.chdir(folder)
     points, cells = pytetwild.tetrahedralize(vertices, triangles, **settings)
     return np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
-
-
-if __name__ == "__main__":
-    _answer()

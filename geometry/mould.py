@@ -1,20 +1,10 @@
 """The casting mould: three printed parts in which a sensor is made from conductive and insulating rubber.
 
-The paper prints "the model", puts conductive units "into the meshes of the model" and fills the rest with
-insulating silicone (section 2.2), but gives no drawing. This mould is one way to do so, without loose parts:
-
-1. Spread conductive rubber into the troughs of ``mould_pillars`` and press ``mould_lid`` on. Its wedges reach
-   down to the upper faces of the oblique pillars; surplus leaves by a vent over each upper electrode. Cure.
-2. Lift the lid. The rubber in the vents holds every unit on it, upright and in its place of the array.
-3. Fill ``mould_tray`` with insulating silicone and set the lid on, outer faces flush. Surplus and air leave
-   by the windows, the meshes of the lid. Cure.
-4. Cut the rubber in the vents, lift the lid, fill the pits of its wedges with the same silicone and strike it
-   off at z = h.
-
-Why it opens: every vertical line meets a unit in a single piece. So oblique pillars are no undercut for a lid
-that is lifted straight up: below each is a ramp of one part, above it a wedge of the other. The one exception
-is the heel of a pillar that leans from an upright one's foot, which juts out by (oblique width − width)/2 under the
-wall of its trough; rubber bends past these 0.41 mm, and a plug above them would be thinner than a printer's nozzle.
+The paper gives no drawing. Here (steps: docs/sensor.md) conductive rubber is cured in the troughs of ``mould_pillars``
+under the wedges of ``mould_lid``; the rubber in the lid's vents then holds every unit in its place in ``mould_tray``,
+which is filled with silicone. It opens, as every vertical line meets a unit in a single piece: oblique pillars are no
+undercut for a lid that is lifted straight up. The one exception is the heel of a pillar that leans from an upright
+one's foot, which juts out by (oblique width − width)/2 under the wall of its trough: 0.41 mm, past which rubber bends.
 All this is checked for the paper's layout alone.
 
 Parts are drawn closed, in the sensor's coordinates; print the lid upside down. None has been printed yet.
@@ -40,20 +30,17 @@ class Mould:
 
     wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
-    clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough")
+    clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough", within=(0, 10))
 
     def __post_init__(self) -> None:
         require_sound(self)
-        if self.clearance_mm < 0:
-            raise DesignError(f"clearance_mm={self.clearance_mm:g} must be 0 or more, or the wedges jam.")
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
     """The mould's parts, by the name of their files; `DesignError` if the clearance leaves no wedges.
 
-    The tray is an open box around the slab. The block of pillars has a trough for every unit: the unit, and the space
-    above it that the lid's wedges fill. The lid is a plate with wedges below and, for every unit, a vent over each
-    upper electrode and a window, centred and half as wide as the room beside the pillars, so that it meets no wedge.
+    The lid has wedges below and, for every unit, a vent over each upper electrode and a window, centred and half as
+    wide as the room beside the pillars, so that it meets no wedge.
     """
     unit, plate_mm, rim_mm = design.unit, mould.plate_mm, 2 * mould.wall_mm
     if mould.clearance_mm >= unit.pillar_width_mm / 2:

@@ -31,13 +31,12 @@ from geometry.storage.unfinished import remove_unfinished
 MEMORY_BYTES = 4 * 2**30  #: a worker that takes more ends itself
 LIMIT_S = 3600.0  #: a worker that is at one task for longer ends itself: its mesher hangs
 TRIES = 4  #: workers that a task may end before it counts as failed
-KILLS = 20  #: the same with workers that were killed, which is rarely the task's fault
-GIVEN_UP = 5  #: times that Dask may give a task up, each after four workers
 LOOK_S = 0.1  #: between two looks of a worker for what is to end it
 LOOKS = 5  #: looks for one at the memory, which takes longer
-QUIET_S = 120.0  #: time without a result after which the state of the workers is said
 CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+TOO_LARGE, TOO_LONG = 71, 72  #: codes with which a worker ends itself
+ENDS = {f"EXIT({TOO_LARGE})": "took more memory than it may", f"EXIT({TOO_LONG})": "was at it for too long"}
 
 
 class WorkerLost(Exception):
@@ -52,8 +51,6 @@ class Pool:
     count: Callable[[], int]  #: workers there are
     begin: Callable[[], Executor] | None = None  #: an executor in place of a broken one
     lost: type[Exception] = BrokenExecutor  #: the error that stands for a worker that ended
-    reason: Callable[[str], tuple[str, int]] = lambda said: (said, TRIES)  #: why it did, and tries for such reasons
-    more: str = ""  #: for a user who waits
 
     def done(
         self, make: Callable[..., Any], tasks: Iterable[Any], *shared: Any, ahead: int = 1
@@ -65,7 +62,6 @@ class Pool:
         make : function
             Of a module: called with a task and `shared`, all of which can be pickled.
         tasks : iterable
-            A None in it stands for a task that depends on a result that is still to come.
         ahead : int
             Tasks given to a worker at a time, so that none waits for what becomes of its result.
 
@@ -85,40 +81,32 @@ class Pool:
         suspects: deque[tuple[int, Any]] = deque()
         losses: Counter[int] = Counter()
         flying: dict[Future[Any], tuple[int, Any]] = {}
-        begun = monotonic()
         while True:
             while len(flying) < (1 if suspects else ahead * self.count()):
-                number, task = suspects[0] if suspects else next(coming, (0, None))
-                if task is None:
+                numbered = suspects[0] if suspects else next(coming, None)
+                if numbered is None:
                     break
-                flying[self._submitted(make, task, *shared)] = number, task
+                flying[self._submitted(make, numbered[1], *shared)] = numbered
             if not flying:
                 return
-            ended = wait(flying, QUIET_S, FIRST_COMPLETED).done
-            if not ended:
-                words = f"{len(flying)} are in work; {self.more}"
-                logging.getLogger("tripillar").warning("none has ended for %.0f s: %s", monotonic() - begun, words)
-                continue
-            begun = monotonic()
+            ended = wait(flying, return_when=FIRST_COMPLETED).done
             is_alone = len(flying) == 1
             if self.begin and any(isinstance(future.exception(), BrokenExecutor) for future in ended):
                 ended = wait(flying).done
                 _end(self.executor)
                 self.executor = self.begin()
-            why: tuple[str, int] | None = None
             for future in ended:
                 number, task = flying.pop(future)
                 if future.cancelled():
                     raise DesignError("the scheduler is gone; what came is kept: give the same command again to go on.")
                 error = future.exception()
                 if isinstance(error, self.lost):
-                    why = why or self.reason(str(error))
                     losses[number] += is_alone
-                    if losses[number] < why[1]:
+                    if losses[number] < TRIES:
                         if (number, task) not in suspects:
                             suspects.append((number, task))
                         continue
-                    error = WorkerLost(f"its worker {why[0]}, the last of {losses[number]}")
+                    error = WorkerLost(f"its worker {_why(error)}, the last of {TRIES}")
                 if suspects and suspects[0][0] == number:
                     suspects.popleft()
                 if isinstance(error, OSError):
@@ -135,11 +123,15 @@ class Pool:
             return future
 
 
+def _why(error: BaseException) -> str:
+    """How the worker ended, in words."""
+    code = re.search(r"SIG[A-Z]+|EXIT\(\d+\)", str(error))
+    return ENDS.get(code[0], f"ended by {code[0]}") if code else f"was lost: {error}".splitlines()[0]
+
+
 @contextmanager
-def open_pool(
-    count: int | None = None, scheduler: str | None = None, log: Path | None = None, tasks: int | None = None
-) -> Iterator[Pool]:
-    """Workers, ended when the context is left.
+def open_pool(count: int | None = None, scheduler: str | None = None, tasks: int | None = None) -> Iterator[Pool]:
+    """Workers, ended when the context is left; what they print, the mesher's pages among it, is lost.
 
     Parameters
     ----------
@@ -148,8 +140,6 @@ def open_pool(
     scheduler : str, optional
         Address of a Dask scheduler to use instead, such as tls://host:8786; its workers must have this program
         installed.
-    log : Path, optional
-        File for what processes of this machine print, the mesher's pages among it.
     tasks : int, optional
         Number of tasks there are, to begin no more processes than these; one alone is a thread of this process.
 
@@ -166,10 +156,10 @@ def open_pool(
             yield pool
     elif tasks is not None and min(count, tasks) <= 1:
         with ThreadPoolExecutor(1) as executor:
-            yield Pool(executor, lambda: 1, more="this process is at it.")
+            yield Pool(executor, lambda: 1)
     else:
         with scratch() as folder:
-            pool = _local(count if tasks is None else min(count, tasks), log, folder)
+            pool = _local(count if tasks is None else min(count, tasks), folder)
             try:
                 yield pool
             finally:
@@ -179,7 +169,7 @@ def open_pool(
 
 
 def in_parallel(jobs: list[tuple[Any, ...]], progress: Callable[[int], None]) -> list[Any]:
-    """Run jobs (function, arguments ...), as many at once as there are cores, a thread each; their results in order.
+    """Run jobs (function, arguments ...), one a core and thread at a time; their results in order.
 
     An exception of a job is raised as soon as it comes. `progress` is called with the number of each job that ends.
     """
@@ -201,36 +191,23 @@ def _run(numbered: tuple[int, tuple[Any, ...]]) -> Any:
 # processes of this machine
 
 
-def _local(count: int, log: Path | None, folder: Path) -> Pool:
+def _local(count: int, folder: Path) -> Pool:
     """A pool of processes with a folder of their own for temporary files."""
     from loky import ProcessPoolExecutor
 
-    last_words = folder / "last-words"
     memory_bytes = min(MEMORY_BYTES, psutil.virtual_memory().total // count)
-    if log is not None:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        log.touch()
     environment = ONE_THREAD | {
         "TRIPILLAR_CACHE": str(cache_folder().absolute()),
         "TMPDIR": str(folder),
         "LOKY_MAX_MEMORY_LEAK_SIZE": str(memory_bytes),  # above it a worker is ended anyway
     }
-    bounds = os.getpid(), memory_bytes, LIMIT_S, last_words, None if log is None else log.absolute()
+    bounds = os.getpid(), memory_bytes, LIMIT_S, folder
 
     def begin() -> Executor:
         executor: Executor = ProcessPoolExecutor(count, initializer=_begin_worker, initargs=bounds, env=environment)
         return executor
 
-    def reason(said: str) -> tuple[str, int]:
-        with suppress(OSError):
-            words = last_words.read_text(encoding="utf-8")
-            last_words.unlink()
-            return words, TRIES
-        code = re.search(r"SIG[A-Z]+|EXIT\(\d+\)", said)
-        killed = code is not None and code[0] in ("SIGKILL", "SIGTERM")
-        return f"ended by {code[0] if code else said.splitlines()[0]}", KILLS if killed else TRIES
-
-    return Pool(begin(), lambda: count, begin, BrokenExecutor, reason, f"what they print is in {log}.")
+    return Pool(begin(), lambda: count, begin)
 
 
 def _end(executor: Executor) -> None:
@@ -264,19 +241,18 @@ def _timed(make: Callable[..., Any], *words: Any) -> Any:
         _at_work_since = None
 
 
-def _begin_worker(parent: int, memory_bytes: int, limit_s: float, last_words: Path, log: Path | None) -> None:
-    """Watch over this process, a worker, and print into the log."""
-    Thread(target=_watch, args=(parent, memory_bytes, limit_s, last_words), daemon=True).start()
-    last_words.with_name(f"worker-{os.getpid()}").touch()
+def _begin_worker(parent: int, memory_bytes: int, limit_s: float, folder: Path) -> None:
+    """Watch over this process, a worker, and keep it silent."""
+    Thread(target=_watch, args=(parent, memory_bytes, limit_s), daemon=True).start()
+    (folder / f"worker-{os.getpid()}").touch()
     tempfile.tempdir = None  # it is looked up once, and that may have been before
-    if log is not None:
-        kept = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-            os.dup2(kept, stream.fileno())
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        os.dup2(nowhere, stream.fileno())
 
 
-def _watch(parent: int, memory_bytes: int, limit_s: float, last_words: Path) -> None:
+def _watch(parent: int, memory_bytes: int, limit_s: float) -> None:
     """End this process, a worker, with its parent, when it is terminated, or when it takes too much."""
     me = psutil.Process()
     for look in numbers_from():
@@ -286,14 +262,10 @@ def _watch(parent: int, memory_bytes: int, limit_s: float, last_words: Path) -> 
             remove_unfinished()
             _forget(os.getpid())
             os._exit(128 + signal.SIGTERM)
-        words = ""
         if _at_work_since is not None and monotonic() - _at_work_since > limit_s:
-            words = f"took more than {limit_s:.0f} s"
+            os._exit(TOO_LONG)
         if look % LOOKS == 0 and _memory_bytes(me) > memory_bytes:
-            words = f"took more than {memory_bytes / 2**30:.1f} GiB"
-        if words:
-            last_words.write_text(words, encoding="utf-8")
-            os._exit(1)
+            os._exit(TOO_LARGE)
 
 
 def _forget(worker: int) -> None:
@@ -327,15 +299,10 @@ def _connected(scheduler: str) -> Iterator[Pool]:
     except (OSError, ValueError, TypeError) as error:  # TypeError: no certificates for tls://
         raise DesignError(f"no scheduler at {scheduler} ({error}): start one by 'dask scheduler'.") from None
     with silence_logging_cmgr(logging.CRITICAL), client:  # a lost scheduler is one line, not its traceback
-        start = f"start some by 'dask worker {scheduler}'."
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
+            start = f"start some by 'dask worker {scheduler}'."
             raise DesignError(f"the scheduler at {scheduler} has no workers: {start}") from None
-        yield Pool(
-            executor=client.get_executor(pure=False),
-            count=lambda: max(1, sum(client.nthreads().values())),
-            lost=KilledWorker,
-            reason=lambda said: (f"was lost: {said}", GIVEN_UP),
-            more=f"if the scheduler has lost its workers, {start}",
-        )
+        executor = client.get_executor(pure=False)
+        yield Pool(executor, lambda: max(1, sum(client.nthreads().values())), lost=KilledWorker)

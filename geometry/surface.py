@@ -26,7 +26,6 @@ def surface_from_solid(solid: "Shape") -> Trimesh:
     """Triangulate a solid, or several that do not touch, and join the triangles of neighbouring faces.
 
     Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions.
-    But faces do not share their vertices: those closer than `COINCIDENT_MM` become one here.
     """
     points, corners = solid.tessellate(CHORD_MM)
     surface = Trimesh([tuple(point) for point in points], corners, process=False)
@@ -35,29 +34,11 @@ def surface_from_solid(solid: "Shape") -> Trimesh:
 
 
 def check_surface(surface: Trimesh, expected_volume_mm3: float, name: str) -> None:
-    """Refuse a surface that is not closed, not outward, or not the solid it was made from.
+    """Refuse a surface that is not closed and outward, or does not enclose its solid's volume [mm³]: `GeometryError`.
 
-    Parameters
-    ----------
-    surface : Trimesh
-        What is about to be meshed or written.
-    expected_volume_mm3 : float
-        Volume of the solid, from the CAD kernel or a closed form [mm³].
-    name : str
-        What the message calls the surface.
-
-    Raises
-    ------
-    GeometryError
-        If a triangle has no area, an edge does not belong to exactly two triangles, neighbours are wound
-        against each other, the triangles face inward, or the volume differs by more than `VOLUME_TOLERANCE`.
-
-    Notes
-    -----
-    Bodies with flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double
-    precision, 1e-7 once coordinates went through an STL file's single precision. The tolerance lies above
-    both, and far below what a wrong body does: a pillar of a 6 × 6 array is a hundredth of its volume. That a
-    surface cuts through itself is seen by its volume only: overlapping pillars hold more than their union.
+    Flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double precision, 1e-7 once
+    coordinates went through an STL file's single precision; a pillar of a 6 × 6 array is a hundredth. That a surface
+    cuts through itself is seen by its volume only.
     """
     edges_mm = np.linalg.norm(surface.triangles - np.roll(surface.triangles, 1, axis=1), axis=2)
     flat = 2 * surface.area_faces <= COINCIDENT_MM * edges_mm.max(axis=1)  # its least height is 2·area / longest edge

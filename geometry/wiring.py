@@ -6,8 +6,6 @@ empty, the others hold one pillar each. A board sends the populated crossings ro
 column wire, then along row wire 1, and so on.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,12 +53,3 @@ def crossing_of_pillar(rows: int, cols: int, layout: Layout = SONG2018) -> NDArr
     [[[[10, 11, 12], [20, 21, 22]]]]
     """
     return np.argsort(pillar_of_crossing(rows, cols, layout)).reshape(rows, cols, -1)
-
-
-def crossings_from_pillars(values: NDArray[Any], layout: Layout = SONG2018) -> NDArray[Any]:
-    """Values of pillars, shape (..., rows, cols, n_pillars), rearranged as sent: (..., rows·cols·n_pillars)."""
-    n = len(layout.pillars)
-    if values.ndim < 3 or values.shape[-1] != n:
-        raise ValueError(f"values has shape {values.shape}, expected (..., rows, cols, {n}): pillars last.")
-    rows, cols = values.shape[-3:-1]
-    return values.reshape(*values.shape[:-3], -1)[..., pillar_of_crossing(rows, cols, layout)]

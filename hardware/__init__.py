@@ -8,7 +8,7 @@ boards that are not there. Open `session.py` first.
 
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError, list_ports
+from hardware.link.serial_ports import PortError
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
 from hardware.readout.crossbar import Crossbar
 from hardware.readout.forces import ForceReader, Forces, replay
@@ -31,7 +31,6 @@ __all__ = [
     "ScannerError",
     "SensorCalibration",
     "convert",
-    "list_ports",
     "live",
     "read_calibration",
     "read_recording",

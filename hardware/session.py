@@ -8,8 +8,8 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,29 +42,9 @@ RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the r
 def connect(
     port: str, calibration: Path | str | None = None, speed: float = 1.0, **settings: Any
 ) -> Iterator[tuple[Scanner, SensorCalibration]]:
-    """Scan a board, or a recording that is played, as long as the with block lasts.
+    """Scan a board, or a recording that is played, as long as the with block lasts; raises and parameters as of `live`.
 
-    Parameters
-    ----------
-    port : str
-        What `open_port` opens, or the path of a recording. A device that is not there is waited for up to `APPEARS_S`.
-    calibration : Path, optional
-        Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
-    speed : float
-        Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
-    **settings
-        As of `Scanner`.
-
-    Yields
-    ------
-    Scanner, SensorCalibration
-
-    Raises
-    ------
-    FileFormatError
-        If the calibration is of another board.
-    PortError, ScannerError
-        As `Scanner` does.
+    A device that is not there is waited for up to `APPEARS_S`.
     """
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
@@ -107,8 +87,12 @@ def live(
         Serial port (/dev/ttyACM0, COM3), ``socket://host:port``, or the path of a recording.
     model : Decoupler or Path
         A trained model or its file.
-    calibration, speed, **settings
-        As of `connect`.
+    calibration : Path, optional
+        Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
+    speed : float
+        Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
+    **settings
+        As of `Scanner`.
 
     Yields
     ------
@@ -137,12 +121,12 @@ def live(
         yield LiveSensor(scanner, decoder, known)
 
 
-def scans_within(scanner: Scanner, seconds: float = math.inf) -> Iterator[Scan | None]:
+def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:
     """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
     end_s = time.monotonic() + seconds
-    with ended_by_signal() as is_ended:
-        while not is_ended() and time.monotonic() < end_s:
-            scan = scanner.get(timeout=min(BATCH_S, max(0.0, end_s - time.monotonic())))
+    with ended_by_signal() if ends_by_signal else nullcontext(lambda: False) as is_ended:
+        while not is_ended() and (left_s := end_s - time.monotonic()) > 0.0:
+            scan = scanner.get(timeout=min(BATCH_S, left_s))
             if scan is None and scanner.ended:
                 return
             yield scan
@@ -177,11 +161,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
-    taken, end_s = [], time.monotonic() + seconds
-    while (left_s := end_s - time.monotonic()) > 0.0 and not scanner.ended:
-        scan = scanner.get(timeout=min(BATCH_S, left_s))
-        if scan is not None:
-            taken.append(scan.frame.counts)
+    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False) if scan]
     if not taken or scanner.trouble:
         came = f"{len(taken)} scans" if taken else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
@@ -205,26 +185,9 @@ def record_scans(
 ) -> tuple[int, LinkStatistics]:
     """Record for some seconds, or until Ctrl-C or the end of what is played.
 
-    Parameters
-    ----------
-    calibration : SensorCalibration, optional
-        Kept with the counts.
-    made_from : mapping, optional
-        Hashes of the model that the recording is meant for.
-    append : bool
-        Continue a recording of the same board, model and calibration.
-    advance : callable, optional
-        Called every second with the seconds, the scans so far and the scanner's trouble.
-
-    Returns
-    -------
-    int, LinkStatistics
-        Scans recorded; `lost` and `restarts` are those of the file, from its first scan to its last.
-
-    Raises
-    ------
-    FileFormatError, RecordingError
-        As `Recorder` does.
+    Calibration and hashes of the model (`hashes_of`) are kept with the counts; `append` continues a recording of the
+    same. `advance` is called every second with the seconds, the scans so far and the scanner's trouble. Returns the
+    scans recorded and what was met, `lost` and `restarts` from the file's first scan to its last; raises as `Recorder`.
     """
     unix_s = time.time() - time.perf_counter()
     start = told = time.monotonic()
@@ -246,21 +209,15 @@ def record_scans(
     return recorder.frames, statistics
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinkQuality:
-    """Measured quality of a board's link."""
-
-    seconds: float
-    scans: int
-    rate_hz: float  #: of scans received, by the host's clock
-    device_rate_hz: float  #: of scans made, by the board's
-    jitter_us: float  #: standard deviation of arrivals about the board's clock
-    latency_ms: dict[str, float] | None  #: last byte read -> forces: median, p99, worst
-    statistics: dict[str, Any]
-
-
-def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) -> LinkQuality:
+def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) -> dict[str, Any]:
     """Read a board for some seconds, with the forces of every scan if there is a sensor.
+
+    Returns
+    -------
+    dict
+        ``seconds``, ``scans``, the ``rate_hz`` of scans received by the host's clock and the ``device_rate_hz`` of
+        scans made by the board's, ``jitter_us`` (standard deviation of arrivals about the board's clock),
+        ``latency_ms`` of a sensor (last byte read -> forces: median, p99, worst) and the link's ``statistics``.
 
     Raises
     ------
@@ -283,15 +240,15 @@ def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) ->
     ticks_us = np.array(device_us, dtype=np.uint32)
     steps_s = 1e-6 * (ticks_us[1:] - ticks_us[:-1])  # u32 differences wrap as the board's clock does
     waits_s = np.diff(arrivals)
-    return LinkQuality(
-        seconds=arrivals[-1] - arrivals[0],
-        scans=len(arrivals),
-        rate_hz=float(1.0 / waits_s.mean()),
-        device_rate_hz=float(1.0 / steps_s.mean()) if steps_s.any() else 0.0,
-        jitter_us=float(1e6 * (waits_s - steps_s).std() / np.sqrt(2.0)),
-        latency_ms=None if sensor is None else milliseconds(np.array(latencies)),
-        statistics=asdict(scanner.stats),
-    )
+    return {
+        "seconds": arrivals[-1] - arrivals[0],
+        "scans": len(arrivals),
+        "rate_hz": float(1.0 / waits_s.mean()),
+        "device_rate_hz": float(1.0 / steps_s.mean()) if steps_s.any() else 0.0,
+        "jitter_us": float(1e6 * (waits_s - steps_s).std() / np.sqrt(2.0)),
+        "latency_ms": None if sensor is None else milliseconds(np.array(latencies)),
+        "statistics": asdict(scanner.stats),
+    }
 
 
 def milliseconds(latency_s: FloatArray) -> dict[str, float]:

@@ -5,7 +5,7 @@ from dataset.imperfections import Imperfections
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
-from hardware.boards.simulated import CHIP_BITS
+from hardware.boards.simavr_board import CHIP_BITS
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.crossbar import SUITED_SENSE_OHM
 

@@ -38,7 +38,7 @@ True
 ...     replace(design.array, rows=0)
 ... except tp.TriPillarError as error:
 ...     print(error)
-rows=0 must be above 0; units along y.
+rows=0 must be from 1 to 255; units along y.
 >>> tp.__version__ >= "0.1"
 True
 """

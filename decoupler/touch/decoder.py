@@ -19,7 +19,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
+STARTS, KEPT = 16, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
 STEPS = 4
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 CONSIDERED = 400  #: nearest rows among which starts are sought

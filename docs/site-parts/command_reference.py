@@ -8,13 +8,14 @@ from tripillar.cli.app import COMMANDS, app_of
 from tripillar.cli.help import labels, meaning, options_of
 
 PAGE = Path(__file__).parents[1] / "commands.md"
-COMMON = 3  #: commands from which on an option of theirs is told once for all
+COMMON = 2  #: commands from which on an option of theirs is told once for all
 
 TITLE = """# Commands
 
 Every command with its options, as `tripillar COMMAND --help` prints them; this page is made from the commands
 themselves. Results go to stdout (with `--json` as one object), progress and names of files to stderr. A mistake is one
-line and exit code 2. *Also* names the options that are told here, since many commands have them:"""
+line and exit code 2. *Also* names the options that are told here, since several commands have them; all have the first
+four:"""
 
 OF_THE_PROGRAM = (
     "- `--version`: Print the version and exit.",
@@ -28,16 +29,23 @@ def reference() -> str:
     names = [name for commands in COMMANDS.values() for name in commands]
     told = {name: [shown(each) for each in options_of(app, name)] for name in names}
     counts = Counter(line for lines in told.values() for line in lines)
-    common = [line for line, count in counts.items() if count >= COMMON]
+    often = sorted((line for line, count in counts.items() if count >= COMMON), key=lambda line: counts[line])
+    common = list({flag_of(line): line for line in often}.values())[::-1]  # of a flag that means two things, one
     blocks = [TITLE, "\n".join([*OF_THE_PROGRAM, *common])]
     for heading, commands in COMMANDS.items():
         blocks.append(f"## {heading}")
         for name in commands:
             own = [line for line in told[name] if line not in common]
-            also = [line.split("`")[1].split()[0].rstrip(",") for line in told[name] if line in common]
+            also = [flag_of(line) for line in told[name] if line in common and counts[line] < len(names)]
             blocks += [f"### {name}", app[name].help.strip(), "\n".join(own)]
-            blocks.append(f"Also {', '.join(f'`{flag}`' for flag in also)}.")
+            if also:
+                blocks.append(f"Also {', '.join(f'`{flag}`' for flag in also)}.")
     return "\n\n".join(block for block in blocks if block) + "\n"
+
+
+def flag_of(line: str) -> str:
+    """The first name of an option in its line."""
+    return line.split("`")[1].split()[0].rstrip(",")
 
 
 def shown(option: Any) -> str:

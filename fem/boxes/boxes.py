@@ -259,8 +259,6 @@ def _to_legendre(order: int) -> tuple[FloatArray, FloatArray]:
 def shape_functions(order: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lagrange functions and their derivatives at x in [-1, 1], both of shape (..., order + 1).
 
-    Examples
-    --------
     >>> shape_functions(1, np.array([0.0]))
     (array([[0.5, 0.5]]), array([[-0.5,  0.5]]))
     """

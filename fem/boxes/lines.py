@@ -26,16 +26,12 @@ class Attractor:
 
 
 def graded_lines(stops: Sequence[float], attractors: Sequence[Attractor], level: int) -> FloatArray:
-    """Lines (n + 1,) from the first to the last stop, increasing, that crowd at the attractors [mm].
+    """Lines (n + 1,) from the first to the last stop, increasing, that crowd at the attractors [mm]; stops are lines.
 
-    Stops must be lines. Every interval between them has `level` times as many elements as at level 1, whose lines stay.
+    Every interval between stops has `level` times as many elements as at level 1, whose lines stay. An attractor at a
+    counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `LOGARITHMIC` lengths only their
+    logarithm more. Counts of all add up; lines lie where their sum is a whole number of steps.
 
-    An attractor at a counts C(x) = w·sign(x − a)·(|x − a|/L)^(1/3) elements from itself to x, and beyond `LOGARITHMIC`
-    lengths only their logarithm more. Counts of all attractors add up; lines lie where their sum is a whole number of
-    steps.
-
-    Examples
-    --------
     >>> graded_lines([0, 8], [Attractor(0.0, 8.0, weight=2.0)], level=1)
     array([0., 1., 8.])
     """

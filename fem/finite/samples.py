@@ -18,7 +18,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
 from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
 from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
@@ -131,18 +130,6 @@ class SampleSolver:
             for some in np.split(own, range(AT_ONCE, len(own), AT_ONCE)) if len(own) else []:
                 answers.append((some, weight[some], self._together(preload, force_n[some])))
         return _blended(len(force_n), answers)
-
-    def on_coarse_grid(self, force_n: FloatArray, displacement_mm: FloatArray) -> tuple[Boxes, FloatArray]:
-        """For pictures: the coarse boxes and its displacements (n_nodes, 3) [mm] under forces (k, 3) [N].
-
-        Small linear ones are added that bring the electrodes to their answer (k, n_upper, 3) [mm], as nearly as forces
-        can.
-        """
-        preload = PRELOADS_MPA[int(self._shares(force_n[None])[0] > 0.5)]
-        found = self.coarse.solve(preload, force_n[None], TOLERANCE, self._is_unwanted)
-        missing = displacement_mm - self.coarse.electrodes(found.state.shift, found.state.rotation)[0]
-        more = self.coarse.linear_field(self.coarse.forces_of(missing[None])[0])
-        return self.coarse.body.boxes, found.state.u[0] + more
 
     def _shares(self, force_n: FloatArray) -> FloatArray:
         """Weight of the second preload in answers to samples (m, k, 3) [N] by the middle of their pressures, (m,)."""

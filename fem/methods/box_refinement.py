@@ -302,12 +302,9 @@ def indicators_of_probes(surplus: FloatArray, n_probes: int) -> FloatArray:
 
 
 def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
-    """Relative error of each probe on the last of several meshes, (n_probes,).
+    """Relative error of each probe on the last of several meshes, (n_probes,): η times `SAFETY` times its shown ratio.
 
-    Notes
-    -----
-    The ratio of error to η is `SAFETY` times the largest that the last three changes have shown, between bounds.
-    On the meshes of these scenes (blocks, slabs, plates, pillars, voids, inclusions, rigid and tiny patches, ν = 0 to
+    On the meshes of 111 scenes (blocks, slabs, plates, pillars, voids, inclusions, rigid and tiny patches, ν = 0 to
     0.499999), stopped at six tolerances, 2 of 739 estimates were below the error, by 1.16 and 1.31; factor 2 leaves 10
     of 771, 1.5 leaves 21 of 807.
     """

@@ -29,12 +29,8 @@ def has_alike_plates(scene: Scene) -> bool:
 def design_of_cells(scene: Scene, body: Sensor) -> SensorDesign:
     """The design of a scene's cells: its pads are the plates of the scene's stiff loads, and soft without these.
 
-    Raises
-    ------
-    SceneError
-        If plates do not lie on all units alike, as squares, without moments and other loads.
-    DesignError
-        If they leave no gap.
+    `SceneError` if plates do not lie on all units alike, as squares, without moments and other loads; `DesignError` if
+    they leave no gap.
     """
     design = body.design
     if not scene.stiff_loads:
@@ -88,12 +84,7 @@ def solve_by_cells(scene: Scene) -> Solution:
     """Solve a scene of an array with loads and mean probes anywhere on its top, by copies of one cell.
 
     Rectangles that lie on several cells are split among them. The error is estimated as of responses, see
-    `substructured.cells_of_stage`.
-
-    Raises
-    ------
-    SolverError
-        If an answer cannot be trusted.
+    `substructured.cells_of_stage`. `SolverError` if an answer cannot be trusted.
     """
     assert isinstance(scene.body, Sensor)  # the plan takes cells for arrays and mean probes only
     design = design_of_cells(scene, scene.body)

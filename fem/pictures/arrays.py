@@ -15,7 +15,6 @@ import numpy as np
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.field import Field
-from fem.finite.samples import SampleSolver
 from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
@@ -167,18 +166,6 @@ def finite_field(scene: Scene) -> Field:
     found = solve_scene(coarse, field=True)[0].field
     assert found is not None  # it was asked for
     return found
-
-
-def sampled_array_field(solver: SampleSolver, force_n: FloatArray, displacement_mm: FloatArray) -> FiniteArrayField:
-    """An array under forces (n_units, 3) [N] on its stiff pads, on the solver's coarse grid.
-
-    Its electrodes lie within 1 % of their answer (n_units, n_upper, 3) [mm].
-    """
-    boxes, u = solver.on_coarse_grid(force_n, displacement_mm)
-    design = solver.design
-    seen = Field(mesh=boxes, displacement_mm=u, material=[design.matrix_material])
-    rectangles = pad_squares(lone_unit(design))
-    return FiniteArrayField(design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=True, field=seen)
 
 
 def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scene:

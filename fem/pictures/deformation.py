@@ -18,6 +18,7 @@ from fem.pictures.scenery import (
     Bar,
     Camera,
     Colour,
+    Quantity,
     bar_of,
     draw_legend,
     draw_scenery,
@@ -27,7 +28,7 @@ from fem.pictures.scenery import (
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]
-Medium = Literal["file", "film", "window", "page"]
+Medium = Literal["file", "film", "window", "page", "live"]
 
 WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
 HIGH_PX = 880  #: of a picture, where its width leaves a choice
@@ -56,9 +57,10 @@ class DeformedPicture:
     `panels` are one picture each, its name above it: parts named matrix are translucent, pads are outlined, the rest is
     solid. Displacement is drawn `scale` times as large; all cameras but "iso" are parallel projections. Frames of films
     are smoothed less, which is quicker; pages have no text and no colour bars: they add their own, by `names`, `bars`,
-    `note` and `aspect`. `over` is what the colour bars are to hold where the picture is to show more than its panels,
-    by `load`; `columns` are panels beside each other, all by default; `warning` is said below the pictures. `before`
-    are the same bodies under smaller loads, in equal steps up to the panels', for `press` where they are not linear.
+    `note` and `aspect`; live pictures are plain and quick. `over` is what the colour bars are to hold where the picture
+    is to show more than its panels, by `load`; `columns` are panels beside each other, all by default; `warning` is
+    said below the pictures. `before` are the same bodies under smaller loads, in equal steps up to the panels', for
+    `press` where they are not linear.
     """
 
     def __init__(
@@ -74,7 +76,7 @@ class DeformedPicture:
         before: Sequence[Mapping[str, Parts]] = (),
     ) -> None:
         draw_off_screen()
-        self._quantity, self._scale, self._camera = QUANTITIES[colour], scale, camera
+        self._quantity, self._scale, self._medium = QUANTITIES[colour], scale, medium
         self.names = tuple(panels)
         self._shows_all_pads, shown = over is not None, [*panels.values()] if over is None else over
         pads = pads_bar(shown)
@@ -82,7 +84,8 @@ class DeformedPicture:
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self.warning = warning
         self.moving: list[Moving] = []
-        self._is_bare = medium == "page"
+        self._is_bare = medium in ("page", "live")
+        self.actors: dict[str, pv.Actor] = {}  #: by name of the part, of the last panel
         points = {name: filled_points(parts, scale) for name, parts in panels.items()}
         stage = {name: draw_scenery(at, camera) for name, at in points.items()}
         seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
@@ -97,7 +100,8 @@ class DeformedPicture:
             row, column = divmod(number, columns)
             self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
             self._draw(name, parts)
-            self.plotter.add_mesh(stage[name], color=INK, lighting=False)
+            if medium != "live":
+                self.plotter.add_mesh(stage[name], color=INK, lighting=False)
             look(self.plotter.camera, seen[name], camera, self.aspect)
             self.plotter.reset_camera_clipping_range()
             if not self._is_bare:
@@ -127,6 +131,15 @@ class DeformedPicture:
         for name, text in self._titles:
             text.input = name if share == 1 else f"{share:.0%} of {name}"
 
+    def recolour(self, panels: Mapping[str, Parts], quantity: Quantity, scale: float) -> Bar:
+        """Show the same bodies under other loads, coloured by a quantity from end to end; its bar."""
+        self._quantity, self._scale, bar = quantity, scale, bar_of(quantity, panels.values())
+        mapper = self.actors["pillars"].mapper
+        mapper.lookup_table.apply_cmap(bar.colours, len(bar.colours))
+        mapper.scalar_range = bar.low, bar.high
+        self.load(panels)
+        return bar
+
     def load(self, panels: Mapping[str, Parts]) -> None:
         """Show the same bodies under other loads, in the colours of the first ones."""
         for moving in self.moving:
@@ -153,7 +166,13 @@ class DeformedPicture:
         weights = [NAME_PX, high] * rows + [LEGEND_PX]
         if self._is_bare:
             window = (columns * wide, rows * high)
-            plotter = pv.Plotter(off_screen=off_screen, shape=(rows, columns), window_size=window, border=False)
+            lights = "none" if medium == "live" else "light kit"
+            plotter = pv.Plotter(
+                off_screen=off_screen, shape=(rows, columns), window_size=window, border=False, lighting=lights
+            )
+            if medium == "live":  # smooth edges, and each further light, cost software half as much again and more
+                plotter.render_window.SetMultiSamples(0)
+                plotter.add_light(pv.Light(light_type="headlight"))
         else:
             plotter = pv.Plotter(
                 off_screen=off_screen, shape=(2 * rows + 1, columns), groups=[(2 * rows, slice(None))],
@@ -164,7 +183,11 @@ class DeformedPicture:
         return plotter
 
     def _draw(self, panel: str, parts: Parts) -> None:
+        is_live = self._medium == "live"
+        solid, glassy = ({}, {}) if is_live else (SOLID, GLASSY)
         for name, part in parts.items():
+            if is_live and name == "electrodes":
+                continue
             whole = part.grid
             whole["point"] = np.arange(len(part.points_mm))
 
@@ -185,19 +208,21 @@ class DeformedPicture:
                 )
                 outlines.points[:, 2] += PAD_LIFT_MM
                 width = {"line_width": 2.5 * self._line, "lighting": False}
-                self.plotter.add_mesh(moved(outlines), **_coloured("strength", self.bars[-1]), **width)
+                look = _coloured("strength", self.bars[-1]) | width
+                self.actors[name] = self.plotter.add_mesh(moved(outlines), **look)
                 continue
             skin = whole.extract_surface(algorithm="dataset_surface")
             if name == "matrix":
-                skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
-                actor = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **GLASSY)
+                if not is_live:
+                    skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **glassy)
                 # PyVista's own smooth shading would draw a copy, which stays at rest
-                actor.prop.interpolation = "phong"
+                self.actors[name].prop.interpolation = "flat" if is_live else "phong"
             elif name == "electrodes":
                 skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
-                self.plotter.add_mesh(moved(skin), color="#c98a4b", **SOLID)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#c98a4b", **solid)
             else:
-                self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **SOLID)
+                self.actors[name] = self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **solid)
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest

@@ -26,10 +26,10 @@ from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_cen
 from geometry.prism import Prism, unit_prisms
 
 SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of its four sides
-ACROSS = 12  #: squares along a pad's side
+#: slices, around, squares along a pad's side, and level of the cell's grid by whose lines the matrix is cut
+FINE, COARSE = (SLICES, AROUND, 12, 2), (8, 1, 6, 1)
 INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at its edge
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
-FINENESS = 2  #: level of the cell's grid by whose lines the matrix is cut
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
 WIDEST = 0.35  #: boxes of a picture of stress, relative to the body's height
 WIDE_BOXES = 15  #: such boxes to the greatest extent of a flat body, where that makes them wider
@@ -86,21 +86,53 @@ class Part:
 Parts = Mapping[str, Part]  #: by name: pillars, matrix, electrodes, pads (plates where they are stiff)
 
 
-def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
-    """Pillars, matrix, electrodes and pads of a loaded array; stiff pads are named plates.
+class ArrayParts:
+    """Pillars, matrix, electrodes and pads of an array, under one load after the other; stiff pads are named plates.
 
     Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
     pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
-    0.06 mm all around, which nobody sees.
+    0.06 mm all around, which nobody sees. `is_coarse` parts are drawn and moved more quickly.
     """
-    unit, slab = array.design.unit, Boxes.between(cell_lines(array.design, FINENESS), order=1)
-    boxes = slab.points_mm, slab.nodes[:, VTK_CORNERS]
-    return {
-        "pillars": _on_units(array, state, pillar_surface(unit, apart_mm=APART_MM), stress, region=1),
-        "matrix": _joined([_on_units(array, state, boxes, stress, region=0, cell_type=HEXAHEDRON)], shared=True),
-        "electrodes": _on_units(array, state, electrode_surface(unit), stress, region=1),
-        "plates" if array.has_plates else "pads": _pads(array, state, stress),
-    }
+
+    def __init__(self, array: ArrayField | FiniteArrayField, is_coarse: bool = False) -> None:
+        unit, self._array = array.design.unit, array
+        slices, around, across, fineness = COARSE if is_coarse else FINE
+        slab = Boxes.between(cell_lines(array.design, fineness), order=1)
+        self._pillars = _OnUnits(array, pillar_surface(unit, slices, around, APART_MM), region=1)
+        self._slab = _OnUnits(array, (slab.points_mm, slab.nodes[:, VTK_CORNERS]), region=0, cell_type=HEXAHEDRON)
+        self._electrodes = _OnUnits(array, electrode_surface(unit), region=1)
+        self._pads = []
+        for x0, y0, x1, y1 in array.rectangles_mm:
+            a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
+            corner = np.array([x0, y0, unit.height_mm]) + INSIDE / 2 * (a + b)
+            self._pads.append(_OnUnits(array, sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, across, across)))
+        self._once = same_places(self._slab.points_mm)  # points of neighbouring units are one
+
+    def under(self, state: FieldState, stress: bool = True) -> dict[str, Part]:
+        """The parts under a load, each pad with its traction."""
+        slab, (first, number) = self._slab.under(state, stress), self._once
+        matrix = Part(
+            points_mm=slab.points_mm[first],
+            cells=number[slab.cells],
+            cell_type=HEXAHEDRON,
+            displacement_mm=slab.displacement_mm[first],
+            stress_mpa=slab.stress[first] if stress else None,
+        )
+        forces, pads = state.force_n.reshape(self._array.design.n_units, -1, 3), []
+        for k, (pad, (x0, y0, x1, y1)) in enumerate(zip(self._pads, self._array.rectangles_mm, strict=True)):
+            traction = np.repeat(forces[:, k] / ((x1 - x0) * (y1 - y0)), len(pad.cells) // len(forces), axis=0)
+            pads.append(replace(pad.under(state, stress), traction_mpa=traction))
+        return {
+            "pillars": self._pillars.under(state, stress),
+            "matrix": matrix,
+            "electrodes": self._electrodes.under(state, stress),
+            "plates" if self._array.has_plates else "pads": _joined(pads),
+        }
+
+
+def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
+    """The parts of a loaded array, as `ArrayParts` has them."""
+    return ArrayParts(array).under(state, stress)
 
 
 def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Cells:
@@ -143,53 +175,39 @@ def joined(surfaces: list[Cells]) -> Cells:
     return np.vstack([points for points, _ in surfaces]), np.vstack(cells)
 
 
-def _on_units(
-    array: ArrayField | FiniteArrayField,
-    state: FieldState,
-    seen: Cells,
-    stress: bool,
-    region: int | None = None,
-    units: slice | NDArray[np.int64] = slice(None),
-    cell_type: int = QUADRILATERAL,
-) -> Part:
-    """Cells of the unit on all units, or some."""
-    points, cells = seen
-    observer = array.observe(points, region)
-    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))[units]
-    copies = np.arange(len(centres))[:, None, None] * len(points)
-    return Part(
-        points_mm=(centres[:, None] + points).reshape(-1, 3),
-        cells=(copies + cells).reshape(-1, cells.shape[1]),
-        cell_type=cell_type,
-        displacement_mm=observer.displacement_mm(state)[units].reshape(-1, 3),
-        stress_mpa=observer.stress_mpa(state)[units].reshape(-1, 6) if stress else None,
-    )
+class _OnUnits:
+    """Cells of the unit on all units of an array."""
+
+    def __init__(
+        self,
+        array: ArrayField | FiniteArrayField,
+        seen: Cells,
+        region: int | None = None,
+        cell_type: int = QUADRILATERAL,
+    ) -> None:
+        points, cells = seen
+        self._observer, self._cell_type = array.observe(points, region), cell_type
+        centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))
+        self.points_mm = (centres[:, None] + points).reshape(-1, 3)
+        copies = np.arange(len(centres))[:, None, None] * len(points)
+        self.cells = (copies + cells).reshape(-1, cells.shape[1])
+
+    def under(self, state: FieldState, stress: bool) -> Part:
+        """The cells under a load."""
+        return Part(
+            points_mm=self.points_mm,
+            cells=self.cells,
+            cell_type=self._cell_type,
+            displacement_mm=self._observer.displacement_mm(state).reshape(-1, 3),
+            stress_mpa=self._observer.stress_mpa(state).reshape(-1, 6) if stress else None,
+        )
 
 
-def _pads(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool) -> Part:
-    """The rectangles that are loaded, each with its traction; all if none is."""
-    parts = []
-    forces = state.force_n.reshape(array.design.n_units, -1, 3)
-    for number, (x0, y0, x1, y1) in enumerate(array.rectangles_mm):
-        units = np.flatnonzero(forces[:, number].any(axis=1) | ~forces.any())
-        a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
-        corner = np.array([x0, y0, array.design.unit.height_mm]) + INSIDE / 2 * (a + b)
-        surface = sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, ACROSS, ACROSS)
-        traction = forces[units, number] / ((x1 - x0) * (y1 - y0))
-        part = _on_units(array, state, surface, stress, units=units)
-        parts.append(replace(part, traction_mpa=np.repeat(traction, ACROSS**2, axis=0)))
-    return _joined(parts)
-
-
-def _joined(parts: list[Part], shared: bool = False) -> Part:
-    """Parts of one kind as one; with `shared` points in one place, as of neighbouring units, are one."""
+def _joined(parts: list[Part]) -> Part:
+    """Parts of one kind as one."""
     points, cells = joined([(part.points_mm, part.cells) for part in parts])
     given = [name for name in ("displacement_mm", "stress_mpa", "traction_mpa") if getattr(parts[0], name) is not None]
     values = {name: np.vstack([getattr(part, name) for part in parts]) for name in given}
-    if shared:
-        first, number = same_places(points)
-        points, cells = points[first], number[cells]
-        values = {name: found[first] for name, found in values.items()}
     return Part(points_mm=points, cells=cells, cell_type=parts[0].cell_type, **values)
 
 

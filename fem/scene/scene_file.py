@@ -18,13 +18,7 @@ MATERIAL_KEYS = ("young_mpa", "poisson")
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file.
-
-    Raises
-    ------
-    SceneError
-        If the file is missing, not TOML, or not a scene; the message begins with the path.
-    """
+    """Read a scene file; `SceneError`, which begins with the path, if it is missing, not TOML, or not a scene."""
     return scene_from_toml(read_text(path, "give a scene, such as one of scenes/", SceneError), str(path))
 
 
@@ -34,16 +28,11 @@ def scene_from_toml(text: str, source: str = "the scene") -> Scene:
 
 
 def scene_from_dict(table: dict[str, Any], source: str = "the scene") -> Scene:
-    """A scene from the nested tables of a TOML file.
+    """A scene from the nested tables of a TOML file; `SceneError` for a key or a value that makes no sense.
 
-    In bodies of kind unit and array the table `design` holds the keys of a design file; what it lacks is the paper's.
-    A table `material` there is the rubber of pillars and matrix alike, but for those that `design` gives itself; its
+    In bodies of kind unit and array the table `design` holds the keys of a design file; what it lacks is the paper's. A
+    table `material` there is the rubber of pillars and matrix alike, but for those that `design` gives itself; its
     model is that of all rubbers that state none.
-
-    Raises
-    ------
-    SceneError
-        For an unknown or missing key, or a value that makes no sense.
     """
     scene: Scene = STRICT.made(source, _scene, table=table)
     return scene
@@ -115,8 +104,7 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
     kind = _known(entry.get("kind", "dead"), LOAD_KINDS, place)
     given = {key: value for key, value in entry.items() if key != "kind"}
     made, of_kind = LOAD_KINDS[kind], f"{place} of kind {kind}" if "kind" in entry else place
-    STRICT.require_keys(given, keys_of(made, optional=True), f" in {of_kind}", keys_of(made))
-    load: Load = STRICT.made(place, made, **given)
+    load: Load = STRICT.filled(of_kind, made, given, keys_of(made, optional=True), keys_of(made))
     return load
 
 

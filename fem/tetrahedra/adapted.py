@@ -14,8 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, MeshTet
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
 
-from fem.factor import Factor, checked_solve
+from fem.factor import checked_solve
 from fem.field import Field
 from fem.levels import SAFETY, largest_contributors, shown_ratios, unit_loads
 from fem.scene.loads import at_rest
@@ -35,7 +37,7 @@ MIN_MESHES = 4  #: before an estimate is believed; with 3 it was half the error 
 EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
 MAX_PROBES, N_SUMS = 4, 12  #: probes that have unit loads of their own; of more, sums with random signs
 MIN_FALL = 0.05  #: of η from mesh to mesh: over less, changes say little
-SUBDIVISION = 4  #: a loaded face is sampled in the middle of each of the 4² parts of it
+CUT_ORDER = 8  #: of integration on loaded faces, which loads' edges may cut
 NOWHERE = np.empty((0, 4))
 
 
@@ -51,15 +53,9 @@ def estimated_error(history: Sequence[tuple[float, FloatArray]]) -> float:
 
 
 class AdaptedTetrahedra:
-    """A scene on Taylor-Hood tetrahedra.
+    """A scene on Taylor-Hood tetrahedra; `regions` are those that need one of their own.
 
-    Parameters
-    ----------
-    scene : Scene
-    regions : sequence of (Prism, Material)
-        Those that need a region of their own.
-    rectangles : array, shape (k, 4), optional
-        More rectangles of the top face that the mesh is to resolve, beside those of loads and probes.
+    `rectangles` (k, 4) of the top face are to be resolved beside those of loads and probes.
     """
 
     def __init__(self, scene: Scene, regions: Sequence[Region], rectangles: FloatArray = NOWHERE) -> None:
@@ -103,7 +99,8 @@ class AdaptedTetrahedra:
         rows = probe_rows(scene, body.basis)
         matrix = system.rest_tangent()
         watch.spent("assemble")
-        factor = Factor(matrix, upper=True)
+        factor = system.new_factor()
+        factor.factor(matrix)
         watch.spent("factor")
 
         forces = np.zeros((system.n_unknowns, 1))
@@ -183,25 +180,11 @@ def residuals(
     tractions_mpa: FloatArray,
     plates: FloatArray,
 ) -> FloatArray:
-    """Squared residual of an answer in each element, in units of energy.
+    """Squared residual of an answer in each element, in units of energy, (m,) [N mm].
 
-    Parameters
-    ----------
-    body : TaylorHood
-    u : array, shape (n_nodes, 3)
-        Nodal displacements [mm].
-    pressure : array, shape (n_pressure,)
-        Corner pressures of the mixed form [MPa].
-    rectangles : array, shape (n, 4)
-        Of the top face, under uniform loads, which add up where they overlap.
-    tractions_mpa : array, shape (n, 3)
-        Of these loads.
-    plates : array, shape (k, 4)
-        Rectangles of the top face that follow stiff plates, whose tractions nobody knows.
-
-    Returns
-    -------
-    array, shape (m,) [N mm]
+    The answer is u (n_nodes, 3) [mm] and corner pressures (n_pressure,) [MPa], under uniform tractions (n, 3) on
+    rectangles (n, 4) of the top face, which add up where they overlap. Rectangles (k, 4) of stiff `plates` have
+    tractions that nobody knows.
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
@@ -244,12 +227,11 @@ def residuals(
     misfit = _integral_of_square(missing, areas[outer])
     top = (triangles[outer][..., 2] == points[:, 2].max()).all(axis=1)
     if len(rectangles):
-        weights = _middles(SUBDIVISION)
-        places = np.einsum("qv,fvi->fqi", weights, triangles[outer][top])
-        found = np.einsum("qv,fvi->fqi", weights, missing[top])
-        misfit[top] = ((found - _tractions_at(places, rectangles, tractions_mpa)) ** 2).sum(axis=2).mean(
-            axis=1
-        ) * areas[outer][top]
+        at, rule = get_quadrature(RefTri, CUT_ORDER)
+        shares = np.stack([1 - at.sum(axis=0), *at], axis=1)
+        places, found = (np.einsum("qv,fvi->fqi", shares, corner[top]) for corner in (triangles[outer], missing))
+        off = ((found - _tractions_at(places, rectangles, tractions_mpa)) ** 2).sum(axis=2)
+        misfit[top] = 2 * (off @ rule) * areas[outer][top]
     middle = triangles[outer].mean(axis=1)
     for x0, y0, x1, y1 in plates:
         misfit[top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
@@ -270,10 +252,3 @@ def _integral_of_square(values: FloatArray, measures: FloatArray) -> FloatArray:
     corners = values.shape[1]
     total = (values**2).sum(axis=(1, 2)) + (values.sum(axis=1) ** 2).sum(axis=1)
     return measures / (corners * (corners + 1)) * total
-
-
-def _middles(n: int) -> FloatArray:
-    """Barycentric coordinates of the middles of n² equal parts of a triangle, shape (n², 3)."""
-    upward = [(i + 1 / 3, j + 1 / 3, n - i - j - 2 / 3) for i in range(n) for j in range(n - i)]
-    downward = [(i + 2 / 3, j + 2 / 3, n - i - j - 4 / 3) for i in range(n - 1) for j in range(n - 1 - i)]
-    return np.array(upward + downward) / n

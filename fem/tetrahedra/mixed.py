@@ -250,11 +250,15 @@ class TaylorHood:
             stored = self.law.energy(self.strain(u)) + self._pressing(p) ** 2 / (2 * self.law.lame_mpa)
         return float((stored * self.basis.dx).sum())
 
-    def _blocks(self, u: FloatArray, p: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Some elements, their ∫ ∂φₐ A ∂φ_b (e, 10, 10, 3, 3) [a, b, i, j], and ∫ ψ cof ∂φ_b (e, 4, 10, 3)."""
-        strain, pressing, m = self.strain(u), self._pressing(p), len(self.slopes)
-        for first in range(0, m, AT_ONCE):
-            some = slice(first, first + AT_ONCE)
+    @property
+    def chunks(self) -> list[slice]:
+        """Elements whose matrices are made at a time."""
+        return [slice(first, first + AT_ONCE) for first in range(0, len(self.region), AT_ONCE)]
+
+    def blocks(self, u: FloatArray, p: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Chunks of elements, their ∫ ∂φₐ A ∂φ_b (e, 10, 10, 3, 3) [a, b, i, j], and ∫ ψ cof ∂φ_b (e, 4, 10, 3)."""
+        strain, pressing = self.strain(u), self._pressing(p)
+        for some in self.chunks:
             part = Strain(H=strain.H[:, :, some], C=strain.C[:, :, some], theta=strain.theta[some])
             G, dx = self.slopes[some], self.basis.dx[some]
             A = self.law.part(some).tangent(part, pressing[some]) * dx
@@ -269,54 +273,13 @@ class TaylorHood:
             pull = (G @ (part.cof * dx).transpose(2, 3, 1, 0)).reshape(e, q, 3 * n)
             yield some, K, (self._of_pressure.T @ pull).reshape(e, 4, n, 3)
 
-    # the matrix
-
-    @cached_property
-    def _pairs(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Rows and columns of the blocks of free nodes on and above the diagonal, and the element pairs they sum."""
-        number = np.full(self.n_nodes, -1, dtype=np.int64)
-        number[self._free_nodes] = np.arange(len(self._free_nodes))
-        own = number[self.basis.element_dofs.T]
-        rows, cols = np.broadcast_arrays(own[:, :, None], own[:, None, :])
-        kept = np.flatnonzero((rows >= 0) & (rows <= cols))
-        keys, place = np.unique(rows.ravel()[kept] * len(self._free_nodes) + cols.ravel()[kept], return_inverse=True)
-        entry = np.full(rows.size, -1, dtype=np.int64)
-        entry[kept] = place
-        rows, cols = np.divmod(keys, len(self._free_nodes))
-        return rows, cols, entry.reshape(len(own), -1)
-
-    def tangent(self, u: FloatArray, p: FloatArray) -> sp.csr_matrix:
-        """The linearised equations at a state, upper triangle, (n_unknowns, n_unknowns)."""
-        rows, cols, entry = self._pairs
-        n, data, pulls = len(self.free), np.zeros((len(rows) + 1, 9)), []
-        for some, K, pull in self._blocks(u, p):
-            places = entry[some].ravel()  # what is left out is summed last, by −1
-            shape = (len(data), len(places))
-            sums = sp.csr_matrix((np.ones(len(places)), (places % len(data), np.arange(len(places)))), shape)
-            data += sums @ K.reshape(-1, 9)
-            pulls.append(pull)
-        i, j = np.divmod(np.arange(9), 3)
-        above = (rows < cols)[:, None] | (i <= j)
-        number = np.full((self.n_nodes, 3), -1, dtype=np.int64)
-        number[self._free_nodes] = np.arange(n).reshape(-1, 3)
-        col = np.broadcast_to(n + self.corners.T[:, :, None, None], (len(entry), 4, 10, 3)).ravel()
-        row = np.broadcast_to(number[self.basis.element_dofs.T][:, None], (len(entry), 4, 10, 3)).ravel()
-        inside = row >= 0
-        functions, weights = self._of_pressure, self.basis.quadrature[1] * 6
-        mass = np.einsum("qa,qb,q->ab", functions, functions, weights)
+    def compliance(self) -> sp.csr_matrix:
+        """∫ p q / λ, both triangles, (n_pressure, n_pressure)."""
+        mass = np.einsum("qa,qb,q->ab", self._of_pressure, self._of_pressure, self.basis.quadrature[1] * 6)
         bulk = self.basis.dx.sum(axis=1) / self.law.lame_mpa[:, 0]
-        one, two = np.broadcast_arrays(self.corners.T[:, :, None], self.corners.T[:, None, :])
-        upper = (one <= two).ravel()
-        values = [data[:-1][above], np.concatenate(pulls).ravel()[inside], -(bulk[:, None, None] * mass).ravel()[upper]]
-        across = [(3 * rows[:, None] + i)[above], row[inside], n + one.ravel()[upper]]
-        down = [(3 * cols[:, None] + j)[above], col[inside], n + two.ravel()[upper]]
-        shape = (self.n_unknowns, self.n_unknowns)
-        return sp.csr_matrix((np.concatenate(values), (np.concatenate(across), np.concatenate(down))), shape=shape)
-
-    @cached_property
-    def upper(self) -> sp.csr_matrix:
-        """Upper triangle of the equations at rest: linear elasticity."""
-        return self.tangent(np.zeros((self.n_nodes, 3)), np.zeros(self.n_pressure))
+        rows, cols = np.broadcast_arrays(self.corners.T[:, :, None], self.corners.T[:, None, :])
+        entries = (bulk[:, None, None] * mass).ravel(), (rows.ravel(), cols.ravel())
+        return sp.csr_matrix(entries, shape=(self.n_pressure, self.n_pressure))
 
 
 def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> TaylorHood:

@@ -1,8 +1,8 @@
-"""Rectangles of the top face: exact integrals over them, wherever its triangles lie, and rigid plates bonded to them.
+"""Rectangles of the top face: exact integrals over them, wherever its triangles lie.
 
 A load on a pad and the mean displacement of an electrode are the same integral ∫ φ dA of each shape function over a
 rectangle. Triangles are clipped to the rectangle and integrated exactly, so a load never misses a part of its force and
-no outline has to conform to the mesh. The rubber under a plate follows six rigid motions.
+no outline has to conform to the mesh.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ class PatchError(TriPillarError, ValueError):
 def patch_means(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     """Rows that take nodal displacements to mean displacements of rectangles (k, 4) of the top face.
 
-    Shape (k·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of a
+    Shape (k·3, 3·basis.N): rows run over rectangles, then axes. A row is also the nodal load vector of a
     unit force spread evenly over that rectangle.
     """
     area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
@@ -31,24 +31,9 @@ def patch_means(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
 
 
 def patch_integrals(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
-    """Integral of every scalar shape function over rectangles of the plane top face.
+    """∫ φ dA (k, basis.N) [mm²] of every P2 shape function over rectangles x0, y0, x1, y1 (k, 4) of the plane top face.
 
-    Parameters
-    ----------
-    basis : Basis
-        Scalar P2 basis on a MeshTet whose highest points form the plane top face.
-    rectangles : array, shape (n_rectangles, 4)
-        x0, y0, x1, y1 of each [mm].
-
-    Returns
-    -------
-    csr_matrix, shape (n_rectangles, basis.N)
-        ∫ φₙ dA [mm²]; each row sums to the rectangle's area.
-
-    Raises
-    ------
-    PatchError
-        If a rectangle is not covered by the top face to a relative 1e-9 of its area.
+    Each row sums to the rectangle's area; `PatchError` if the top does not cover it to a relative 1e-9.
     """
     corners, dofs = top_triangles(basis)  # (n, 3, 2), (n, 6)
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -96,10 +81,9 @@ def _clipped_integrals(triangles: FloatArray, rectangle: tuple[float, ...]) -> F
 
 
 def _clip(polygons: FloatArray, inside: FloatArray) -> FloatArray:
-    """The parts of convex polygons (n, k, 2) where linear functions of values `inside` (n, k) there are not negative.
+    """The parts of convex polygons (n, k, 2) where linear functions of values `inside` (n, k) are not negative.
 
-    Shape (n, k + 1, 2), as a half plane adds a corner at most; corners that a polygon has not repeat its last one, and
-    a polygon wholly outside is a point.
+    Shape (n, k + 1, 2): a half plane adds a corner at most, missing ones repeat the last, outside all are one point.
     """
     n, k = inside.shape
     beyond, following = np.roll(inside, -1, axis=1), np.roll(polygons, -1, axis=1)

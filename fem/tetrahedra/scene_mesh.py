@@ -31,22 +31,10 @@ VOLUME_TOLERANCE = 1e-9  #: relative, of prisms that cut no other: a mesh with a
 
 
 def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
-    """A coarse mesh of a scene's body whose faces follow the prisms inside it and the outlines of stiff plates.
+    """A coarse mesh of a scene's body, and whether it came from the cache; `GeometryError` if a thin part is lost.
 
-    Parameters
-    ----------
-    scene : Scene
-    prisms : sequence of Prism
-        Those that need a region of their own; they may cut each other.
-
-    Returns
-    -------
-    MeshTet, its base at z = 0 and its top at the body's height exactly, and whether it came from the cache
-
-    Raises
-    ------
-    GeometryError
-        If the mesher loses the shape of a thin body or prism.
+    Its faces follow prisms that need a region of their own, which may cut each other, and the outlines of stiff plates.
+    Its base is at z = 0 and its top at the body's height exactly.
     """
     size_mm = min(*scene.outline.section_mm, scene.height_mm)
     edge_mm = max(size_mm / EDGES_ACROSS, float(8.5 * scene.outline.volume_mm3 / MAX_CELLS) ** (1 / 3))
@@ -79,10 +67,7 @@ def _under_plates(scene: Scene, depth_mm: float) -> list[Prism]:
 def scene_task(
     outline: Prism, prisms: Sequence[Prism], edge_mm: float, envelope_mm: float, outlined: Sequence[Prism] = ()
 ) -> MeshTask:
-    """The mesher's task: each prism is a region of its own, its volume known where no other cuts it.
-
-    The faces of those that are `outlined` are followed, too.
-    """
+    """The mesher's task: each prism is a region of its own, its volume known where no other cuts it."""
     background, wanted_mm = wanted_edges(outline, prisms, edge_mm)
     alone = [
         not any(prism.cuts(other, 1e-9 * prism.height_mm) for other in prisms if other is not prism) for prism in prisms
@@ -142,26 +127,12 @@ PAIRS = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])  #: edges of 
 
 
 def bisected(mesh: MeshTet, marked: IntArray) -> MeshTet:
-    """A mesh in which the longest edge of every marked cell is halved, and what that makes necessary around it.
+    """A mesh in which the longest edge of every `marked` cell is halved, and what that makes necessary around it.
 
-    Parameters
-    ----------
-    mesh : MeshTet
-    marked : array
-        Numbers of the cells to refine.
+    Its first points are those of `mesh`; points of a plane stay in it exactly. Rivara's longest-edge bisection: a cell
+    with an edge to be halved has its longest edge halved too. Every cell is then cut at its edges to be halved from the
+    longest to the shortest, so two neighbours cut their common face alike.
 
-    Returns
-    -------
-    MeshTet
-        Its first points are those of `mesh`; points of a plane stay in it exactly.
-
-    Notes
-    -----
-    Rivara's longest-edge bisection: a cell with an edge to be halved has its longest edge halved too. Every cell is
-    then cut at its edges to be halved from the longest to the shortest, so two neighbours cut their common face alike.
-
-    Examples
-    --------
     >>> bisected(MeshTet(), np.array([0])).nelements > MeshTet().nelements
     True
     """

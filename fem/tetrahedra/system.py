@@ -4,7 +4,7 @@ Pressures are unknowns as displacements are. A state is stable where its tangent
 there are pressures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
-from fem.factor import Factor, whole
+from fem.factor import Factor
 from fem.mirrors import Parity
 from fem.plates import FollowingFaces, Plates
 from fem.scene.loads import Load, StiffLoad
@@ -22,14 +22,7 @@ from geometry.layout import FloatArray
 
 
 class TetrahedralSystem(Equations):
-    """The equations of a body of tetrahedra under loads, as `fem.system.System` has those of boxes.
-
-    Parameters
-    ----------
-    body : TaylorHood
-        Its faces follow the outlines of stiff loads.
-    loads : sequence of loads
-    """
+    """The equations of tetrahedra, whose faces follow the outlines of stiff loads, as `System` has those of boxes."""
 
     body: TaylorHood
 
@@ -43,7 +36,7 @@ class TetrahedralSystem(Equations):
         super().__init__(body, loads, plates, faces, points, points[:, 2] > 0.0)
         self.take(loads)
         self.n_mixed, self.pressures_shape = body.n_pressure, (body.n_pressure,)
-        self._pattern: sp.csr_matrix | None = None
+        self.element_nodes = body.basis.element_dofs.T.astype(np.int64)
 
     def integrals(self, rectangles: FloatArray) -> sp.csr_matrix:
         return patch_integrals(self.body.basis, rectangles)
@@ -60,8 +53,8 @@ class TetrahedralSystem(Equations):
         """Energy in the rubber."""
         return self.body.energy_mj(state.u, state.p)
 
-    def motions(self, rotation: FloatArray) -> sp.csr_matrix:
-        """T: the body's own unknowns, displacements off the base and pressures, by those of the system, as a matrix."""
+    def _motions(self, rotation: FloatArray) -> sp.csr_matrix:
+        """T: displacements of all nodes (3 n_nodes) by the unknowns that are no pressures, as a matrix."""
         axis, n, k = np.arange(3), len(self.free), self.plates.count
         node, plate = self.plates.node, self.plates.plate
         own, bonded = (3 * self.free[:, None] + axis).ravel(), (3 * node[:, None] + axis).ravel()
@@ -71,8 +64,7 @@ class TetrahedralSystem(Equations):
         columns = [np.arange(3 * n), shifts.ravel(), np.repeat(shifts + 3 * k, 3, axis=0).ravel()]
         values = [np.ones(len(own) + len(bonded)), spins.ravel()]
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        T = sp.csr_matrix(entries, shape=(3 * self.body.n_nodes, 3 * self.n_blocks))
-        return sp.block_diag([T[self.body.free], sp.eye_array(self.body.n_pressure)], format="csr")
+        return sp.csr_matrix(entries, shape=(3 * self.body.n_nodes, 3 * self.n_blocks))
 
     def misfit(self, state: State, share: float) -> Misfit:
         """Forces that a state leaves unbalanced at a share of the full load, and volumes that its pressures miss."""
@@ -97,53 +89,41 @@ class TetrahedralSystem(Equations):
         stiffened: tuple[NDArray[np.bool_], float] | None = None,
     ) -> None:
         """Leave the tangent in a factor; none of its elements is stiffened."""
-        factor.factor(self._tangent(state, share, misfit.reactions))
+        factor.factor(self.tangent(state, share, misfit.reactions))
+
+    def tangent(self, state: State, share: float, reactions: FloatArray) -> sp.csr_matrix:
+        """The linearised equations at a state; of symmetric ones the upper triangle. All have the same entries."""
+        pulls: list[FloatArray] = []
+
+        def blocks() -> Iterator[tuple[slice, FloatArray]]:
+            for some, K, pull in self.body.blocks(state.u, state.p):
+                pulls.append(pull)
+                yield some, K
+
+        A = self.assembly.matrix(self.assembled(blocks(), state, share, reactions)).tocsr()
+        B = self._coupling(np.concatenate(pulls), self._motions(state.rotation))
+        C = self.body.compliance()
+        if not self.symmetric:
+            return sp.block_array([[A, B.T], [B, -C]], format="csr")
+        return sp.block_array([[sp.triu(A), B.T], [None, -sp.triu(C)]], format="csr")
+
+    def _coupling(self, pulls: FloatArray, T: sp.csr_matrix) -> sp.csr_matrix:
+        """∫ ψ cof ∂φ of all elements (m, 4, 10, 3) times T; entries of 0 stay, unlike those of sparse products."""
+        nodes = self.element_nodes[:, None, :, None]
+        rows, cols = np.broadcast_arrays(self.body.corners.T[:, :, None, None], 3 * nodes + np.arange(3))
+        rows, cols = rows.ravel(), cols.ravel()
+        count = np.diff(T.indptr)[cols]
+        at = np.repeat(T.indptr[cols] - np.cumsum(count) + count, count) + np.arange(count.sum())
+        values = np.repeat(pulls.ravel(), count) * T.data[at]
+        return sp.csr_matrix((values, (np.repeat(rows, count), T.indices[at])), shape=(self.n_mixed, T.shape[1]))
 
     def rest_tangent(self) -> sp.csr_matrix:
-        """The tangent at rest, upper triangle."""
-        if not self.plates.count:
-            return self.body.upper
-        T = self.motions(self.rest().rotation)
-        return sp.triu(T.T @ whole(self.body.upper) @ T, format="csr")
+        """The tangent at rest: linear elasticity."""
+        return self.tangent(self.rest(), 0.0, np.zeros_like(self.points_mm))
 
     def matrix(self, data: sp.csr_matrix, parity: Parity | None = None) -> sp.csr_matrix:
         """The matrix of `rest_tangent` itself."""
         return data
-
-    def _tangent(self, state: State, share: float, reactions: FloatArray) -> sp.csr_matrix:
-        K = self.body.tangent(state.u, state.p)
-        if not self.plates.count and self.symmetric:
-            return K
-        pushed = -share * self.faces.stiffness(self.points_mm + state.u)
-        turning = self.turning(state, reactions)
-        T = self.motions(state.rotation)
-        if self._pattern is None:  # sums drop what is 0, and a factor wants the same entries in every state
-            of_k, of_t = (sp.csr_matrix((np.ones_like(A.data), A.indices, A.indptr), A.shape) for A in (K, T))
-            self._pattern = self._summed(of_k, of_t, np.ones_like(pushed), np.ones_like(turning)).tocsr()
-            self._pattern.sort_indices()
-        found, pattern = self._summed(K, T, pushed, turning).tocsr(), self._pattern
-        found.sort_indices()
-        if found.nnz == pattern.nnz:
-            return found
-        filled = sp.csr_matrix((np.zeros(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
-        keys, own = (
-            np.repeat(np.arange(A.shape[0]), np.diff(A.indptr)) * A.shape[1] + A.indices for A in (pattern, found)
-        )
-        filled.data[np.searchsorted(keys, own)] = found.data
-        return filled
-
-    def _summed(self, K: sp.csr_matrix, T: sp.csr_matrix, pushed: FloatArray, turning: FloatArray) -> sp.coo_matrix:
-        """Tᵀ K T and what faces and plates add to it; of a symmetric one the upper triangle."""
-        nodes = np.repeat(self.faces.nodes, 3, axis=1)
-        dofs = np.searchsorted(self.body.free, 3 * nodes + np.arange(nodes.shape[1]) % 3)
-        rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
-        values = pushed.transpose(0, 1, 3, 2, 4).ravel()
-        K = whole(K) + sp.csr_matrix((values, (rows.ravel(), columns.ravel())), shape=K.shape)
-        spins = 3 * (self.n_blocks - self.plates.count) + np.arange(3 * self.plates.count).reshape(-1, 3)
-        rows, columns = np.broadcast_arrays(spins[:, :, None], spins[:, None, :])
-        shape = (T.shape[1], T.shape[1])
-        K = T.T @ K @ T + sp.csr_matrix((turning.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
-        return sp.triu(K, format="coo") if self.symmetric else K.tocoo()
 
     def newton_change(self, factor: Factor, parts: Any, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
         """Changes of the other unknowns and of the pressures, by a factor from `linearise`."""

@@ -28,22 +28,10 @@ def kept(
 ) -> tuple[Kept, Path, bool]:
     """An answer from the cache if it is there, or made and kept there.
 
-    Parameters
-    ----------
-    kind : str
-        Its file's kind and ending: "mesh.vtu" is in mesh-0123456789abcdef.vtu.
-    cache_key : str
-        Hash of all that it depends on. An answer that states another `cache_key` is not taken.
-    make, read, write : functions
-        `read` raises a ValueError, as `FileFormatError` is, a KeyError or a TypeError for what is missing, damaged or
-        of an earlier version.
-    needed : bool
-        Whether there must be a file: an error of writing it is raised, else one line says so and nothing is lost.
-
-    Returns
-    -------
-    answer, Path, bool
-        The answer, its file, and whether it was there already; a file that could not be written is missing.
+    `kind` is its file's kind and ending: "mesh.vtu" is in mesh-0123456789abcdef.vtu, by the hash of all that it depends
+    on; an answer that states another `cache_key` is not taken. `read` raises a ValueError, as `FileFormatError` is, a
+    KeyError or a TypeError for what is missing, damaged or older. Where a file is `needed`, an error of writing it is
+    raised, else one line says so. Returns the answer, its file, and whether it was there already.
     """
     path = cache_folder() / f"{Path(kind).stem}-{cache_key}{Path(kind).suffix}"
     try:

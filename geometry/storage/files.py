@@ -65,17 +65,10 @@ def _is_stated(part: Any, each: Any) -> bool:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary file in a hidden folder beside `path`; move it to `path` on success, remove it on any failure.
+    """Give a temporary file of `path`'s name, moved to it on success and removed on any failure.
 
-    Readers see the old file or the whole new one, never a half-written one. Missing folders are made. A link is
-    followed: what it points to is replaced. The temporary file has the name of the real one.
-
-    Raises
-    ------
-    FileFormatError
-        If `path` is a folder, a device or a pipe.
-    NotWrittenError
-        If the disk is full or the folder cannot be written to.
+    Readers see the old file or the whole new one. Missing folders are made, a link is followed. `FileFormatError` if
+    `path` is a folder, a device or a pipe, `NotWrittenError` if it cannot be written.
     """
     path = Path(path)
     target = require_file(path)
@@ -199,9 +192,8 @@ def _size(n_bytes: int) -> str:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block is done, then let it come.
+    """Hold Ctrl-C back until the block is done: xarray waits for ever for a lock that an interrupted write still holds.
 
-    For compiled code that does not survive it: xarray waits for ever for a lock that an interrupted write still holds.
     Does nothing outside the main thread, which gets no signals.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -1,7 +1,7 @@
 """Finished parts of a long job, a file each with its hash: a run that was stopped or killed goes on with them."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +32,11 @@ class Journal:
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             say_made_anew(path)
             return None
+
+    def kept(self, keys: Iterable[str], made: Callable[[dict[str, Any]], Part]) -> dict[str, Part]:
+        """The parts of some keys that are there, as `read` gives them."""
+        found = {key: self.read(key, made) for key in keys}
+        return {key: part for key, part in found.items() if part is not None}
 
     def keys(self) -> list[str]:
         """All keys, in order."""

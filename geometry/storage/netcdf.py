@@ -54,11 +54,8 @@ def read_netcdf(
 ) -> "xr.Dataset":
     """Read the variables named in `wanted`, {variable: dims}, and those of `optional` that are there, on these dims.
 
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, states another hash than its content's, is truncated or no NetCDF file, lacks a
-        variable or has it on other dims; the message says which command such files are `made_by`.
+    `FileFormatError` if the file is missing, damaged or no NetCDF file, lacks a variable or has it on other dims; it
+    says which command such files are `made_by`.
     """
     import xarray as xr
 

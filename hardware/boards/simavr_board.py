@@ -25,6 +25,8 @@ from geometry.storage import files
 FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
 PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
 MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
+CHIP_BITS = 10  #: of their converter
+FULL_SCALE = 2**CHIP_BITS - 1
 
 _TABLE_HEADER = struct.Struct("<4s7I")  # magic, version, row wires, column wires, steps, step_us, full scale, flags
 _LOOPS = 1
@@ -55,10 +57,8 @@ def _compiles(compiler: str, header: str) -> bool:
     return subprocess.run(command, input=f"#include <{header}>\n".encode(), capture_output=True).returncode == 0
 
 
-def write_table(
-    path: Path, counts: NDArray[np.integer], step_us: int, full_scale: int = 1023, loop: bool = True
-) -> None:
-    """Write what the converter reads at every crossing, over time; whole or not at all.
+def write_table(path: Path, counts: NDArray[np.integer], step_us: int) -> None:
+    """Write what the converter reads at every crossing, over time and over again; whole or not at all.
 
     Parameters
     ----------
@@ -66,13 +66,9 @@ def write_table(
         The file. A running board keeps the file that it was started with: to change its readings, write into that
         one in place, behind the header of 32 bytes, for example with `numpy.memmap`.
     counts : array of whole numbers, shape (steps, row wires, column wires)
-        From 0 to `full_scale`, crosstalk and noise included. What stands at empty crossings is never read.
+        From 0 to `FULL_SCALE`, crosstalk and noise included. What stands at empty crossings is never read.
     step_us : int
         How long a step lasts, in the board's time since its reset [µs].
-    full_scale : int
-        Of the counts; the board's converter has 1023.
-    loop : bool
-        Start again after the last step, rather than hold it.
 
     Raises
     ------
@@ -85,18 +81,18 @@ def write_table(
             f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (steps, row wires, "
             "column wires) with at least one step and 1 to 16 wires each."
         )
-    if counts.min() < 0 or counts.max() > full_scale:
-        raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {full_scale}.")
+    if counts.min() < 0 or counts.max() > FULL_SCALE:
+        raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {FULL_SCALE}.")
     if not 1 <= step_us < 2**32:
         raise SimavrError(f"step_us={step_us} must be from 1 to {2**32 - 1}.")
     steps, rows, columns = counts.shape
-    header = _TABLE_HEADER.pack(b"TPTB", 1, rows, columns, steps, step_us, full_scale, _LOOPS if loop else 0)
+    header = _TABLE_HEADER.pack(b"TPTB", 1, rows, columns, steps, step_us, FULL_SCALE, _LOOPS)
     with files.replacing(path) as temporary:
         temporary.write_bytes(header + counts.astype("<u2").tobytes())
 
 
 class SimavrBoard:
-    """A simulated board, running while the ``with`` block does.
+    """A simulated board, which runs from when it is made to the end of the ``with`` block.
 
     Parameters
     ----------
@@ -111,14 +107,10 @@ class SimavrBoard:
     options : sequence of str
         More of the program's options, as it lists them with ``--help``.
 
-    Examples
-    --------
-    ::
-
-        with SimavrBoard(elf, "atmega328p", table) as board, serial.Serial(board.port, 1_000_000) as port:
-            port.write(b"?")
-            ...
-            print(board.stop()["min_settle_us"])
+    Raises
+    ------
+    SimavrError, UntrustedError
+        If the program is not built, does not start, or could have been written by others.
     """
 
     def __init__(
@@ -132,39 +124,32 @@ class SimavrBoard:
         program: Path = PROGRAM,
         options: Sequence[str] = (),
     ) -> None:
-        self._program = program
-        self._command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
-        self._command += ["--link", str(link)] if link else []
-        self._command += [*(["--fast"] if fast else []), *options]
-        self._process: subprocess.Popen[str] | None = None
+        require_own(program, program.parent)
+        command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
+        command += [*(["--link", str(link)] if link else []), *(["--fast"] if fast else []), *options]
         self._statistics: dict[str, Any] | None = None
-        self.port = ""  #: the serial port's path, once started
+        self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - a pipe would fill up unread
+        pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": self._messages}
+        try:
+            self.process = subprocess.Popen(command, encoding="utf-8", **pipes)  #: SIGUSR1 resets the board
+        except OSError as error:
+            self._messages.close()
+            raise SimavrError(
+                f"{program}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
+            ) from error
+        assert self.process.stdout is not None
+        try:
+            self.port = self._answer(self.process.stdout.readline())["port"]  #: the serial port's path
+        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
+            self.__exit__()
+            raise
 
     def __enter__(self) -> Self:
-        require_own(self._program, self._program.parent)
-        self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # not a pipe, which would fill up unread
-        try:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=self._messages,
-                encoding="utf-8",
-            )
-            assert self._process.stdout is not None
-            self.port = self._answer(self._process.stdout.readline())["port"]
-        except OSError as error:
-            self._close()
-            raise SimavrError(
-                f"{self._command[0]}: {error.strerror}: build it with 'make -C hardware/firmware simulator'."
-            ) from error
-        except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
-            self._close()
-            raise
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._close()
+        with self._messages, self.process:  # closes its output and waits
+            self.process.terminate()  # does nothing if it has ended
 
     def stop(self, at_once: bool = True) -> dict[str, Any]:
         """Stop the board, or wait until it has by its option ``--seconds``, and give its statistics.
@@ -175,32 +160,18 @@ class SimavrBoard:
         behind real time.
         """
         if self._statistics is None:
-            process = self._running()
             if at_once:
-                process.terminate()
-            self._statistics = self._answer(process.communicate()[0])
+                self.process.terminate()
+            self._statistics = self._answer(self.process.communicate()[0])
         return self._statistics
-
-    def _running(self) -> "subprocess.Popen[str]":
-        if self._process is None:
-            raise SimavrError("the simulated board is not running: use it in a 'with' block.")
-        return self._process
 
     def _answer(self, line: str) -> dict[str, Any]:
         if line:
             return dict(json.loads(line))
-        assert self._process is not None
-        self._process.wait()
+        self.process.wait()
         self._messages.seek(0)
         said = self._messages.read().strip().splitlines()
-        raise SimavrError(said[-1] if said else f"{self._command[0]} ended with code {self._process.returncode}.")
-
-    def _close(self) -> None:
-        if self._process:
-            with self._process as process:  # closes its output and waits
-                process.terminate()  # does nothing if it has ended
-            self._process = None
-        self._messages.close()
+        raise SimavrError(said[-1] if said else f"the simulated board ended with code {self.process.returncode}.")
 
 
 class UntrustedError(TriPillarError, PermissionError):

@@ -1,7 +1,7 @@
 """A sensor that is pressed and the board that reads it, both simulated: `tripillar board`.
 
-A `Motion` is what the sensor goes through: a scripted press-and-slide, or a scene pressed again and again. `run_board`
-runs the board: the firmware on a simulated chip, or its frames from Python, on a pseudo-terminal.
+A `Motion` is what the sensor goes through, a scripted press and slide. `run_board` runs the board: the firmware on a
+simulated chip, or its frames from Python, on a pseudo-terminal.
 """
 
 import subprocess
@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,26 +18,31 @@ from numpy.typing import NDArray
 
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.protocols import forces
-from dataset.resistance import pillar_lengths, pillar_resistances
-from dataset.simulation import displacements
+from dataset.resistance import effective_lengths, pillar_resistances
+from dataset.simulation import displacements, require_conducted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import AXES, ELECTRODES, FloatArray, electrode_squares, pillar_volumes, unit_centres
+from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
 from geometry.storage.files import cache_folder, digest
 from geometry.storage.netcdf import write_netcdf
 from geometry.wiring import crossings
-from hardware.boards.simavr_board import FIRMWARE, SimavrBoard, SimavrError, find_tools, require_own, write_table
+from hardware.boards.simavr_board import (
+    CHIP_BITS,
+    FIRMWARE,
+    SimavrBoard,
+    SimavrError,
+    find_tools,
+    require_own,
+    write_table,
+)
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info
 from hardware.readout.crossbar import Crossbar
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
-    from fem.scene.scene import Scene
 
 Kind = Literal["atmega328p", "atmega2560", "python"]
-CHIP_BITS = 10  #: of the ATmegas' converter
-
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
 
 
@@ -45,13 +50,8 @@ STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars i
 class Motion:
     """The sensor's state every `STEP_S`, one period of it; n steps."""
 
-    design: SensorDesign
     resistance_ohm: FloatArray  #: (n, rows, cols, 3), as designed
-    force_n: FloatArray | None  #: (n, rows, cols, 3) on each pad; None where loads are on other places than pads
-
-    @property
-    def seconds(self) -> float:
-        return len(self.resistance_ohm) * STEP_S
+    force_n: FloatArray  #: (n, rows, cols, 3) on each pad
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +68,6 @@ class PressAndSlide:
             raise DesignError(f"peak_mpa={self.peak_mpa:g} must be from 0, at rest, to 10; the paper uses 1 to 5.")
         if not 0 <= self.friction <= 1:
             raise DesignError(f"friction={self.friction:g} must be from 0 to 1.")
-        if not 0.1 <= self.seconds <= 600:
-            raise DesignError(f"seconds={self.seconds:g} must be from 0.1 to 600.")
 
     def tractions(self, time_s: FloatArray, design: SensorDesign) -> FloatArray:
         """Traction on every pad at each time, (n,) -> (n, n_units, 3) [MPa]; z negative when pushing down."""
@@ -88,84 +86,33 @@ class PressAndSlide:
 
 def press_and_slide(response: "ArrayResponse", script: PressAndSlide) -> Motion:
     """One period of a script, by superposing the array's response."""
-    design = response.design
-    time_s = np.arange(round(script.seconds / STEP_S), dtype=np.float64) * STEP_S
-    traction = script.tractions(time_s, design)
-    return Motion(
-        design=design,
-        resistance_ohm=_resistances(displacements(response, traction), design),
-        force_n=forces(traction, design).reshape(len(time_s), design.array.rows, design.array.cols, 3),
-    )
+    require_conducted(response)
+    design, sizes = response.design, (-1, response.design.array.rows, response.design.array.cols, 3)
+    traction = script.tractions(STEP_S * np.arange(round(script.seconds / STEP_S), dtype=np.float64), design)
+    newtons = traction * design.pad.size_mm**2
+    lengths = effective_lengths(response, displacements(response, traction), newtons)
+    ohms = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    return Motion(resistance_ohm=ohms.reshape(sizes), force_n=forces(traction, design).reshape(sizes))
 
 
 def write_truth(motion: Motion, path: Path) -> None:
-    """Write the forces that act over one period as NetCDF, whole or not at all.
-
-    Raises
-    ------
-    DesignError
-        If they are not known pad by pad.
-    """
-    if motion.force_n is None:
-        raise DesignError("a scene may load other places than pads, so forces by pad are unknown: leave --truth out.")
+    """Write the forces that act over one period as NetCDF, whole or not at all."""
     import xarray as xr
 
     time_s = np.arange(len(motion.force_n)) * STEP_S
-    data = xr.Dataset(
-        {"force_n": (("time_s", "row", "col", "axis"), motion.force_n, {"units": "N"})},
-        coords={"time_s": ("time_s", time_s, {"units": "s"}), "axis": list(AXES)},
-    )
-    write_netcdf(data, path)
+    force_n = ("time_s", "row", "col", "axis"), motion.force_n, {"units": "N"}
+    coordinates = {"time_s": ("time_s", time_s, {"units": "s"}), "axis": list(AXES)}
+    write_netcdf(xr.Dataset({"force_n": force_n}, coordinates), path)
 
 
-def scene_motion(scene: "Scene", seconds: float = 4.0) -> Motion:
-    """A scene of an array, its loads rising from nothing and falling again; solved once, since it is linear.
-
-    Raises
-    ------
-    DesignError
-        If the scene's body is no array.
-    """
-    from fem.methods.plan import make_plan
-    from fem.methods.solving import follow
-    from fem.scene.scene import Probe, Sensor
-
-    if not isinstance(scene.body, Sensor) or scene.body.kind != "array":
-        raise DesignError("a board scans an array: give a scene whose body has kind = 'array'.")
-    design = scene.body.design
-    if design.electrics.is_conduction:
-        raise DesignError(
-            "a board's scene gives lengths, conduction needs a response: write model = 'eq1' in [electrics]."
-        )
-    squares = electrode_squares(design)
-    probes = tuple(
-        Probe(name=str(k), kind="mean", center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0))
-        for k, (x0, y0, x1, y1) in enumerate(squares.tolist())
-    )
-    asked = replace(scene, probes=probes)
-    solution = follow(make_plan(asked), asked)
-    moved = np.array([solution.probes[probe.name] for probe in probes]).reshape(design.n_units, len(ELECTRODES), 3)
-    steps = np.arange(round(seconds / STEP_S))
-    share = 0.5 - 0.5 * np.cos(2.0 * np.pi * steps / len(steps))
-    return Motion(design=design, resistance_ohm=_resistances(share[:, None, None, None] * moved, design), force_n=None)
-
-
-def _resistances(displacement_mm: FloatArray, design: SensorDesign) -> FloatArray:
-    """Resistances (n, rows, cols, 3) [Ω] from displacements (n, n_units, 2, 3) [mm]."""
-    lengths = pillar_lengths(displacement_mm, design.unit)
-    ohms = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-    return ohms.reshape(-1, design.array.rows, design.array.cols, 3)
-
-
-def counts_over_time(motion: Motion, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
-    """Counts of the board's converter at every step of a motion, (n, rows·cols·3).
+def counts_over_time(exact_ohm: FloatArray, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
+    """Counts of the board's converter at every step of a motion, (n, rows, cols, 3) [Ω] -> (n, rows·cols·3).
 
     Of the imperfections gain, offset and dead pillars count; `crossbar` has the noise and the converter.
     """
-    rows, cols = motion.resistance_ohm.shape[1:3]
-    gain, offset = sensor.gain_and_offset(rows, cols)
-    ohms = gain * motion.resistance_ohm + offset
-    ohms[:, sensor.dead_mask(rows, cols)] = OPEN_OHM
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols)
+    ohms = gain * exact_ohm + offset
+    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 
@@ -188,8 +135,7 @@ def firmware_built(info: Info) -> Path:
     SimavrError
         If a tool is missing or the build fails; says which, and why. If others can write to the cache.
     """
-    missing = find_tools()
-    if missing:
+    if missing := find_tools():
         raise SimavrError(missing)
     settings = {
         "ROWS": info.rows,

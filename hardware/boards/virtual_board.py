@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +21,6 @@ from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
 from hardware.link.serial_ports import PortError, link_to
 
-Counts = Callable[[float], NDArray[Any]]
 _RATES_HZ = range(1, 1001)  # that it can hold
 _TURN_S = 0.05  # longest wait for the host
 NO_TERMINALS = "a simulated board needs a pseudo-terminal, which Windows has not: use Linux, macOS or WSL."
@@ -41,26 +39,34 @@ def a_frame(info: Info, counts: NDArray[Any], number: int, time_us: int, overrun
     )
 
 
-class CountedFrames:
-    """Frames of known counts `info.rate_hz` times a second, a `FrameSource`; arguments as of `VirtualBoard`.
+class CountedPort(BoardPort):
+    """A board in memory of known counts, `info.rate_hz` times a second; parameters as of `VirtualBoard`, `BoardPort`.
 
     A scan that is late by more than a period is skipped and counted in the frames' overruns.
     """
 
-    def __init__(self, counts: Counts | ArrayLike, info: Info, step_s: float | None = None) -> None:
-        self.info, self.due_s = info, 0.0
+    def __init__(self, counts: ArrayLike, info: Info, step_s: float | None = None, **clock: Any) -> None:
+        super().__init__(**clock)
+        self.info, self.counts = info, np.atleast_2d(counts)
+        self.step_s = 1 / info.rate_hz if step_s is None else step_s
+        if self.counts.ndim != 2 or not len(self.counts):
+            raise FrameError(f"counts has shape {self.counts.shape}, expected (n, n_crossings): one row a step.")
+        if not self.step_s > 0:
+            raise FrameError(f"step_s={step_s:g} must be above 0: the seconds that the board stays at a row of counts.")
+        for extreme in (self.counts.min(axis=0), self.counts.max(axis=0)):
+            a_frame(info, extreme, 0, 0)  # refuses what no frame holds
         self.sent: deque[tuple[int, float]] = deque(maxlen=10_000)  #: (sequence, time.perf_counter() when made)
-        step_s = 1 / info.rate_hz if step_s is None else step_s
-        self.counts = counts if callable(counts) else _looped(np.atleast_2d(counts), step_s)
         self._number = self._overruns = 0
 
     def take(self, now_s: float) -> bytes:
         """The frame that is due."""
+        assert self.due_s is not None, "a board has no end"
         period_s = 1 / self.info.rate_hz
         n_skipped = int((now_s - self.due_s) / period_s)
         self._overruns += n_skipped
         self.due_s += (1 + n_skipped) * period_s  # never from now_s: the schedule does not drift
-        wire = encode(a_frame(self.info, self.counts(now_s), self._number, round(now_s * 1e6), self._overruns))
+        counts = self.counts[int(now_s / self.step_s) % len(self.counts)]
+        wire = encode(a_frame(self.info, counts, self._number, round(now_s * 1e6), self._overruns))
         self.sent.append((self._number % 2**16, time.perf_counter()))
         self._number += 1
         return wire if self._number > 1 else b"\0" + wire  # a delimiter: ends what came before the start
@@ -79,22 +85,19 @@ class VirtualBoard:
 
     Parameters
     ----------
-    counts : callable or array
-        Board's time since its start [s] -> counts, shape (info.n_crossings,); or an array of shape
-        (n, info.n_crossings) or (info.n_crossings,), gone through over and over. The callable runs in the board's
-        thread and must be quicker than a scan.
+    counts : array, shape (n, info.n_crossings) or (info.n_crossings,)
+        Gone through over and over.
     info : Info
         What the board answers to ``?``; its rate is the one after each start.
     step_s : float, optional
-        How long the board stays at each row of an array [s]; one period of `info.rate_hz` unless given. Counts
+        How long the board stays at each row of counts [s]; one period of `info.rate_hz` unless given. Counts
         belong to times, not to frames: neither another rate nor overruns change how fast they go by.
     link : path, optional
         A symbolic link to keep on the port, so that its name stays the same.
 
     Notes
     -----
-    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full. `dropped_bytes` counts
-    them. What goes wrong in the board's thread is raised by `close`.
+    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full. `dropped_bytes` counts them.
 
     Examples
     --------
@@ -104,31 +107,27 @@ class VirtualBoard:
     1
     """
 
-    make_frames: Callable[..., Any] = CountedFrames  #: what the counts become, a `FrameSource`
-
     def __init__(
-        self, counts: Counts | ArrayLike, info: Info, *, step_s: float | None = None, link: Path | str | None = None
+        self, counts: ArrayLike, info: Info, *, step_s: float | None = None, link: Path | str | None = None
     ) -> None:
-        self.frames = self.make_frames(counts, info, step_s)
+        if sys.platform == "win32":
+            raise PortError(NO_TERMINALS)
+        import tty
+
+        self._board = CountedPort(counts, info, step_s)
+        self.sent = self._board.sent  #: sequence numbers of the last frames, time.perf_counter() when they were sent
         self.dropped_bytes = 0  #: that nobody read in time
-        self._board = BoardPort(self.frames)
         self._link = None if link is None else Path(link)
-        self._fds: tuple[int, int] | None = None  # of the host's end, which only stays open, and of the board's
-        self._error: BaseException | None = None
+        self._end, self._host_end = os.openpty()  # the board's; the host's, which only stays open
+        self._terminal = os.ttyname(self._host_end)
+        self.port = str(link or self._terminal)  #: for the host to open: the link, if there is one
+        tty.setraw(self._host_end)
+        os.set_blocking(self._end, False)
+        if self._link:
+            link_to(self._link, self._terminal)
         self._closing = threading.Event()
-        self._connect()
         self._thread = threading.Thread(target=self._run, name="virtual board", daemon=True)
         self._thread.start()
-
-    @property
-    def port(self) -> str:
-        """The port for the host to open: the link, if there is one."""
-        return str(self._link or self._port)
-
-    @property
-    def sent(self) -> deque[tuple[int, float]]:
-        """Sequence numbers of the last frames, and time.perf_counter() when they were sent."""
-        return self.frames.sent
 
     def __enter__(self) -> Self:
         return self
@@ -139,71 +138,26 @@ class VirtualBoard:
         self.close()
 
     def close(self) -> None:
-        """Stop sending and take the port away."""
+        """Stop sending and take the port away; again, it does nothing."""
+        if self._closing.is_set():
+            return
         self._closing.set()
         self._thread.join()
-        self._disconnect()
-        if self._error:
-            error, self._error = self._error, None
-            raise error
+        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._terminal:  # not another board's
+            self._link.unlink()
+        for end in (self._end, self._host_end):
+            os.close(end)
 
     def _run(self) -> None:
-        try:
-            while not self._closing.is_set():
-                self._turn()
-        except BaseException as error:
-            self._error = error
-
-    def _turn(self) -> None:
-        """Hear the host until a frame is due, and send what there is to be sent."""
-        hears = [] if self._fds is None else [self._fds[1]]
-        wait_s = self._board.wait_s()
-        ready, _, _ = select.select(hears, [], [], _TURN_S if wait_s is None else min(wait_s, _TURN_S))
-        if ready:
-            self._board.write(os.read(ready[0], 4096))
-        n_bytes = self._board.in_waiting
-        if n_bytes:
-            self._send(self._board.read(n_bytes))
-
-    def _send(self, wire: bytes) -> None:
-        if self._fds is None:
-            return
-        try:
-            n_sent = os.write(self._fds[1], wire)
-        except BlockingIOError:  # the buffer is full
-            n_sent = 0
-        self.dropped_bytes += len(wire) - n_sent
-
-    def _connect(self) -> None:
-        self._fds, self._port = _terminal()
-        if self._link:
-            link_to(self._link, self._port)
-
-    def _disconnect(self) -> None:
-        if self._fds is None:
-            return
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._port:  # not another board's
-            self._link.unlink()
-        for fd in self._fds:
-            os.close(fd)
-        self._fds = None
-
-
-def _terminal() -> tuple[tuple[int, int], str]:
-    """Both ends of a new pseudo-terminal, the host's and the board's, and the name of the host's."""
-    if sys.platform == "win32":
-        raise PortError(NO_TERMINALS)
-    import tty
-
-    board_end, host_end = os.openpty()
-    tty.setraw(host_end)
-    os.set_blocking(board_end, False)
-    return (host_end, board_end), os.ttyname(host_end)
-
-
-def _looped(counts: NDArray[Any], step_s: float) -> Counts:
-    if counts.ndim != 2 or not len(counts):
-        raise FrameError(f"counts has shape {counts.shape}, expected (n, n_crossings): one row a step.")
-    if not step_s > 0:
-        raise FrameError(f"step_s={step_s:g} must be above 0: the seconds that the board stays at a row of counts.")
-    return lambda time_s: counts[int(time_s / step_s) % len(counts)]
+        """Hear the host until a frame is due, send what there is to be sent, and so on."""
+        while not self._closing.is_set():
+            wait_s = self._board.wait_s()
+            ready, _, _ = select.select([self._end], [], [], _TURN_S if wait_s is None else min(wait_s, _TURN_S))
+            if ready:
+                self._board.write(os.read(self._end, 4096))
+            wire = self._board.read(self._board.in_waiting) if self._board.in_waiting else b""
+            try:
+                n_sent = os.write(self._end, wire)
+            except BlockingIOError:  # the buffer is full
+                n_sent = 0
+            self.dropped_bytes += len(wire) - n_sent

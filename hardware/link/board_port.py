@@ -1,61 +1,54 @@
 """A board that is not there: a port in memory that sends frames when they are due and answers as a board does.
 
-`BoardPort` stands in for pyserial's ``Serial``; where its frames come from is a `FrameSource`, such as a recording or
-counts that are known. It follows docs/frames.md, as the firmware does.
+`BoardPort` stands in for pyserial's ``Serial`` and follows docs/frames.md, as the firmware does. Its kinds are a
+recording that is played (`recording.PlaybackPort`) and a board of known counts (`boards.virtual_board.CountedPort`).
 """
 
+import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Literal, Protocol
+from typing import Literal
 
 Command = Literal["info", "errors"] | int  #: a question, or the rate that was asked for [Hz]; 65535 stands for more
 _CAPACITY = 4096  # bytes that wait at most, as in a serial driver; the frames behind them wait, too, and are not lost
 _TIMEOUT_S = 0.1  # longest wait of a read
 _MAX_HZ = 65535  # that a command can name
-_MAX_LINE = 1000  # characters of a command
+_MAX_DIGITS = 1000  # of a command
 
 
-class FrameSource(Protocol):
-    """Frames with the times when they are due, and answers to commands; times [s] are since the first read."""
-
-    @property
-    def due_s(self) -> float | None:
-        """When the next frame is due; None at the end."""
-
-    def take(self, now_s: float) -> bytes:
-        """The next frame on the wire, which is due."""
-
-    def obey(self, command: Command) -> bytes:
-        """The answer to a command."""
-
-
-class BoardPort:
+class BoardPort(ABC):
     """A port with a board on it that is not there, for one thread; its clock starts with the first read.
 
     Frames can be read once they are due, and stay until they are: a slow reader loses none.
 
     Parameters
     ----------
-    source : FrameSource
     clock, sleep : callable
         As ``time.monotonic`` and ``time.sleep``; another clock plays in another time.
     """
 
     def __init__(
-        self,
-        source: FrameSource,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        self, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
     ) -> None:
-        self._source, self._clock, self._sleep = source, clock, sleep
+        self.due_s: float | None = 0.0  #: when the next frame is due, since the first read [s]; None at the end
+        self._clock, self._sleep = clock, sleep
         self._commands = Commands()
         self._buffer = bytearray()
         self._start_s: float | None = None
 
+    @abstractmethod
+    def take(self, now_s: float) -> bytes:
+        """The next frame on the wire, which is due; renews `due_s`."""
+
+    @abstractmethod
+    def obey(self, command: Command) -> bytes:
+        """The answer to a command."""
+
     @property
     def finished(self) -> bool:
         """The last byte was read: nothing will come any more unless something is asked."""
-        return self._source.due_s is None and not self._buffer
+        return self.due_s is None and not self._buffer
 
     @property
     def in_waiting(self) -> int:
@@ -76,21 +69,21 @@ class BoardPort:
     def write(self, data: bytes) -> int:
         """Give the board commands; it answers between two frames, since whole ones wait to be read."""
         for command in self._commands.heard(data):
-            self._buffer += self._source.obey(command)
+            self._buffer += self.obey(command)
         return len(data)
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027
         """Nothing is held that could be given back."""
 
     def wait_s(self) -> float | None:
         """Make the frames that are due ready to be read; seconds until the next one, None at the end."""
         if self._start_s is None:
             self._start_s = self._clock()
-        while (due_s := self._source.due_s) is not None:
+        while (due_s := self.due_s) is not None:
             now_s = self._clock() - self._start_s
             if due_s > now_s or len(self._buffer) >= _CAPACITY:
                 return max(due_s - now_s, 0.0)
-            self._buffer += self._source.take(now_s)
+            self._buffer += self.take(now_s)
         return None
 
 
@@ -105,20 +98,18 @@ class Commands:
     """
 
     def __init__(self) -> None:
-        self._line = b""  # an R command that has begun
+        self._begun = b""  # an R command
 
     def heard(self, received: bytes) -> list[Command]:
-        """The commands that these bytes complete."""
+        """The commands that these bytes complete; a question is heard even within another command."""
+        *said, rest = re.split(rb"(?<=[?!\n])", self._begun + received)
         commands: list[Command] = []
-        for k in range(len(received)):
-            byte = received[k : k + 1]
-            if byte in b"?!":  # always heard, even where a host went away in the middle of a command
-                self._line = b""
-                commands.append("info" if byte == b"?" else "errors")
-            elif byte == b"\n":
-                if self._line[1:].isdigit():
-                    commands.append(min(int(self._line[1:]), _MAX_HZ))
-                self._line = b""
-            elif self._line or byte == b"R":
-                self._line = self._line + byte if len(self._line) < _MAX_LINE else b"R?"  # is no number any more
+        for piece in said:
+            digits = piece[:-1].partition(b"R")[2]
+            if piece.endswith((b"?", b"!")):
+                commands.append("info" if piece.endswith(b"?") else "errors")
+            elif digits.isdigit() and len(digits) <= _MAX_DIGITS:
+                commands.append(min(int(digits), _MAX_HZ))
+        _, letter, begun = rest.partition(b"R")
+        self._begun = letter + begun[: _MAX_DIGITS + 1]
         return commands

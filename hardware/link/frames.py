@@ -21,17 +21,13 @@ from geometry.errors import TriPillarError
 PROTOCOL = 1  #: version of docs/frames.md that this code follows
 
 _DELIMITER = b"\0"
-_FRAME_TYPE, _INFO_TYPE, _ERRORS_TYPE = b"DIE"
-_FRAME_HEADER = struct.Struct("<BBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
-_INFO = struct.Struct("<BBBBBB3sHIIH")  # type, then the fields of Info in their order
-_ERRORS = struct.Struct("<BBBB")  # likewise
-_CRC = struct.Struct("<H")
+_FRAME_HEADER = struct.Struct("<cBHIHBB")  # type, flags, sequence, device_us, count, bits, overruns
 _BYTE, _SHORT, _WORD = 0xFF, 0xFFFF, 0xFFFFFFFF  # largest u8, u16, u32
 MAX_OVERRUNS = _BYTE  #: largest number of overruns that a board counts; it stands for more, too
 _MAX_COUNT = _SHORT
 MAX_DRIFT = 0.01  #: largest relative error of a board's clock; ceramic resonators stay below, quartz has 1e-4
 _MAX_EARLY_S = 1.0  # largest lead of the board's clock; frames that came late set the host's idea of it
-_MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + _CRC.size)
+_MAX_CHUNK = cobs.max_encoded_length(_FRAME_HEADER.size + 2 * _MAX_COUNT + 2)
 
 
 class FrameError(TriPillarError, ValueError):
@@ -141,91 +137,74 @@ def encode(frame: Frame | Info | Errors) -> bytes:
     return cobs.encode(pack(frame)) + _DELIMITER
 
 
+_ANSWERS = {  # by type: the class, and its fields in their order behind the type
+    b"I": (Info, struct.Struct("<cBBBBB3sHIIH")),
+    b"E": (Errors, struct.Struct("<cBBB")),
+}
+
+
 def pack(frame: Frame | Info | Errors) -> bytes:
     """A frame's fields and their CRC: what is on the wire, before COBS."""
     if isinstance(frame, Frame):
-        header = _FRAME_HEADER.pack(
-            _FRAME_TYPE, frame.flags, frame.sequence, frame.device_us,
-            frame.counts.size, frame.bits, frame.overruns,
-        )  # fmt: skip
-        packed = header + frame.counts.astype("<u2").tobytes()
+        header = (b"D", frame.flags, frame.sequence, frame.device_us, frame.counts.size, frame.bits, frame.overruns)
+        packed = _FRAME_HEADER.pack(*header) + frame.counts.astype("<u2").tobytes()
     else:
+        letter = b"I" if isinstance(frame, Info) else b"E"
         values = [bytes(value) if isinstance(value, tuple) else value for value in vars(frame).values()]
-        is_info = isinstance(frame, Info)
-        packed = (_INFO if is_info else _ERRORS).pack(_INFO_TYPE if is_info else _ERRORS_TYPE, *values)
-    return packed + _CRC.pack(_crc(packed))
+        packed = _ANSWERS[letter][1].pack(letter, *values)
+    return packed + _crc(packed)
 
 
 def packed_dtype(n_counts: int) -> np.dtype[np.void]:
-    """`pack` of data frames as a structured array, for many of them at once.
-
-    >>> frame = Frame(sequence=7, device_us=0, bits=10, counts=np.array([1, 2, 3]))
-    >>> np.frombuffer(pack(frame), packed_dtype(3))["counts"].tolist()
-    [[1, 2, 3]]
-    """
+    """`pack` of data frames as a structured array, for many of them at once."""
     scalars = [("type", "u1"), ("flags", "u1"), ("sequence", "<u2"), ("device_us", "<u4"), ("count", "<u2")]
     return np.dtype([*scalars, ("bits", "u1"), ("overruns", "u1"), ("counts", "<u2", (n_counts,)), ("crc", "<u2")])
 
 
-def _crc(packed: bytes) -> int:
-    """CRC-16/IBM-3740: polynomial 0x1021, start value 0xFFFF, not reflected.
-
-    >>> hex(_crc(b"123456789"))
-    '0x29b1'
-    """
-    return binascii.crc_hqx(packed, 0xFFFF)
+def _crc(packed: bytes) -> bytes:
+    """CRC-16/IBM-3740: polynomial 0x1021, start value 0xFFFF, not reflected."""
+    return binascii.crc_hqx(packed, 0xFFFF).to_bytes(2, "little")
 
 
 def unpack(body: bytes) -> Frame | Info | Errors | str:
     """The frame that `pack` gave as `body`, or the field of `Statistics` that says what is wrong with it."""
-    packed, received = body[: -_CRC.size], body[-_CRC.size :]
-    if received != _CRC.pack(_crc(packed)):
+    packed = body[:-2]
+    if body[-2:] != _crc(packed):
         return "bad_crc"
     try:
         if packed[:1] == b"D":
-            return _unpack_frame(packed)
-        if packed[:1] == b"I":
-            _, *values = _INFO.unpack(packed)
-            named = dict(zip((each.name for each in fields(Info)), values, strict=True))
-            return Info(**named | {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])})
-        if packed[:1] == b"E":
-            return Errors(**dict(zip((each.name for each in fields(Errors)), _ERRORS.unpack(packed)[1:], strict=True)))
+            _, flags, sequence, device_us, count, bits, overruns = _FRAME_HEADER.unpack_from(packed)
+            counts = np.frombuffer(packed, "<u2", offset=_FRAME_HEADER.size)
+            if counts.size != count:
+                return "bad_form"
+            return Frame(
+                sequence=sequence,
+                device_us=device_us,
+                bits=bits,
+                counts=counts,
+                saturated=bool(flags & 1),
+                scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
+                overruns=overruns,
+            )
+        if packed[:1] in _ANSWERS:
+            kind, form = _ANSWERS[packed[:1]]
+            _, *values = form.unpack(packed)
+            named: dict[str, Any] = dict(zip((each.name for each in fields(kind)), values, strict=True))
+            if kind is Info:
+                named |= {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])}
+            return kind(**named)
     except (struct.error, ValueError):  # a length or a value that no frame has
         pass
     return "bad_form"
 
 
-def _unpack_frame(packed: bytes) -> Frame:
-    _, flags, sequence, device_us, count, bits, overruns = _FRAME_HEADER.unpack_from(packed)
-    if len(packed) != _FRAME_HEADER.size + 2 * count:
-        raise FrameError(f"{len(packed)} bytes do not hold {count} counts.")
-    return Frame(
-        sequence=sequence,
-        device_us=device_us,
-        bits=bits,
-        counts=np.frombuffer(packed, "<u2", offset=_FRAME_HEADER.size),
-        saturated=bool(flags & 1),
-        scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
-        overruns=overruns,
-    )
-
-
 def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
     """Count the frames sent between two received ones; None if the board has restarted in between.
 
-    Parameters
-    ----------
-    previous, frame : Frame
-        In the order in which they came.
-    host_s : float, optional
-        By the host's clock, from the scan of `previous` to the arrival of `frame` [s].
-
-    Notes
-    -----
-    A reset 36 to 72 min after the start moves the board's clock forward, modulo 2³², by less than half a turn. In every
-    second case it moves the sequence forward, too. Without `host_s` such a restart looks like lost frames: skipped
-    scans take no sequence number and the rate may change, so any number of frames may be missing over a pause. The
-    host's clock tells a restart: a frame may be late by anything, but never early by more than the drift.
+    `host_s` is the time by the host's clock from the scan of `previous` to the arrival of `frame` [s]. Without it a
+    reset 36 to 72 min after the start may look like lost frames: it moves the board's clock forward, modulo 2³², by
+    less than half a turn, and in every second case the sequence, too. With it a restart is told: a frame may be late by
+    anything, but never early by more than the drift.
     """
     missing = (frame.sequence - previous.sequence - 1) % 2**16
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
@@ -257,18 +236,10 @@ class FrameDecoder:
     Never raises, whatever the bytes. Damage costs the frames it touches; decoding resumes after the next
     delimiter. What comes before the first delimiter is usually the tail of a frame: it is no damage.
     Never keeps more than the longest frame's bytes, 132 kB.
-
-    >>> decoder = FrameDecoder()
-    >>> wire = encode(Info(rows=1, cols=2))
-    >>> decoder.feed(wire[:10]), decoder.pending
-    ([], 10)
-    >>> [info] = decoder.feed(wire[10:])
-    >>> info.rows, info.cols, decoder.statistics.info
-    (1, 2, 1)
     """
 
     def __init__(self) -> None:
-        self._pending = bytearray()
+        self._pending = bytearray()  # since the last delimiter
         self._counted: Counter[str] = Counter()
         self._has_met_delimiter = False
         self._previous: Frame | None = None
@@ -278,11 +249,6 @@ class FrameDecoder:
     def statistics(self) -> Statistics:
         return Statistics(**self._counted)
 
-    @property
-    def pending(self) -> int:
-        """Bytes received since the last delimiter: a frame that is not complete."""
-        return len(self._pending)
-
     def feed(self, data: bytes) -> list[Frame | Info | Errors]:
         """The frames that `data` completes, in the order of their arrival."""
         *ends, rest = data.split(_DELIMITER)
@@ -290,29 +256,28 @@ class FrameDecoder:
         for end in ends:
             chunk = bytes(self._pending) + end
             self._pending.clear()
-            if chunk and (frame := self._take(chunk)):
-                frames.append(frame)
+            found = self._take(chunk) if chunk else ""
+            if not isinstance(found, str):
+                frames.append(found)
+            elif found == "repeated" or (found and self._has_met_delimiter):
+                self._counted[found] += 1
             self._has_met_delimiter = True
         room = _MAX_CHUNK + 1 - len(self._pending)  # the one byte too many marks a chunk as over-long
         self._pending += rest[:room]
         return frames
 
-    def _take(self, chunk: bytes) -> Frame | Info | Errors | None:
+    def _take(self, chunk: bytes) -> Frame | Info | Errors | str:
+        """What stands between two delimiters, counted; or the field of `Statistics` that says why it is no frame."""
         if chunk == self._previous_chunk:
-            self._counted["repeated"] += 1
-            return None
+            return "repeated"
         try:
             frame = unpack(cobs.decode(chunk)) if len(chunk) <= _MAX_CHUNK else "bad_form"
         except cobs.DecodeError:
-            frame = "bad_cobs"
-        if isinstance(frame, str):
-            self._counted[frame] += self._has_met_delimiter
-            return None
+            return "bad_cobs"
         if isinstance(frame, Frame):
             self._counted["ok"] += 1
             missing = missing_between(self._previous, frame) if self._previous else 0
             self._counted["restarts" if missing is None else "lost"] += 1 if missing is None else missing
             self._previous, self._previous_chunk = frame, chunk
-        elif isinstance(frame, Info):
-            self._counted["info"] += 1
+        self._counted["info"] += isinstance(frame, Info)
         return frame

@@ -54,11 +54,7 @@ class LinkStatistics(Statistics):
 
     @property
     def overruns_said(self) -> str:
-        """The overruns in words.
-
-        >>> LinkStatistics(overruns=3).overruns_said, LinkStatistics(overruns=243, uncounted=True).overruns_said
-        ('3 overruns', 'at least 243 overruns')
-        """
+        """The overruns in words, as 'at least 243 overruns'."""
         return f"{'at least ' * self.uncounted}{self.overruns} overruns"
 
 
@@ -78,17 +74,15 @@ class Reception:
     """
 
     def __init__(self, decoder: Callable[[], Decoder] = FrameDecoder) -> None:
-        self._new_decoder = decoder
         self.info: Info | None = None  #: of the board; its rate is the latest
-        self.n_infos = 0  #: INFO frames of the board
         self.errors: Errors | None = None  #: the last ERRORS frame
+        self.counted: Counter[str] = Counter()  #: fields of `LinkStatistics`; who has port and queue counts here, too
         self.n_bytes = 0  #: received
         self.n_frames = 0  #: valid data frames received, delivered or not
         self.asks = True  #: the board is to be asked for INFO
-        self._decoder = decoder()
+        self._new_decoder, self._decoder = decoder, decoder()
         self._clock, self._stamps = DeviceClock(), Stamps()
         self._unix_s = 0.0  # to be added to time.perf_counter()
-        self._counted: Counter[str] = Counter()
         self._previous: Frame | None = None
         self._scanned_s = 0.0  # when it was scanned, by the host's clock, at the latest
         self._run = 0
@@ -105,11 +99,11 @@ class Reception:
 
     @property
     def statistics(self) -> LinkStatistics:
-        return LinkStatistics(info=self.n_infos, uncounted=self._uncounted, **(self._counted + self._decoded()))
+        return LinkStatistics(uncounted=self._uncounted, **(self.counted + self._decoded()))
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
-        self._counted.update(self._decoded())
+        self.counted.update(self._decoded())
         self._decoder = self._new_decoder()
         self._has_frames = self._is_trusted = False  # no data and no INFO frame came since the connection
         self.doubt()
@@ -135,7 +129,8 @@ class Reception:
             self.n_frames += 1
             if self._is_foreign(received):
                 continue
-            missing = self._missing_before(received, received_s)
+            since_s = received_s - self._scanned_s
+            missing = missing_between(self._previous, received, since_s) if self._previous else 0
             if missing is None:
                 scans += self._timed(waiting, received_s)
                 waiting = []
@@ -146,7 +141,7 @@ class Reception:
 
     def _timed(self, frames: list[Frame], received_s: float) -> list[Scan]:
         """Scans of frames of the newest run."""
-        restarts, run = self._counted["restarts"], self._run
+        restarts, run = self.counted["restarts"], self._run
         times_s = (self._unix_s + self._clock.host_time(frame.device_us) for frame in frames)
         return [
             Scan(frame=frame, received_s=received_s, restarts=restarts, run=run, stamp_ns=self._stamps.after(time_s))
@@ -158,20 +153,15 @@ class Reception:
         return Counter({name: getattr(self._decoder.statistics, name) for name in _OF_THE_DECODER})
 
     def _identify(self, info: Info) -> None:
-        self.info = self.info or info
-        if difference := _difference(info, self.info):
-            self._counted["foreign"] += 1
+        known = self.info or info
+        pairs = [(name, getattr(info, name), getattr(known, name)) for name in _IDENTITY]
+        if difference := ", ".join(f"{name} {now} instead of {before}" for name, now, before in pairs if now != before):
+            self.counted["foreign"] += 1
             self._foreign = f"another device answers, {difference}: connect the first one again."
             return
         self.info = info
-        self.n_infos += 1
-        self._foreign = None
-        self._is_trusted = True
-        self.asks = False
-
-    def _missing_before(self, frame: Frame, received_s: float) -> int | None:
-        """Frames missing since the previous one; None after a restart."""
-        return missing_between(self._previous, frame, received_s - self._scanned_s) if self._previous else 0
+        self.counted["info"] += 1
+        self._foreign, self._is_trusted, self.asks = None, True, False
 
     def _follow(self, frame: Frame, received_s: float, missing: int | None) -> None:
         """Keep the clock, and count what is missing between the previous frame and this one."""
@@ -179,8 +169,8 @@ class Reception:
         self._uncounted |= frame.overruns == MAX_OVERRUNS
         if self._previous:
             if missing is None:
-                self._counted["restarts"] += 1
-                self._counted["overruns"] += frame.overruns
+                self.counted["restarts"] += 1
+                self.counted["overruns"] += frame.overruns
                 self.doubt()
             else:
                 # a frame that waited in a buffer was scanned long before it arrived
@@ -189,8 +179,8 @@ class Reception:
             if missing is None or not self._has_frames:  # what a board sends between two connections is not lost
                 self._run += 1
             else:
-                self._counted["lost"] += missing
-                self._counted["overruns"] += (frame.overruns - self._previous.overruns) % 2**8
+                self.counted["lost"] += missing
+                self.counted["overruns"] += (frame.overruns - self._previous.overruns) % 2**8
         self._previous, self._scanned_s, self._has_frames = frame, scanned_s, True
         self._clock.add(frame.device_us, received_s)
 
@@ -205,15 +195,9 @@ class Reception:
                 f"{self.info.n_crossings} of {self.info.bits} bits in {self.info.scan_mode.name}: connect it again."
             )
         if self._foreign:
-            self._counted["foreign"] += 1
+            self.counted["foreign"] += 1
             self.asks = True
         return self._foreign is not None
-
-
-def _difference(info: Info, expected: Info) -> str:
-    """The first of two devices, where it differs from the second; empty if they are the same."""
-    pairs = [(name, getattr(info, name), getattr(expected, name)) for name in _IDENTITY]
-    return ", ".join(f"{name} {value} instead of {wanted}" for name, value, wanted in pairs if value != wanted)
 
 
 class Stamps:
@@ -222,10 +206,6 @@ class Stamps:
     The board's clock on the host's time may step back by the link's delays, when its fit improves or the board has
     restarted. A stamp then waits `WAIT_NS` behind the one before, until the clock has caught up. A step back of more
     than `MAX_HELD_NS` is one of the host's own clock, and is followed.
-
-    >>> stamps = Stamps()
-    >>> [stamps.after(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
-    [5000000000, 5000001000, 5250000000, 1000000000]
     """
 
     def __init__(self) -> None:
@@ -244,23 +224,15 @@ class DeviceClock:
     """Puts the board's clock on the host's time: host time = board's time + offset + drift · board's time.
 
     A frame may arrive late by anything (buffers, other programs) but never early. So only the quickest frames of the
-    last seconds set the offset and the drift.
+    last seconds set the offset and the drift. `host_time` is late by the link's least delay, which cannot be told from
+    the clock's offset.
 
     Notes
     -----
-    `host_time` is late by the link's least delay, which cannot be told from the clock's offset.
-
     The line lies below all kept points and comes closest to them on average: of the lines through two points it is the
     one that can be highest at their mean time (Moon, Skelly & Towsley, "Estimation and removal of clock skew from
     network delay measurements", INFOCOM 1999). It is fitted once a second; a frame in between only lowers it. In the
     first four seconds the drift is taken as 0.
-
-    Examples
-    --------
-    >>> clock = DeviceClock()
-    >>> clock.add(2_000_000, 12.5)
-    >>> clock.host_time(2_100_000)
-    12.6
     """
 
     def __init__(self) -> None:
@@ -271,15 +243,9 @@ class DeviceClock:
         """Forget all: the board has started anew."""
         self._quickest.clear()  # of each second gone by: (board's time, delay), both [s], as below
         self._current: tuple[float, float] | None = None  # of the second that runs
-        self._bucket_end_s = 0.0
         self._last_us: int | None = None  # never wraps
-        self._drift = 0.0
-        self._offset_s = 0.0
-
-    @property
-    def drift(self) -> float:
-        """Fraction by which the host's clock runs faster than the board's."""
-        return self._drift
+        self.drift = 0.0  #: fraction by which the host's clock runs faster than the board's
+        self._bucket_end_s = self._offset_s = 0.0
 
     def add(self, device_us: int, received_s: float) -> None:
         """Take note that a frame of the board's time [µs, modulo 2³²] was received at `received_s` [s, host].
@@ -298,22 +264,14 @@ class DeviceClock:
         if self._current is None:
             self._current = (board_s, delay_s)
             self._bucket_end_s = board_s + _BUCKET_S
-        elif delay_s < self._current[1] + self._drift * (board_s - self._current[0]):
+        elif delay_s < self._current[1] + self.drift * (board_s - self._current[0]):
             self._current = (board_s, delay_s)
-        self._offset_s = min(self._offset_s, delay_s - self._drift * board_s)  # no frame arrives early
+        self._offset_s = min(self._offset_s, delay_s - self.drift * board_s)  # no frame arrives early
 
     def host_time(self, device_us: int) -> float:
-        """When the board's clock stood at `device_us` [s, host]; for times near that of the last frame.
-
-        Raises
-        ------
-        ValueError
-            If no frame was added yet.
-        """
-        if self._last_us is None:
-            raise ValueError("no frame has set the clock yet: add() one first.")
+        """When the board's clock stood at `device_us` [s, host]; for times near that of the last frame added."""
         board_s = self._unwrapped(device_us) * 1e-6
-        return board_s + self._offset_s + self._drift * board_s
+        return board_s + self._offset_s + self.drift * board_s
 
     def _unwrapped(self, device_us: int) -> int:
         """The time nearest to the last one that is `device_us` modulo a turn."""
@@ -330,5 +288,5 @@ class DeviceClock:
             i, j = np.triu_indices(len(points), 1)
             slopes = (delay_s[j] - delay_s[i]) / (board_s[j] - board_s[i])
             highest = (delay_s - np.outer(slopes, board_s)).min(axis=1).argmax()
-            self._drift = min(max(float(slopes[highest]), -MAX_DRIFT), MAX_DRIFT)
-        self._offset_s = min(delay_s - self._drift * board_s for board_s, delay_s in points)
+            self.drift = min(max(float(slopes[highest]), -MAX_DRIFT), MAX_DRIFT)
+        self._offset_s = min(delay_s - self.drift * board_s for board_s, delay_s in points)

@@ -1,17 +1,15 @@
-"""Ports are found, opened, read and written; every fault is told in one line.
+"""Ports: what opens, what opening says where it fails, and the names of ports that are on their way.
 
 A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one, ``socket://host:port``,
-``loop://``. Exceptions of pyserial and the system become `PortError` here and nowhere else.
+``loop://``. What pyserial and the system raise becomes `PortError` here and in `scanner.Link`, nowhere else.
 """
 
 import contextlib
 import errno
 import socket
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import urlsplit
 
 import psutil
 import serial
@@ -35,7 +33,15 @@ PORT_FAULTS = (
     TypeError,  # of a port whose file descriptor has become None
     ValueError,  # of one whose file descriptor has become -1; of a setting that the port does not know
 )  #: everything a port is known to raise, wherever it fails
+_TIMEOUT_S = 0.1  # of a read, which bounds how long closing takes
 _WRITE_TIMEOUT_S = 0.05  # a board that does not listen must not hold up the reading
+_SOCKET = "socket://"
+_ADVICE = dict.fromkeys((errno.EAGAIN, errno.EBUSY), "in use by another program: close that one first.")
+_ADVICE[errno.EISDIR] = f"a folder, not a port: name a device as {EXAMPLE}."
+_ADVICE |= dict.fromkeys(
+    (errno.EACCES, errno.EPERM),
+    "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew.",
+)
 
 
 class PortError(TriPillarError, OSError):
@@ -63,120 +69,29 @@ class Port(Protocol):
         """Give the port back."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ListedPort:
-    """A serial port of this computer."""
-
-    device: str  #: what to open, as /dev/ttyUSB0 or COM3
-    description: str  #: by its maker
-    hardware_id: str  #: USB vendor, product and serial number
-
-
-def list_ports() -> list[ListedPort]:
-    """The serial ports there are, sorted by name."""
-    return [
-        ListedPort(device=port.device, description=port.description, hardware_id=port.hwid)
-        for port in sorted(comports())
-    ]
-
-
-def open_port(url: str, *, baud: int = BAUD, timeout_s: float = 0.1) -> Port:
-    """Open a port for this program alone.
-
-    Parameters
-    ----------
-    url : str
-        A device, a pseudo-terminal or a link to one, or a URL that pyserial knows.
-    baud : int
-        Bits a second; a start and a stop bit go with each byte. Means nothing to a pseudo-terminal or a socket.
-    timeout_s : float
-        How long a read waits for its bytes [s].
-
-    Returns
-    -------
-    Port
-        pyserial's, for `read_available` and `write`; close it after use.
+def open_port(url: str, baud: int = BAUD) -> Port:
+    """Open a port for this program alone: a device, a pseudo-terminal or a link to one, or a URL that pyserial knows.
 
     Raises
     ------
     PortError
         If there is no such port, it is in use, it may not be opened, is none, or there is no such kind.
     """
-    options = {"baudrate": baud, "timeout": timeout_s, "write_timeout": _WRITE_TIMEOUT_S, "exclusive": True}
+    options = {"baudrate": baud, "timeout": _TIMEOUT_S, "write_timeout": _WRITE_TIMEOUT_S, "exclusive": True}
     try:
-        if url.lower().startswith("socket://"):
-            return _SocketPort(url, **options)
-        return serial.serial_for_url(url, **options)
+        return _SocketPort(url, **options) if url.startswith(_SOCKET) else serial.serial_for_url(url, **options)
     except PORT_FAULTS as fault:
-        raise PortError(f"{url}: {_cause(fault, url)}") from fault
-
-
-def read_available(port: Port) -> bytes:
-    """Read what has arrived, or else the first bytes to arrive; empty if none does until the port's timeout.
-
-    Raises
-    ------
-    PortError
-        If the port has gone.
-    """
-    try:
-        return port.read(max(1, port.in_waiting))
-    except PORT_FAULTS as fault:
-        raise PortError(f"the port is gone ({fault}): plug it in again.") from fault
-
-
-def write(port: Port, data: bytes) -> bool:
-    """Write a few bytes; False if the port does not take them now.
-
-    Raises
-    ------
-    PortError
-        If the port has gone.
-    """
-    try:
-        port.write(data)
-    except serial.SerialTimeoutException:
-        return False
-    except PORT_FAULTS as fault:
-        raise PortError(f"the port is gone ({fault}): plug it in again.") from fault
-    return True
-
-
-def close(port: Port) -> None:
-    """Close a port, also one that has gone and objects."""
-    with contextlib.suppress(*PORT_FAULTS):
-        port.close()
-
-
-def _cause(fault: Exception, url: str) -> str:
-    """Say why a port does not open, and how to mend it."""
-    code = getattr(fault, "errno", None)
-    if not url:
-        return f"no port was named: give a device as {EXAMPLE}."
-    if url.lower().startswith("socket://") and not _names_server(url):
-        return "no host and port number: give socket://HOST:PORT of a running server."
-    if code == errno.ENOENT:
-        there = ", ".join(port.device for port in list_ports()) or "none"
-        return f"no such port; there are: {there}. Plug the board in, or name another."
-    if code == errno.EISDIR:
-        return f"a folder, not a port: name a device as {EXAMPLE}."
-    if code in (errno.EAGAIN, errno.EBUSY):
-        return "in use by another program: close that one first."
-    if code in (errno.EACCES, errno.EPERM):
-        return "no permission: join the group that owns it, as with 'sudo usermod -aG dialout $USER', and log in anew."
-    if "not known" in str(fault) and "://" in url:
-        return f"there are no ports of the kind {url.partition('://')[0]}://; name a device as {EXAMPLE}, or socket://HOST:PORT."
-    if url.lower().startswith("socket://"):
-        return f"no connection ({fault}): give socket://HOST:PORT of a running server."
-    return f"no serial port ({fault}): name a device as {EXAMPLE}."
-
-
-def _names_server(url: str) -> bool:
-    try:
-        parts = urlsplit(url)
-        return bool(parts.hostname and parts.port)
-    except ValueError:  # a port that is no number
-        return False
+        code = getattr(fault, "errno", None) or 0
+        if not url:
+            cause = f"no port was named: give a device as {EXAMPLE}."
+        elif url.startswith(_SOCKET):
+            cause = f"no connection ({fault}): give socket://HOST:PORT of a running server."
+        elif code == errno.ENOENT:
+            there = ", ".join(sorted(port.device for port in comports())) or "none"
+            cause = f"no such port; there are: {there}. Plug the board in, or name another."
+        else:
+            cause = _ADVICE.get(code, f"no serial port ({fault}): name a device as {EXAMPLE}, or socket://HOST:PORT.")
+        raise PortError(f"{url}: {cause}") from fault
 
 
 class _SocketPort(protocol_socket.Serial):
@@ -202,13 +117,7 @@ class _SocketPort(protocol_socket.Serial):
 
 
 def link_to(link: Path, target: str) -> None:
-    """Let a link point to a port, whatever it pointed to before.
-
-    Raises
-    ------
-    PortError
-        If there is something else of that name.
-    """
+    """Let a link point to a port, whatever it pointed to before; a `PortError` if something else has its name."""
     if link.exists() and not link.is_symlink():
         raise PortError(f"{link} exists and is no link: give another name for the link to the port.")
     beside = link.with_name(link.name + ".new")

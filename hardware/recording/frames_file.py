@@ -236,7 +236,7 @@ def _read(file: IO[bytes], source: str) -> Recording:
     stated: list[Header] = []
     session = frame = b""  # the last ones: a session stands twice, a frame should not
     rows, runs, run = bytearray(), bytearray(), 0
-    shapes: set[tuple[float, int, int]] = set()  # of frames: number of counts, bits, scan mode
+    shapes: set[tuple[int, int, int]] = set()  # of packed frames: bytes, bits, flags
     counted: Counter[str] = Counter()
     damaged_at: list[int] = []
     truncated_bytes = 0
@@ -250,7 +250,7 @@ def _read(file: IO[bytes], source: str) -> Recording:
             rows += row
             runs += run.to_bytes(4, "little")
             counted["ok"] += 1
-            shapes.add(((len(frame) - _AROUND) / 2, frame[10], frame[1] & ~1))
+            shapes.add((len(frame), frame[10], frame[1]))
         elif kind == _SESSION and content != session:
             session, plain = content, _json(content)
             stated.append(read_header(plain, source))
@@ -266,8 +266,8 @@ def _read(file: IO[bytes], source: str) -> Recording:
             counted[content.decode()] += 1
             damaged_at.append(at)
     header = _common_header(stated, counted["ok"], file.tell(), source)
-    for n_counts, bits, flags in sorted(shapes):
-        _require_same_board(header.info, n_counts, bits, flags, source)
+    for n_bytes, bits, flags in sorted(shapes):
+        _require_same_board(header.info, (n_bytes - _AROUND) / 2, bits, flags, source)
     dtype = np.dtype([("received_s", "<f8"), *packed_dtype(header.info.n_crossings).descr])
     columns = np.frombuffer(rows, dtype)
     arrivals = columns["received_s"].astype(np.float64)

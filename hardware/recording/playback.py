@@ -1,6 +1,5 @@
 """A recording played in place of a board: a port that sends and answers as the board did."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -31,24 +30,17 @@ class PlaybackPort(BoardPort):
     def __init__(self, recording: Recording, speed: float = 1.0, **clock: Any) -> None:
         if not speed > 0:
             raise DesignError(f"speed={speed:g} must be above 0: 1 is real time, inf as fast as possible.")
-        super().__init__(_Played(recording, speed), **clock)
-
-
-class _Played:
-    """The frames of a recording as a `FrameSource`."""
-
-    def __init__(self, recording: Recording, speed: float) -> None:
+        super().__init__(**clock)
         steps_s = np.diff(recording.time_s, prepend=recording.time_s[:1])
         steps_s[1:][is_restart(recording.sequence, recording.device_us)] = 1 / recording.info.rate_hz
         self._info = encode(recording.info)
         self._frames = recording.frames()
-        self._due_s = iter([*(np.cumsum(steps_s) / speed).tolist(), math.nan])
-        self.due_s: float | None = next(self._due_s)
+        self._dues_s = iter([*(np.cumsum(steps_s) / speed).tolist(), None])
+        self.due_s = next(self._dues_s)
 
     def take(self, now_s: float) -> bytes:
         """The next frame."""
-        due_s = next(self._due_s)
-        self.due_s = None if math.isnan(due_s) else due_s
+        self.due_s = next(self._dues_s)
         return encode(next(self._frames))
 
     def obey(self, command: Command) -> bytes:

@@ -29,6 +29,7 @@ from hardware.streams.scene import (
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics
 SENSOR, WRENCH, SCENE = "/tripillar/sensor", "/tripillar/wrench", "/tripillar/scene"
 RESISTANCES, CONTACTS = "/tripillar/resistances", "/tripillar/contacts"
+UNUSED = ("metadata", "cylinders", "lines", "triangles", "texts", "models")  #: of foxglove.SceneEntity
 CONTACT = ("force_n", "force_deviation_n", "centre_mm", "centre_deviation_mm", "half_mm", "half_deviation_mm")
 
 
@@ -78,7 +79,8 @@ def scene_content(scan: Forces) -> dict[str, Any]:
     ]
     arrows = _arrows(scene.places_m[drawn], scene.arrows_m[drawn], THICK * side, ARROW_COLOUR)
     arrows += _arrows(scene.net_tip_m, scene.net_arrow_m, 2.0 * THICK * side, NET_COLOUR)
-    array = {"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": FRAME, "id": "array"}
+    array: dict[str, Any] = {"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": FRAME, "id": "array"}
+    array |= {"lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False, **{name: [] for name in UNUSED}}
     return {"deletions": [], "entities": [array | {"cubes": cubes, "arrows": arrows, "spheres": spheres}]}
 
 

@@ -32,7 +32,6 @@ from geometry.errors import ArgumentError, DesignError
 from geometry.layout import AXES, PILLARS, pillar_volumes, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.wrench import pad_positions
-from hardware.virtual.twin import TorchTwin
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -54,9 +53,9 @@ class Reading:
 class VirtualSensor:
     """Sensors of one design in a simulation of others, one an environment, all at once and differentiable.
 
-    Contact forces at points go to the pads, by the array's response into displacements, by eq. 1 (or conduction) into
-    resistances; each specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these,
-    and a trained model forces. Loads are quasi-static and the rubber linear, as everywhere.
+    Contact forces at points go to the pads, by the array's response and eq. 1 (or conduction) into resistances; each
+    specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these, and a trained
+    model forces. Loads are quasi-static and the rubber linear.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ class VirtualSensor:
     Raises
     ------
     DesignError, ArgumentError
-        If a setting makes no sense, or model, crossbar and design are not of one size.
+        If a setting makes no sense, or model, crossbar and design are not of one size or response.
 
     Examples
     --------
@@ -134,10 +133,9 @@ class VirtualSensor:
         self._imperfections = Imperfections(
             noise=noise, bits=bits, gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=seed
         )  # refuses what makes no sense
-        if not isinstance(environments, int) or environments < 1:
-            raise ArgumentError(f"environments={environments!r} must be a whole number from 1 on.")
-        if not 0.0 <= dead_probability < 1.0:
-            raise ArgumentError(f"dead_probability={dead_probability!r} must be from 0 to below 1.")
+        if environments < 1 or not 0.0 <= dead_probability < 1.0:
+            given = f"environments={environments}, dead_probability={dead_probability}"
+            raise ArgumentError(f"{given} must be 1 or more and 0 to below 1.")
         if dtype not in (torch.float32, torch.float64):
             raise ArgumentError(f"dtype={dtype} must be torch.float32 or torch.float64.")
         if crossbar is not None and bits is not None:
@@ -170,13 +168,13 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            self._twin = TorchTwin(decoder, self._like)
+            self._twin = _Twin(decoder, self._like)
             self._forward = self._twin.forward
         self._gain = self._like.new_ones((environments, *self.shape, 3))
         self._offset = torch.zeros_like(self._gain)
-        self._dead = torch.zeros_like(self._gain, dtype=torch.bool)
-        self._member = torch.zeros(environments, dtype=torch.int64, device=self._like.device)
-        self._steppers: dict[tuple[int, Hashable], Stepper] = {}
+        self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, 3)
+        self._member = torch.zeros(environments, dtype=torch.int64, device=self.device)
+        self._steppers: list[dict[Hashable, Stepper]] = [{} for _ in range(environments)]
         self.reset()
 
     def _designed(self, response: "ArrayResponse | None") -> SensorModel:
@@ -196,36 +194,20 @@ class VirtualSensor:
     def reset(self, which: Tensor | None = None, seed: int | None = None) -> None:
         """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.
 
-        Parameters
-        ----------
-        which : tensor, optional
-            Numbers of environments, or a mask (e,); default: all.
-        seed : int, optional
-            Starts all that is drawn from here on anew, noise included; default: go on.
-
-        Raises
-        ------
-        DesignError
-            If an offset outweighs a resistance.
+        `which` are numbers of environments or a mask (e,), default: all; a `seed` starts all that is drawn from here on
+        anew, noise included. An offset that outweighs a resistance is a DesignError.
         """
         if seed is not None:
             self._generator.manual_seed(seed)
         everywhere = torch.arange(self.environments, device=self._like.device)
         chosen = everywhere if which is None else everywhere[which]
-        shape, settings = (len(chosen), *self.shape, 3), self._imperfections
-
-        def drawn(draw: str) -> Tensor:
-            fill = self._like.new_empty(shape)
-            return getattr(fill, draw)(generator=self._generator)
-
-        self._gain[chosen] = 1.0 + settings.gain_spread * (2.0 * drawn("uniform_") - 1.0)
-        self._offset[chosen] = settings.offset_ohm * drawn("normal_")
-        self._dead[chosen] = drawn("uniform_") < self.dead_probability
+        settings, like = self._imperfections, self._like.new_empty((len(chosen), *self.shape, 3))
+        self._gain[chosen] = 1.0 + settings.gain_spread * like.uniform_(-1.0, 1.0, generator=self._generator)
+        self._offset[chosen] = settings.offset_ohm * like.normal_(generator=self._generator)
+        self.dead = self.dead.index_copy(0, chosen, like.uniform_(generator=self._generator) < self.dead_probability)
         if self._twin is not None:
-            members = torch.randint(
-                self._twin.members, (len(chosen),), generator=self._generator, device=self._like.device
-            )
-            self._member[chosen] = members
+            numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
+            self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
         rest_ohm = self._gain * self.resistances(torch.zeros_like(self._gain)) + self._offset
         if bool((rest_ohm <= 0.0).any()):
             raise DesignError(
@@ -233,28 +215,13 @@ class VirtualSensor:
                 " Ω: lower it."
             )
 
-    @property
-    def dead(self) -> Tensor:
-        """Which pillars are broken, (e, rows, cols, 3)."""
-        return self._dead.clone()
-
     def pad_loads(self, points_mm: Tensor, force_n: Tensor) -> Tensor:
         """Forces on the pads from forces at points of the surface, as a stiff sheet on the pads would share them.
 
-        Parameters
-        ----------
-        points_mm : tensor, shape (e, k, 2) or (e, k, 3)
-            In the sensor's frame: x along columns, y along rows, origin in the array's middle; z is not looked at.
-        force_n : tensor, shape (e, k, 3)
-            On the sensor along x and y, and Fz positive in compression. Unused points hold 0. For pressures give
-            pressure times area.
-
-        Returns
-        -------
-        tensor, shape (e, rows, cols, 3)
-            A force is shared by the four pads around it in proportion to nearness along x and y, so that total and
-            moment are kept; beyond the outermost pads' centres they take it alone. A point beyond the slab's edge does
-            not touch the sensor.
+        Takes points (e, k, 2 or 3) [mm] in the sensor's frame (x along columns, y along rows, origin in the array's
+        middle, z not looked at) and forces (e, k, 3) [N], Fz positive in compression; gives (e, rows, cols, 3). The
+        four pads around a point share its force in proportion to nearness, so that total and moment are kept; the
+        outermost take alone what is beyond their centres, nobody what is beyond the slab's edge.
         """
         e, k = points_mm.shape[:2]
         if points_mm.shape[-1] not in (2, 3) or force_n.shape != (e, k, 3) or e != self.environments:
@@ -296,22 +263,16 @@ class VirtualSensor:
         if settings.noise:
             ohms = ohms * (1.0 + settings.noise * self._normal(ohms.shape))
         if (crossbar := self._crossbar) is not None:
-            readings = crossbar.readings(torch.where(self._dead, OPEN_OHM, ohms))
+            readings = crossbar.readings(torch.where(self.dead, OPEN_OHM, ohms))
             if crossbar.noise:
                 readings = readings + crossbar.noise * self._normal(readings.shape)
             ohms = self._found(readings if crossbar.bits is None else _rounded(readings, crossbar.bits))
         elif settings.bits is not None:
             ohms = SENSE_OHM * (1.0 / _rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
-        return torch.where(self._dead, OPEN_OHM, ohms)
+        return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
-        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω].
-
-        Raises
-        ------
-        ArgumentError
-            If the sensor has no model.
-        """
+        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω]."""
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm")
@@ -343,17 +304,14 @@ class VirtualSensor:
         Returns
         -------
         Reading
-            Forces are those on each unit's share of the top; with the contacts, environment by environment.
+            Forces are those on each unit's share of the top; with the contacts, environment by environment. Bodies do
+            not feel each other through the rubber.
 
         Raises
         ------
         ArgumentError, DesignError, ContactError
-            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber (as
-            `surface_compliance`), and as `Stepper.step`.
-
-        Notes
-        -----
-        Bodies do not feel each other through the rubber.
+            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber, and as
+            `Stepper.step`.
         """
         if len(bodies) != self.environments:
             raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")
@@ -363,13 +321,11 @@ class VirtualSensor:
         force, moved = (np.zeros((self.environments, surface.design.n_units, k, 3)) for k in (1, 2))
         contacts: list[Contact] = []
         for number, own in enumerate(bodies):
-            steppers = {name: self._steppers.get((number, name)) for name in own}
-            for key in [key for key in self._steppers if key[0] == number and key[1] not in own]:
-                del self._steppers[key]
+            before = self._steppers[number]
+            steppers = {name: before.get(name) or Stepper(surface, friction=friction) for name in own}
+            self._steppers[number] = steppers
             for name, (shape, place_mm, normal_n) in own.items():
-                stepper = steppers[name] or Stepper(surface, friction=friction)
-                self._steppers[number, name] = stepper
-                if (contact := stepper.step(shape, place_mm, normal_n)) is not None:
+                if (contact := steppers[name].step(shape, place_mm, normal_n)) is not None:
                     contacts.append(contact)
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
                     box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
@@ -417,3 +373,33 @@ def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:
         return torch.ones_like(place_mm)[..., None]
     within = torch.minimum(torch.maximum(place_mm, centres_mm[0]), centres_mm[-1])
     return (1.0 - (within[..., None] - centres_mm).abs() / (centres_mm[1] - centres_mm[0])).clamp(min=0.0)
+
+
+class _Twin:
+    """The posterior's sensors of a twin, each to first order about the most probable one, as `Ensemble.readings`."""
+
+    def __init__(self, decoder: Decoupler, like: Tensor) -> None:
+        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            raise DesignError(
+                f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
+            )
+        self.forward: Any = in_torch(decoder.inverse.forward, like)
+        held = decoder.ensemble
+        self.members = len(held)
+        self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
+        self._rest = like.new_tensor(held.rest_mm).mT  # (m, 3, P)
+        self._influence = like.new_tensor(held.influence).permute(0, 3, 2, 1).flatten(2)  # (m, Q, 3 P)
+
+    def resistances(self, force_n: Tensor, member: Tensor) -> Tensor:
+        """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
+        vectors = self.forward.vectors(force_n)
+        signed = vectors if self.forward.sign is None else vectors * self.forward.sign
+        squares = (signed * vectors).sum(dim=1)
+        moved = self._rest[member]
+        for m in member.unique():
+            own = member == m
+            moved[own] = moved[own] + (force_n[own] @ self._influence[m]).reshape(-1, *moved.shape[1:])
+        slopes = (2.0 * signed / squares[:, None])[:, : moved.shape[1]]
+        relative = 1.0 + self._relative[member] + (moved * slopes).sum(dim=1)
+        ohms = relative * self.forward.ohm_per_mm2 * squares + self.forward.offset_ohm + self._offset[member]
+        return ohms.clamp(min=MIN_WHOLE_OHM)

@@ -17,7 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from hardware.boards.simulated import CHIP_BITS, STEP_S, Motion, PressAndSlide, press_and_slide
+from hardware.boards.simavr_board import CHIP_BITS
+from hardware.boards.simulated import STEP_S, Motion, PressAndSlide, press_and_slide
 from hardware.boards.virtual_board import VirtualBoard, a_frame
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
 from hardware.link.scanner import Scanner
@@ -76,10 +77,9 @@ def forces_by(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, Any
     info = board_info(mode)
     found = ForceReader(info, model).forces(Electronics().crossbar(info).counts(motion.resistance_ohm))
     exact_n = model.forces(motion.resistance_ohm)
-    acting_n = np.zeros_like(exact_n) if motion.force_n is None else motion.force_n
     named = {"through the board": found.force_n, "exact resistances": exact_n}
     return {"mode": mode.name} | {
-        f"{name}, F{axis} [N]": float(np.sqrt(((force_n - acting_n)[..., k] ** 2).mean()))
+        f"{name}, F{axis} [N]": float(np.sqrt(((force_n - motion.force_n)[..., k] ** 2).mean()))
         for name, force_n in named.items()
         for k, axis in enumerate(model.component.axes)
     }

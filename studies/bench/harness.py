@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from studies.charts import FAMILIES, SERIES, finish, new_figure
-from tripillar.sweep.memory import peak_mib
+from studies.memory import peak_mib
 from tripillar.terminal.entry import say
 
 MARKERS = "osD^vP*X<>"

@@ -14,8 +14,8 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
 from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
 from studies.bench.optimisers import Ended, Problem, Scaled, Trace, lbfgs
+from studies.memory import peak_mib
 from studies.tables import measured_on, report
-from tripillar.sweep.memory import peak_mib
 from tripillar.terminal.entry import run_alone
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up

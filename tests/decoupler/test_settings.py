@@ -9,34 +9,34 @@ from decoupler import NetworkConfig, TrainingConfig
 from geometry import DesignError
 
 WIRES, PLACES = "must hold numbers of wires from 0 on", "must hold a row and a column from 0 on"
-SEED = "must be from 0 to below 2⁶³"
+SEED, FINITE, WHOLE = "must be from 0 to 9.22337e+18", "must be a finite number", "must be a whole number"
 REFUSED = {
     DatasetSettings: {
-        "protocol": {"is unknown; known are independent-fz, ": ["contact-fy"]},
-        "samples": {"must be from 1 to 10000000": [0], "must be a whole number": [2.5, True, "10"]},
-        "seed": {SEED: [-1, 2**63], "must be a whole number": [1.5]},
-        "cap": {"must be above 0 and below 1; the paper": [0.0, 1.0], "must be a finite number": [math.nan]},
-        "noise": {"must be a finite number": [-0.001, "loud"], "must be from 0 to 0.1": [0.11]},
-        "bits": {"must be a whole number from 4 to 24": [3, 25, 12.5]},
-        "drift": {"must be from 0 to 0.5": [-0.001, 0.51], "must be a finite number": [math.nan, "much"]},
-        "gain_spread": {"must be from 0 to below 1": [-0.1, 1.0], "must be a finite number": ["wide"]},
-        "offset_ohm": {"must be from 0 to 1e6": [-5.0, 1e7], "must be a finite number": [math.nan]},
-        "specimen": {SEED: [-1, 2**63], "must be a whole number": [1.5]},
+        "protocol": {"must be one of independent-fz, ": ["contact-fy"]},
+        "samples": {"must be from 1 to 1e+09": [0, 2**31], WHOLE: [2.5, True, "10"]},
+        "seed": {SEED: [-1, 2**63], WHOLE: [1.5]},
+        "cap": {"must be above 0": [0.0], "must be from 0 to below 1": [1.0], FINITE: [math.nan]},
+        "noise": {"must be from 0": [-0.001], "must be from 0 to 0.1": [0.11], FINITE: ["loud"]},
+        "bits": {"must be from 4 to 24": [3, 25], WHOLE: [12.5]},
+        "drift": {"must be from 0 to 0.5": [-0.001, 0.51], FINITE: [math.nan, "much"]},
+        "gain_spread": {"must be from 0 to below 1": [-0.1, 1.0], FINITE: ["wide"]},
+        "offset_ohm": {"must be from 0 to 1e+06": [-5.0, 1e7]},
+        "specimen": {SEED: [-1, 2**63]},
         "dead_rows": {WIRES: [(-1,), 4]},
         "dead_cols": {WIRES: [(True,), ("4",)]},
         "dead_pillars": {PLACES: [((0, 3, "w"),), ((-1, 3, "z"),), ((0, "z"),), (0, 3, "z")]},
     },
     NetworkConfig: {
-        "hidden": {"must be a whole number from 1 up": [0, 2.5], "must be at most 1000": [1001]},
-        "net": {"is unknown; choose one of plain, skip": ["deep"]},
-        "feature": {"is unknown; choose one of resistance, root, inverse": ["log"]},
+        "hidden": {"must be from 1 on": [0], WHOLE: [2.5], "must be from 0 to 1000": [1001]},
+        "net": {"must be one of plain, skip": ["deep"]},
+        "feature": {"must be one of resistance, root, inverse": ["log"]},
     },
     TrainingConfig: {
-        "trainer": {"is unknown; choose one of varpro, lm, momentum": ["adam"]},
-        "goal_mse": {"must be 0 or above": [math.nan, -1.0]},
-        "max_iterations": {"must be a whole number from 0 up": [-1]},
-        "patience": {"must be a whole number from 0 up": [0.5]},
-        "seed": {"must be a whole number from 0 up": [True]},
+        "trainer": {"must be one of varpro, lm, momentum": ["adam"]},
+        "goal_mse": {FINITE: [math.nan], "must be from 0": [-1.0]},
+        "max_iterations": {"must be from 0": [-1]},
+        "patience": {WHOLE: [0.5]},
+        "seed": {WHOLE: [True]},
         "held_out": {"must be from 0 to 0.5": [0.6, -0.1]},
         "least_gain": {"must be from 0 to below 1": [1.0]},
         "learning_rate": {"must be above 0": [0.0]},

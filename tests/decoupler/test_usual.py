@@ -18,8 +18,7 @@ NOISE = 1e-3
 
 def readings(force_n, seed=1):
     """What the sensor shows under forces (n, 27), with noise."""
-    ohms = FORWARD.resistances(force_n)
-    return measured(ohms, NOISE, None, np.random.default_rng(seed)).reshape(-1, 3, 3, 3)
+    return measured(FORWARD.resistances(force_n), NOISE, None, np.random.default_rng(seed)).reshape(-1, 3, 3, 3)
 
 
 def loads(n, seed):
@@ -30,39 +29,31 @@ def loads(n, seed):
     return force_n.reshape(n, -1)
 
 
-@pytest.fixture(scope="module")
-def model():
+def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
+    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit.
+
+    A broken pillar, another gain, loads 1.3 times beyond the range, tension and shear without pressure always are.
+    """
     force_n = loads(400, 5)
     own = Samples(force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), design=SENSOR, noise=NOISE)
-    return train(own, "all", response=response(SENSOR))
-
-
-def test_usual_loads_raise_no_alarm(model):
-    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit."""
+    model = train(own, "all", response=response(SENSOR))
     one_pad = np.zeros((2000, 27))
     one_pad[np.arange(2000), 3 * np.random.default_rng(0).integers(9, size=2000) + 2] = 300.0
     for force_n in (np.zeros((2000, 27)), one_pad, loads(2000, 9)):
         assert (model.chi2(readings(force_n)) > model.load_test.limit).mean() <= 3 * FALSE_ALARMS
-
-
-def test_what_no_load_explains_is_told(model):
-    """A broken pillar, another gain, loads 1.3 times beyond the range, tension and shear without pressure."""
-    usual, at_rest = readings(loads(200, 9)), readings(np.zeros((200, 27)))
-    broken = usual.copy()
+    at_rest, broken = readings(np.zeros((200, 27))), readings(loads(200, 9))
     broken[:, 1, 1, 0] = 1e9
-    heavy = np.tile([0.0, 0.0, 1.3 * 720.0], (200, 9))
-    pull, drag = np.tile([0.0, 0.0, -20.0], (200, 9)), np.tile([40.0, 0.0, 0.0], (200, 9))
-    for reading in (broken, 1.02 * at_rest, readings(heavy), readings(pull), readings(drag)):
+    beyond = [readings(np.tile(pad, (200, 9))) for pad in ([0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0])]
+    for reading in (broken, 1.02 * at_rest, *beyond):
         assert (model.chi2(reading) > model.load_test.limit).all()
 
 
-def test_the_limit_is_the_quantile_of_correlated_errors():
+@pytest.mark.parametrize("common", [0.0, 0.5, 0.99])
+def test_the_limit_is_the_quantile_of_correlated_errors(common):
     """Of errors that all go together χ² has one degree of freedom, of independent ones all, of a mixture some."""
     usual = UsualLoads(low_n=np.zeros(1), high_n=np.zeros(1), friction=np.zeros(1))
-    draws = np.random.default_rng(0).standard_normal((100_000, 30))
-    for common in (0.0, 0.5, 0.99):
-        correlation = (1.0 - common) * np.eye(30) + common
-        test = LoadTest.by(usual, correlation, np.ones(30))
-        errors = draws @ np.linalg.cholesky(correlation).T
-        # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
-        assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)
+    correlation = (1.0 - common) * np.eye(30) + common
+    test = LoadTest.by(usual, correlation, np.ones(30))
+    errors = np.random.default_rng(0).standard_normal((100_000, 30)) @ np.linalg.cholesky(correlation).T
+    # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
+    assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)

@@ -60,12 +60,14 @@ def test_parts_move_as_the_field_says(pair_field, state, parts):
         assert np.allclose(part.stress_mpa[here], observer.stress_mpa(state)[0, 0])
 
 
-def test_only_loaded_pads_are_shown(pair_field):
+@pytest.mark.parametrize(("loaded", "width_mm"), [(1.0, 12.0), (0.0, 27.0)])
+def test_only_loaded_pads_are_outlined(pair_field, loaded, width_mm):
     """Where nothing is loaded all are, as what to load."""
-    for loaded, width_mm in ((1.0, 12.0), (0.0, 27.0)):
-        traction = loaded * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
-        pads = sensor_parts(pair_field, pair_field.state(traction), stress=False)["pads"]
-        assert np.ptp(pads.points_mm[:, 0]) == pytest.approx(width_mm)
+    traction = loaded * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
+    picture = DeformedPicture({"all": sensor_parts(pair_field, pair_field.state(traction), stress=False)})
+    pads = next(moving for moving in picture.moving if moving.name == "pads")
+    assert np.ptp(pads.rest_mm[:, 0]) == pytest.approx(width_mm)
+    picture.plotter.close()
 
 
 def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):
@@ -79,6 +81,9 @@ def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts)
     assert still.high > 0  # a scale even where nothing moves
     cut = bar_of(QUANTITIES["mises"], [parts])  # stress has peaks at edges
     assert cut.labels[cut.high].startswith("≥ ")
+    strengths = np.linalg.norm(bell_pressure(DESIGN, 2.0), axis=1)
+    assert pads_bar([parts, {"pads": parts["pads"].times(0.5)}]).high == pytest.approx(strengths.max())
+    assert pads_bar([{"pads": parts["pads"].times(0.0)}]) is None
 
 
 def test_points_crowded_at_an_edge_do_not_widen_the_scale():
@@ -97,12 +102,6 @@ def test_points_crowded_at_an_edge_do_not_widen_the_scale():
     )
     assert part.sizes.sum() == pytest.approx(4 * 100.1)
     assert bar_of(QUANTITIES["mises"], [{"body": part}]).high == pytest.approx(1.0)
-
-
-def test_the_key_to_the_pads_ends_at_the_largest_traction(parts):
-    strengths = np.linalg.norm(bell_pressure(DESIGN, 2.0), axis=1)
-    assert pads_bar([parts, {"pads": parts["pads"].times(0.5)}]).high == pytest.approx(strengths.max())
-    assert pads_bar([{"pads": parts["pads"].times(0.0)}]) is None
 
 
 @pytest.mark.parametrize("camera", VIEWS)

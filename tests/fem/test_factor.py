@@ -26,6 +26,7 @@ from fem.factor import (
 from fem.rubber.body import RubberBody
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material
 from tests.fem.scenes import box_mesh
 
@@ -40,7 +41,8 @@ def elastic(poisson, boxes=(3, 3, 2)):
 def mixed():
     """Taylor-Hood, all but incompressible: quasi-definite, as many eigenvalues below 0 as pressures."""
     mesh = box_mesh((4, 4, 3), (10.0, 10.0, 6.0), disorder=0.2)
-    return whole(taylor_hood(mesh, [Material(poisson=0.4999)], np.zeros(mesh.nelements, dtype=int)).upper)
+    body = taylor_hood(mesh, [Material(poisson=0.4999)], np.zeros(mesh.nelements, dtype=int))
+    return whole(TetrahedralSystem(body, []).rest_tangent())
 
 
 def indefinite():

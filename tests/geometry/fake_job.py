@@ -57,7 +57,7 @@ def go_on(folder: Path) -> tuple[dict[int, int], int]:
     journal = Journal(folder)
     kept = {number: journal.read(str(number), lambda plain: plain["square"]) for number in range(TASKS)}
     missing = [number for number, found in kept.items() if found is None]
-    with open_pool(2, log=folder / "log", tasks=len(missing)) as pool:
+    with open_pool(2, tasks=len(missing)) as pool:
         for number, made in pool.done(square, missing, ahead=2):
             journal.keep(str(number), {"square": made})
             kept[number] = made

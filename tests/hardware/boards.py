@@ -1,22 +1,29 @@
-"""What the tests of ports, boards and links share: frames, scripted ports, and a board that can fail."""
+"""What the tests of ports, boards and links share: frames, a scripted port, a board that can fail, an ear at a port."""
 
 import queue
+import subprocess
 import time
+from contextlib import contextmanager
 
 import numpy as np
 
-from hardware.boards.virtual_board import CountedFrames, a_frame
-from hardware.link.board_port import BoardPort, Commands
-from hardware.link.frames import Frame, Info, encode
+from geometry.wiring import crossings
+from hardware.boards.simavr_board import FIRMWARE
+from hardware.boards.virtual_board import CountedPort, a_frame
+from hardware.link.frames import Errors, Frame, FrameDecoder, Info, ScanMode, encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link
-from hardware.link.serial_ports import PortError
+from hardware.link.serial_ports import PortError, open_port
 from hardware.readout.calibration import Electronics
 
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]
 COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))
 PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
+
+CHIP = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)  #: of the simulated chip
+DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
+ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
 
 
 def a_wire(sequence, *, info=INFO, **changes):
@@ -38,14 +45,6 @@ def recording_from_resistances(resistance_ohm, info, first_sequence=0, first_us=
     times_us = [first_us + round(k * 1e6 / info.rate_hz) for k in range(len(counts))]
     frames = [a_frame(info, counts[k], first_sequence + k, times_us[k]) for k in range(len(counts))]
     return encode(info) + b"".join(map(encode, frames))
-
-
-def wait_until(is_so, within_s=PATIENT_S):
-    """Wait for what another thread or process does, and no event tells of."""
-    end_s = time.monotonic() + within_s
-    while not is_so():
-        assert time.monotonic() < end_s, "it did not come about"
-        time.sleep(0.002)
 
 
 def comes_about(scanner, is_so):
@@ -106,44 +105,34 @@ class Clock:
         self.now_s += seconds + 1e-9  # no system wakes up too early
 
 
-class FaultyFrames:
-    """A `FrameSource` that hangs, restarts, is garbled, or is another board; time goes by meanwhile."""
+class Bench(CountedPort):
+    """A board that hangs, is garbled, restarts as itself or another, or is unplugged, and a link on it.
 
-    def __init__(self, counts, info):
-        self._own = self._new = lambda: CountedFrames(counts, info)
-        self.frames, self._began_s = self._new(), 0.0
-        self.is_stalled, self.garbage = False, []
-
-    @property
-    def due_s(self):
-        return 1e9 if self.is_stalled else self.frames.due_s + (self._began_s or 0.0)
-
-    def take(self, now_s):
-        if self._began_s is None:  # it has just been reset
-            self._began_s = now_s
-        wire = self.frames.take(now_s - self._began_s)
-        return self.garbage.pop() if self.garbage else wire
-
-    def obey(self, command):
-        answer = self.frames.obey(command)
-        return b"" if self.is_stalled else self.garbage[-1] if self.garbage else answer
-
-    def become(self, info):
-        """Begin anew as another device, its counts half scale; None: as oneself."""
-        half = None if info is None else np.full(info.n_crossings, 2 ** (info.bits - 1))
-        self._new = self._own if info is None else lambda: CountedFrames(half, info)
-        self.frames, self._began_s, self.is_stalled = self._new(), None, False
-
-
-class Bench:
-    """A link on a board that fails as it is told to; itself the port, which is plugged in or not."""
+    All by a clock of the tests.
+    """
 
     def __init__(self, counts=COUNTS, info=INFO, may_reopen=True):
-        self.clock, self.board = Clock(), FaultyFrames(counts, info)
-        self.is_plugged, self.hindrance, self.asked = True, None, []
-        self._port = BoardPort(self.board, self.clock, self.clock.sleep)
+        self.clock, self._own = Clock(), (counts, info)
+        self.is_plugged, self.is_hindered, self.is_stalled, self.garbage, self.asked = True, False, False, [], []
+        self.device = None
         opens = self._opened if may_reopen else None
         self.link = Link(self, opens, 1.0, PROTOCOLS["tripillar"], self.clock, self.clock.sleep)
+
+    @property
+    def finished(self):
+        raise AttributeError("a real board's port has no end")
+
+    @property
+    def device(self):
+        return self.info
+
+    @device.setter
+    def device(self, info):
+        """Restart, as another device with counts of half scale if its INFO is given."""
+        counts = self._own[0] if info is None else np.full(info.n_crossings, 2 ** (info.bits - 1))
+        sent = getattr(self, "_buffer", b"")
+        CountedPort.__init__(self, counts, info or self._own[1], clock=self.clock, sleep=self.clock.sleep)
+        self._buffer += sent
 
     def run(self, seconds):
         """The scans of some seconds."""
@@ -152,35 +141,86 @@ class Bench:
             scans += self.link.take(self.link.read())
         return scans
 
-    def restart(self):
-        """Begin again from sequence 0, time 0 and the board's own rate, as after a reset."""
-        self.become(self.board.frames.info if self.board._new is not self.board._own else None)
+    @property
+    def trouble(self):
+        return self.link.fault or self.link.reception.trouble
 
-    def become(self, info):
-        self._port._commands = Commands()
-        self.board.become(info)
-
-    def _opened(self):
-        if not self.is_plugged or self.hindrance:
-            raise PortError(self.hindrance or "no such port")
-        self._port._buffer.clear()  # the system's buffer went with the port
-        return self
-
-    def _plugged(self):
+    def wait_s(self):
         if not self.is_plugged:
             raise OSError("Input/output error")
-        return self._port
+        return 1e9 if self.is_stalled else super().wait_s()
 
-    @property
-    def in_waiting(self):
-        return self._plugged().in_waiting
+    def take(self, now_s):
+        wire = super().take(now_s)
+        return self.garbage.pop() if self.garbage else wire
 
-    def read(self, size):
-        return self._plugged().read(size)
+    def obey(self, command):
+        answer = super().obey(command)
+        return b"" if self.is_stalled else self.garbage[-1] if self.garbage else answer
 
     def write(self, data):
         self.asked.append((data, self.clock()))
-        return self._plugged().write(data)
+        return super().write(data)
 
-    def close(self):
-        pass
+    def _opened(self):
+        if not self.is_plugged or self.is_hindered:
+            raise PortError("no such port, or in use")
+        self._buffer.clear()  # the system's buffer went with the port
+        return self
+
+
+def build(folder, *arguments):
+    command = ["make", "-s", "-C", str(FIRMWARE), f"OUT={folder}", *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+class Listener:
+    """What has come out of a board's port so far."""
+
+    def __init__(self, port, clock=time.monotonic):
+        self.port, self.clock, self.decoder = port, clock, FrameDecoder()
+        self.longest_pause_s = 0.0  #: between two reads
+        self.frames, self.infos, self.errors = [], [], []
+
+    def take(self, enough):
+        """Listen until `enough` holds of self."""
+        before = self.clock()
+        end = before + PATIENT_S
+        while not enough(self):
+            now = self.clock()
+            self.longest_pause_s, before = max(self.longest_pause_s, now - before), now
+            assert now < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
+            for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
+                {Info: self.infos, Errors: self.errors}.get(type(received), self.frames).append(received)
+        return self
+
+    def take_frames(self, n):
+        """Listen for n more frames; returns them."""
+        start = len(self.frames)
+        self.take(lambda self: len(self.frames) >= start + n)
+        return self.frames[start : start + n]
+
+    def ask(self, command=b"?"):
+        """Send a command and return the INFO frame that answers it; the ERRORS frame that answers ``!``."""
+        answers = self.errors if command == b"!" else self.infos
+        n_before = len(answers)
+        self.port.write(command)
+        self.take(lambda _: len(answers) > n_before)
+        return answers[-1]
+
+
+@contextmanager
+def listening(board):
+    port = open_port(board.port)
+    port.write_timeout = None  # a busy machine may leave a board no time to read
+    yield Listener(port)
+    port.close()
+
+
+def is_gapless(frames):
+    """Whether no frame is missing; the first ones may be, since who opens a port clears what is waiting there."""
+    return (np.diff([frame.sequence for frame in frames]) == 1).all()
+
+
+def starts_us(frames):
+    return np.array([frame.device_us for frame in frames])

@@ -11,8 +11,8 @@ from decoupler import NetworkConfig, TrainingConfig, train
 from hardware.boards.simavr_board import MCUS, SimavrBoard, find_tools, write_table
 from hardware.readout.calibration import Electronics
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.hardware.boards import DISTINCT, build
 from tests.hardware.models import INFO
-from tests.hardware.simulated import DISTINCT, build
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import OPEN_OHM
-from geometry.wiring import crossings_from_pillars
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import MIN_OHM, Corrector, Crossbar
+from tests.geometry.closed_forms import crossings_from_pillars
 
 PAGE = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
 STEPS = 1024  # of the ATmega's converter
@@ -44,13 +44,6 @@ def test_first_check(row):
         told = float(re.match(r"[\d.]+", cell)[0])
         assert told == pytest.approx(min(count, STEPS - 1), abs=0.1 if resistance_ohm > 1e8 else 0.051)  # one decimal
         assert ("bit 0" in cell) == (count >= STEPS - 1)
-
-
-def test_first_check_has_all_circuits_with_what_suits_them():
-    assert {mode for mode, *_ in FIRST_CHECK} == set(ScanMode)
-    assert {(mode, float(ohm)) for mode, ohm, *_ in FIRST_CHECK} >= {
-        (mode, Crossbar.suited(mode).sense_ohm) for mode in ScanMode
-    }
 
 
 @pytest.mark.parametrize("row", FULL_SCALE, ids=lambda row: row[0].name)

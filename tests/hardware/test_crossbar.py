@@ -8,10 +8,11 @@ import pytest
 from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError
-from geometry.wiring import crossings, crossings_from_pillars
+from geometry.wiring import crossings
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import STEP_SHARE, Corrector, Crossbar
 from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
+from tests.geometry.closed_forms import crossings_from_pillars
 
 REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 each_mode = pytest.mark.parametrize("mode", list(ScanMode))

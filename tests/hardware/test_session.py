@@ -14,7 +14,7 @@ import pytest
 from hardware import session
 from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
-from hardware.link.reception import LinkStatistics
+from hardware.link.reception import LinkStatistics, Reception
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import PortError, is_beginning, link_to
 from hardware.readout.calibration import Electronics
@@ -30,7 +30,7 @@ HEAD = encode(INFO)
 def recorded(path, *pieces, **options):
     """Record what ports give, one after the other; the summary, and what the file says."""
     ports = [ScriptedPort(HEAD, *each) for each in pieces]
-    scanner = Scanner("scripted", opener=lambda url, **options: ports.pop(0), **options)
+    scanner = Scanner("scripted", opener=lambda url, baud: ports.pop(0), **options)
     with scanner:
         n, met = record_scans(scanner, path, 60.0, append=path.exists())
     return n, met, read_recording(path)
@@ -40,35 +40,35 @@ def wires(*numbers):
     return [a_wire(number) for number in numbers]
 
 
-def test_what_was_lost_repeated_and_damaged_is_said_and_read_alike(tmp_path):
-    """Scans 65530 to 65540, of which 65533 and 65537 never came, 65535 came twice and 65534 damaged."""
-    damaged = bytearray(a_wire(65534))
-    damaged[50] ^= 1
-    first, second = wires(65530, 65531, 65532), wires(65535, 65535, 65536, 65538, 65539, 65540)
-    n, met, recording = recorded(tmp_path / "a.frames", [*first, bytes(damaged), *second])
-    assert (n, met.lost, met.repeated) == (8, 3, 1)
-    assert other_counts(met) == ["1 damaged", "1 repeated"]
-    assert recording.sequence.tolist() == [65530, 65531, 65532, 65535, 0, 2, 3, 4]
-    assert (recording.statistics.lost, recording.statistics.restarts) == (3, 0)
-    assert (recording.statistics.repeated, recording.statistics.bad_crc + recording.statistics.bad_cobs) == (1, 1)
+def spoilt(wire):
+    return wire[:50] + bytes([wire[50] ^ 1]) + wire[51:]
 
 
-def test_frames_of_another_board_are_in_the_summary(tmp_path):
-    other = a_wire(5, info=replace(INFO, rows=2))
-    n, met, recording = recorded(tmp_path / "a.frames", [*wires(0, 1), other, HEAD, *wires(2, 3)])
-    assert met.foreign == recording.statistics.foreign == 1
-    assert (n, met.lost, recording.statistics.lost) == (4, 0, 0)
-    assert "1 of another board" in other_counts(met)
+OTHER = a_wire(5, info=replace(INFO, rows=2))
+RECORDED = [  # what ports give, one after the other; scans; what is counted; in words
+    (  # 65533 and 65537 never came, 65535 came twice and 65534 damaged
+        [[*wires(65530, 65531, 65532), spoilt(a_wire(65534)), *wires(65535, 65535, 65536, 65538, 65539, 65540)]],
+        8,
+        {"lost": 3, "repeated": 1, "bad_crc": 1},
+        ["1 damaged", "1 repeated"],
+    ),
+    ([[*wires(0, 1), OTHER, HEAD, *wires(2, 3)]], 4, {"foreign": 1}, ["1 of another board"]),
+    (  # unplugged after scan 101, back at 150; then reset
+        [[*wires(100, 101), PortError("gone")], [*wires(150, 151), *wires(0, 1, 3)]],
+        7,
+        {"lost": 1, "restarts": 1},
+        ["1 restarts", "1 reconnects"],
+    ),
+]
 
 
-def test_restarts_and_new_connections_are_no_losses(tmp_path):
-    """Unplugged after scan 101, back at 150; then reset."""
-    n, met, recording = recorded(
-        tmp_path / "a.frames", [*wires(100, 101), PortError("gone")], [*wires(150, 151), *wires(0, 1, 3)]
-    )
-    assert (n, met.lost, met.restarts, met.reconnects) == (7, 1, 1, 1)
-    assert (recording.statistics.lost, recording.statistics.restarts) == (1, 1)
-    assert recording.run.tolist() == [0, 0, 1, 1, 2, 2, 2]
+@pytest.mark.parametrize(("pieces", "scans", "counted", "said"), RECORDED)
+def test_what_was_lost_repeated_and_damaged_is_said_and_read_alike(tmp_path, pieces, scans, counted, said):
+    n, met, recording = recorded(tmp_path / "a.frames", *pieces)
+    assert n == len(recording.sequence) == scans
+    assert other_counts(met) == said
+    for name in ("lost", "repeated", "restarts", "foreign", "bad_crc", "bad_cobs"):
+        assert getattr(met, name) == getattr(recording.statistics, name) == counted.get(name, 0)
 
 
 def test_frames_between_two_sessions_are_not_lost(tmp_path):
@@ -76,6 +76,7 @@ def test_frames_between_two_sessions_are_not_lost(tmp_path):
     recorded(path, wires(0, 1))
     n, met, recording = recorded(path, wires(500, 501, 503))
     assert (n, met.lost) == (3, 1)
+    assert recording.run.tolist() == [0, 0, 1, 1, 1]
     assert (recording.statistics.ok, recording.statistics.lost, recording.statistics.restarts) == (5, 1, 0)
 
 
@@ -87,37 +88,46 @@ def test_scans_that_were_not_taken_in_time_are_lost_and_said(tmp_path, queue):
     assert any("too slow" in said for said in other_counts(met))
 
 
-def a_link(*arrivals_s, rate_hz=150):
-    """A scanner of which scans made at a rate arrive so late; the board's clock wraps after half of them."""
-    first_us = 2**32 - 1e6 * len(arrivals_s) / 2 / rate_hz
-    scans = deque(
-        SimpleNamespace(
-            frame=SimpleNamespace(device_us=round(first_us + 1e6 * k / rate_hz) % 2**32), received_s=received_s
+def test_overruns_are_said_with_what_the_counter_cannot_hold():
+    """The board counts 255 and then no more."""
+    reception = Reception()
+    for second, (overruns, said) in enumerate([(12, "0"), (254, "242"), (255, "at least 243")]):
+        reception.take(a_wire(second, overruns=overruns), 1000.0 + second)
+        assert reception.statistics.overruns_said == f"{said} overruns"
+
+
+class Arrivals:
+    """A scanner of which scans made at 150 Hz arrive so late; the board's clock wraps after half of them."""
+
+    trouble = None
+
+    def __init__(self, *arrivals_s):
+        first_us = 2**32 - 1e6 * len(arrivals_s) / 2 / 150
+        self.stats = LinkStatistics(ok=len(arrivals_s))
+        self.scans = deque(
+            SimpleNamespace(frame=SimpleNamespace(device_us=round(first_us + 1e6 * k / 150) % 2**32), received_s=at_s)
+            for k, at_s in enumerate(arrivals_s)
         )
-        for k, received_s in enumerate(arrivals_s)
-    )
 
-    class Link:
-        stats, trouble = LinkStatistics(ok=len(arrivals_s)), None
-        ended = property(lambda self: not scans)
+    @property
+    def ended(self):
+        return not self.scans
 
-        def get(self, timeout):
-            return scans.popleft() if scans else None
-
-    return Link()
+    def get(self, timeout):
+        return self.scans.popleft() if self.scans else None
 
 
 def test_the_rates_of_a_link_are_by_the_hosts_and_the_boards_clock():
     """The host's clock runs 1 % faster than the board's, and every other scan is 2 ms late."""
     k = np.arange(301)
-    found = measure_link(a_link(*(7.0 + 1.01 * k / 150 + 2e-3 * (k % 2))), None, 60.0)
-    assert (found.scans, found.statistics["ok"]) == (301, 301)
-    assert found.seconds == pytest.approx(2.02)
-    assert found.rate_hz == pytest.approx(150 / 1.01)
-    assert found.device_rate_hz == pytest.approx(150, rel=1e-5)  # whole microseconds
-    assert found.jitter_us == pytest.approx(2000 / np.sqrt(2), rel=1e-2)  # steps scatter by √2 of what arrivals do
+    found = measure_link(Arrivals(*(7.0 + 1.01 * k / 150 + 2e-3 * (k % 2))), None, 60.0)
+    assert (found["scans"], found["statistics"]["ok"], found["latency_ms"]) == (301, 301, None)
+    assert found["seconds"] == pytest.approx(2.02)
+    assert found["rate_hz"] == pytest.approx(150 / 1.01)
+    assert found["device_rate_hz"] == pytest.approx(150, rel=1e-5)  # whole microseconds
+    assert found["jitter_us"] == pytest.approx(2000 / np.sqrt(2), rel=1e-2)  # steps scatter by √2 of what arrivals do
     with pytest.raises(ScannerError, match="2 scans within 60 s are too few"):
-        measure_link(a_link(0.0, 0.1), None, 60.0)
+        measure_link(Arrivals(0.0, 0.1), None, 60.0)
 
 
 def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from hardware.boards.simavr_board import UntrustedError, find_tools, require_own
+from hardware.boards.simavr_board import SimavrBoard, UntrustedError, find_tools, require_own
 from hardware.boards.simulated import firmware_built, suited_kind
 from hardware.link.frames import Info
 
@@ -81,4 +81,7 @@ def test_simulate_refuses_a_planted_program(tmp_path, monkeypatch):
         firmware_built(info)
     with pytest.raises(UntrustedError):
         suited_kind(info)  # not even where the chip is only one of two boards
+    planted.chmod(0o777)
+    with pytest.raises(UntrustedError, match="can be written by others"):
+        SimavrBoard(folder / "elf", "atmega328p", folder / "table", program=planted)
     assert not (tmp_path / "it-ran").exists()

@@ -1,12 +1,13 @@
 """The doctor on a machine that is well, and on one that is not."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from serial.tools import list_ports
 
 from fem.factor import SolverError
-from hardware.link import serial_ports as ports
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.doctor import known_answers, surroundings
@@ -41,8 +42,7 @@ def test_a_broken_solver_is_a_line_and_not_the_end_and_a_wrong_answer_is_told(mo
 
 
 def test_what_may_not_be_written_or_opened_is_wrong(monkeypatch):
-    listed = ports.ListedPort(device="/dev/null", description="", hardware_id="")
-    monkeypatch.setattr(ports, "list_ports", lambda: [listed])
+    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device="/dev/null")])
     assert surroundings.serial_ports().state == "ok"
     monkeypatch.setattr(surroundings.os, "access", lambda *_: False)
     for check, named in ((surroundings.cache(), "TRIPILLAR_CACHE"), (surroundings.serial_ports(), "dialout")):

@@ -80,7 +80,7 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
         for k, frame in enumerate(frames)
     ]
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: scans)
-    scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, dropped=3), Model()
+    scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
     model.knows_uncertainty = knows_uncertainty
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
     sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}

@@ -31,7 +31,7 @@ from hardware.boards import simavr_board, simulated, virtual_board
 from hardware.link.frames import Info
 from hardware.link.serial_ports import PortError, open_port
 import decoupler
-import geometry.pool, tripillar.cli.app, tripillar.sweep.memory
+import geometry.pool, tripillar.cli.app
 write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
 assert [path.name for path in Path().iterdir()] == ["a.nc"]
 assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))

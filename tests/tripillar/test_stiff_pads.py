@@ -20,12 +20,11 @@ from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
 from fem.pictures.scenery import pads_bar
-from fem.scene.loads import SceneError
-from fem.scene.scene import Probe
-from fem.scene.scene_file import scene_from_toml
+from fem.scene.loads import SceneError, StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import DesignError, FileFormatError
-from geometry.layout import electrode_squares
+from geometry.layout import electrode_squares, unit_centres
 from studies.pads import error_rows, map_row, with_pad
 from studies.paper.spacing import design_at
 from tests.fem.test_unit_check import structured
@@ -33,11 +32,19 @@ from tripillar.face.caller import Caller, called_by
 from tripillar.face.checks import mention_another_sensor
 from tripillar.pipeline.manufactured import as_made
 from tripillar.sweep.variables import Variable
-from tripillar.viewer.page import numbers
-from tripillar.viewer.page.scene import cell_sides
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, 0.0]])
+
+
+def scene_of_plates(off_mm=0.0):
+    """The pair under `TRACTION`, its second plate off its place."""
+    loads = [
+        StiffLoad(center_mm=(x - off_mm * (x > 0), y), size_mm=(12.0, 12.0), force_n=tuple(144.0 * traction))
+        for (x, y), traction in zip(unit_centres(PAIR), TRACTION, strict=True)
+    ]
+    probe = Probe(name="pad", kind="mean", center_mm=loads[0].center_mm, size_mm=(12.0, 12.0))
+    return Scene(body=Sensor(design=PAIR), material=PAIR.matrix_material, loads=tuple(loads), probes=(probe,))
 
 
 @pytest.fixture(scope="module")
@@ -61,39 +68,24 @@ def test_plates_are_drawn_plane_and_carry_their_electrodes(monkeypatch):
     assert list(parts)[-1] == "plates"  # of soft ones: pads
     assert pads_bar([parts]).title == "mean traction under a plate [MPa]"
     assert np.allclose(parts["plates"].traction_mpa[:144], TRACTION[0])
-    again = solve_scene_parts(scene_from_toml(numbers.scene_of(PAIR, TRACTION, 0)), stress=False)
+    again = solve_scene_parts(scene_of_plates(), stress=False)
     assert np.allclose(again["plates"].displacement_mm, parts["plates"].displacement_mm, atol=1e-12)
     assert np.allclose(again["plates"].traction_mpa, parts["plates"].traction_mpa)
     unloaded = sensor_parts(field, field.state(TRACTION[::-1]), stress=False)
     for shown in (parts, unloaded):
-        plate, electrodes = shown["plates"], shown["electrodes"]
-        side = np.sign(plate.points_mm[0, 0])
-        held = (electrodes.points_mm[:, 2] == 10.0) & (np.sign(electrodes.points_mm[:, 0]) == side)
-        points = np.vstack([plate.points_mm, electrodes.points_mm[held]])
-        moved = np.vstack([plate.displacement_mm, electrodes.displacement_mm[held]])
-        assert off_rigid(points, moved) < 1e-9 < 0.1 < np.ptp(moved[:, 2])  # it tilts
-
-
-def test_surfaces_of_the_page_are_cut_at_the_edges_of_plates():
-    points, _, _ = cell_sides(replace(PAIR, pad=Pad(size_mm=11.0, offset_x_mm=1.0, kind="stiff")))
-    assert np.allclose(np.unique(points[:, 0])[[1, -2]], [-4.5, 6.5])
-    assert np.allclose(np.unique(points[:, 1])[[1, -2]], [-5.5, 5.5])
-
-
-def test_scenes_of_the_page_hold_every_plate():
-    text = numbers.scene_of(PAIR, TRACTION, chosen=0)
-    assert text.count('kind = "stiff"\nforce_n = ') == 2
-    assert "force_n = [28.8, -14.4, -144.0]" in text
-    assert "force_n = [0.0, 0.0, 0.0]" in text
-    assert "traction_mpa" not in text
-    alone = text.replace("center_mm = [7.5, 0.0]\nsize_mm", "center_mm = [7.0, 0.0]\nsize_mm")
-    with pytest.raises(SceneError, match="square plates at the same place of every unit"):
-        solve_scene_parts(scene_from_toml(alone), stress=False)
+        parts = shown["plates"], shown["electrodes"]
+        points, moved = (np.vstack([getattr(p, name) for p in parts]) for name in ("points_mm", "displacement_mm"))
+        for side in (-1, 1):
+            own = (np.abs(points[:, 2] - 10.0) < 1e-6) & (np.sign(points[:, 0]) == side)
+            assert off_rigid(points[own], moved[own]) < 1e-9
+        assert np.ptp(moved[:, 2]) > 0.1  # they tilt
 
 
 def test_a_scene_with_every_plate_is_the_response(responses):
     """Solved by copies of one cell, it moves U1 and U2 of both units as the response says, to the tolerance of both."""
-    scene = scene_from_toml(numbers.scene_of(PAIR, TRACTION, 0))
+    scene = scene_of_plates()
+    with pytest.raises(SceneError, match="square plates at the same place of every unit"):
+        solve_scene_parts(scene_of_plates(off_mm=0.5), stress=False)
     squares = electrode_squares(PAIR)
     probes = [
         Probe(name=str(k), kind="mean", center_mm=tuple((s[:2] + s[2:]) / 2), size_mm=tuple(s[2:] - s[:2]))

@@ -82,7 +82,7 @@ def test_what_a_decoder_of_touch_cannot_is_refused(house):
     touch = ("--model", "touch.safetensors")
     for words, told in (
         (("export", *touch, "-o", "m.h"), "is a decoder of touch: export takes a model of loads on pads"),
-        (("train", "--touch", "--shape", "none.stl", "-o", "n.safetensors"), "there is no such file"),
+        (("train", "--touch", "--shape", "none.stl", "-o", "n.safetensors"), "no such file"),
         (("train", "--touch", "--shape", "text.stl", "-o", "n.safetensors"), "holds no triangles"),
         (("train", "--data", "indent.nc", "--shape", "tool.stl", "-o", "n.safetensors"), "is of decoders of touch"),
         (("evaluate", *touch, "--data", "large.nc"), "rows: model 1, data 6"),

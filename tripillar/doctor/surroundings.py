@@ -127,9 +127,9 @@ def display() -> Check:
 
 def serial_ports() -> Check:
     """List the serial ports and whether this user may open them."""
-    from hardware.link.serial_ports import list_ports
+    from serial.tools.list_ports import comports
 
-    found = [port.device for port in list_ports()]
+    found = sorted(port.device for port in comports())
     refused = [device for device in found if Path(device).exists() and not os.access(device, os.R_OK | os.W_OK)]
     if refused:
         advice = f"no permission for {', '.join(refused)}: sudo usermod -aG dialout $USER, then log in again."

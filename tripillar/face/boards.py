@@ -55,12 +55,14 @@ def info(
     if seconds is None and (model is not None or calibration is not None):
         raise DesignError("model= and calibration= are for measuring the link: add seconds= too, or leave them out.")
     if port is None:
-        found = stages.list_ports()
-        lines = [f"{each.device}  {each.description}  {each.hardware_id}" for each in found]
+        found = [
+            {"device": each.device, "description": each.description, "hardware_id": each.hwid}
+            for each in sorted(stages.comports())
+        ]
         if not found and not caller.as_json:
             caller.say("no serial port: plug the board in, or run 'tripillar board'")
-        result: dict[str, Any] = {"ports": [asdict(each) for each in found]}
-        caller.answer(lambda: result, "\n".join(lines))
+        result: dict[str, Any] = {"ports": found}
+        caller.answer(lambda: result, "\n".join("  ".join(each.values()) for each in found))
         return result
     decoupler = None if model is None else model_of(model)
     with stages.connect(port, calibration, **link) as (scanner, known):
@@ -73,12 +75,11 @@ def info(
             result |= {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
             caller.answer(lambda: result, "\n".join(f"{name:11} {value}" for name, value in result.items()))
             return result
-    result, table = asdict(measured), stages.plain_table
-    shown = {name: value for name, value in result.items() if name not in ("latency_ms", "statistics")}
-    shown |= {f"latency_{name}_ms": value for name, value in (measured.latency_ms or {}).items()}
-    tables = {"The board's link": shown, "What was met": measured.statistics}
-    caller.answer(lambda: result, lambda: [table(title, [row]) for title, row in tables.items()])
-    return result
+    shown = {name: value for name, value in measured.items() if name not in ("latency_ms", "statistics")}
+    shown |= {f"latency_{name}_ms": value for name, value in (measured["latency_ms"] or {}).items()}
+    tables = {"The board's link": shown, "What was met": measured["statistics"]}
+    caller.answer(lambda: measured, lambda: [stages.plain_table(title, [row]) for title, row in tables.items()])
+    return measured
 
 
 @job()

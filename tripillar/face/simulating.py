@@ -14,7 +14,7 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, DesignLike, File, Options, SceneLike, design_of, job, scene_of
+from tripillar.face.inputs import WIRES, DesignLike, File, Options, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse
@@ -32,8 +32,7 @@ def board(
     *,
     chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
     link: File | None = None,
-    scene: SceneLike | None = None,
-    pressure_mpa: float | None = None,
+    pressure_mpa: float = 3.0,
     period_s: float = 6.0,
     mode: Literal["zero-potential", "grounded", "divider"] = "zero-potential",
     rate_hz: int = 150,
@@ -56,13 +55,11 @@ def board(
         Board to be: the firmware on a simulated chip, or the same frames from Python.
     link : path, optional
         Link of this name to the port, to be kept while it runs.
-    scene : Scene or path, optional
-        Scene file (TOML) of an array, pressed again and again.
-    pressure_mpa : float, optional
+    pressure_mpa : float
         Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
-        rest; default: 3.
+        rest.
     period_s : float
-        Period of the press and slide, or of the scene [s].
+        Period of the press and slide [s].
     mode : str
         Circuit that reads the array.
     rate_hz : int
@@ -101,8 +98,6 @@ def board(
         raise DesignError(f"link={kept} exists and is no link: give another name for the link to the port.")
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
-    if scene is not None and (design is not None or pressure_mpa is not None):
-        raise DesignError("a scene has its own design and loads: leave design= and pressure_mpa= out.")
     if sys.platform == "win32":
         raise DesignError(stages.NO_TERMINALS)
     scan_mode = stages.scan_mode_named(mode)
@@ -111,10 +106,8 @@ def board(
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     own = Imperfections(**SPECIMEN.of(more))
-    script = stages.PressAndSlide(peak_mpa=3.0 if pressure_mpa is None else pressure_mpa, seconds=period_s)
-    if scene is not None:
-        motion = stages.scene_motion(scene_of(scene), period_s)
-    elif design is None or isinstance(design, SensorDesign | Path | str):
+    script = stages.PressAndSlide(peak_mpa=pressure_mpa, seconds=period_s)
+    if design is None or isinstance(design, SensorDesign | Path | str):
         motion = stages.press_and_slide(stages.respond(design_of(design), caller.bars)[1], script)
     else:
         motion = stages.press_and_slide(design, script)
@@ -122,7 +115,7 @@ def board(
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
-    counts = stages.counts_over_time(motion, replace(electronics.crossbar(told), noise=noise), own)
+    counts = stages.counts_over_time(motion.resistance_ohm, replace(electronics.crossbar(told), noise=noise), own)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
     with stages.run_board(suited, told, counts, kept) as running:

@@ -60,12 +60,11 @@ if TYPE_CHECKING:
     from geometry.mould import write_cad
     from geometry.pool import open_pool
     from hardware.boards.simulated import (
-        PressAndSlide, counts_over_time, press_and_slide, run_board, scene_motion, suited_kind, write_truth,
+        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, write_truth,
     )  # fmt: skip
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
-    from hardware.link.serial_ports import list_ports
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -79,6 +78,7 @@ if TYPE_CHECKING:
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
+    from serial.tools.list_ports import comports
     from tripillar.doctor import Check
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
@@ -91,15 +91,15 @@ if TYPE_CHECKING:
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
     from tripillar.sweep.finite_samples import simulate_finite
     from tripillar.sweep.leaves import LeafJob, make_directory
-    from tripillar.sweep.optimize import search, trial_sample, tried
+    from tripillar.sweep.optimize import search
     from tripillar.sweep.rows import Row, write_parquet
-    from tripillar.sweep.run import are_cached, judge_all, kept_rows
+    from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_parallel, draw_pareto, ranked, reasons
+    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
     from tripillar.terminal.force_view import print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import PageOptions, open_page
+    from tripillar.viewer.page.opening import open_page
     from tripillar.viewer.showing import require_shown, show_deformed
     from tripillar.viewer.sights import largest_mm, linear_note, read_body
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -65,7 +65,6 @@ def sweep(
     trials: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    train: bool = False,
     retry: bool = False,
     best: int = 8,
 ) -> "list[stages.Row]":
@@ -87,8 +86,6 @@ def sweep(
         Number of worker processes; default: one a core.
     scheduler : str, optional
         Address of a Dask scheduler to use instead of processes here.
-    train : bool
-        Train the network of every design, too; not in a search.
     retry : bool
         Try designs that failed before once more; not in a search.
     best : int
@@ -101,30 +98,26 @@ def sweep(
     """
     caller, source, folder = current(), Path(file), Path(out)
     require_pool(workers if scheduler is None else None, scheduler)
-    if optimize and (train or retry):
-        raise DesignError("train=True and retry=True are of sweeps: leave them out with optimize=True.")
+    if optimize and retry:
+        raise DesignError("retry=True is of sweeps: leave it out with optimize=True.")
     if trials is not None and not optimize:
         raise DesignError("trials= are of a search: add optimize=True, or leave trials= out.")
     asked = stages.read_sweep(source)
-    asked = replace(asked, judging=replace(asked.judging, train=train), samples=trials or asked.samples)
-    pool: dict[str, Any] = {"count": workers, "scheduler": scheduler, "log": folder / f"{source.stem}-workers.log"}
+    asked = replace(asked, samples=trials or asked.samples)
     if optimize:
-        return _optimized(asked, source, folder, pool)
+        return _optimized(asked, source, folder, workers, scheduler)
     require_packages("pyarrow", "matplotlib")
     samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
     found = stages.kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
-    if missing:
-        tasks = 0 if stages.are_cached(missing, asked.judging) else None
-        with last_words(STOPPED.format(journal.folder)), stages.open_pool(**pool, tasks=tasks) as workers_there:
-            found |= stages.judge_all(missing, asked.judging, workers_there, journal, _shown("designs", len(missing)))
+    with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
+        found |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
     stages.write_parquet(rows, files[0])
     if not all(row.failed for row in rows):
-        files += [folder / f"{source.stem}-pareto.png", folder / f"{source.stem}-parallel.png"]
+        files.append(folder / f"{source.stem}-pareto.png")
         stages.draw_pareto(rows, asked, files[1])
-        stages.draw_parallel(rows, asked, files[2])
     failed = stages.reasons(rows)
     result = {
         "designs": len(rows),
@@ -140,16 +133,14 @@ def sweep(
     return rows
 
 
-def _optimized(asked: "stages.Sweep", source: Path, folder: Path, pool: dict[str, Any]) -> "list[stages.Row]":
+def _optimized(
+    asked: "stages.Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None
+) -> "list[stages.Row]":
     """The designs within bounds that a search tried, the best one first."""
     require_packages("optuna")
-    journal, history = (Journal(folder / f"{source.stem}-{kind}") for kind in ("rows", "trials"))
-    done = [stages.trial_sample(asked, shares) for shares in stages.tried(asked, history)]
-    rows = list(stages.kept_rows(done, journal).values())
-    left = max(0, asked.samples - len(done))
-    if left or len(rows) < len({sample.cache_key for sample in done}):
-        with history.alone(), last_words(STOPPED.format(journal.folder)), stages.open_pool(**pool) as workers:
-            rows = stages.search(asked, workers, journal, history, _shown("trials", left))
+    journal = Journal(folder / f"{source.stem}-rows")
+    with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
+        rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))
     best = stages.ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
@@ -157,7 +148,7 @@ def _optimized(asked: "stages.Sweep", source: Path, folder: Path, pool: dict[str
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    result = {"trials": len(done) + left, "tried_now": left, "designs": len(rows), "best": best[0].flat()}
+    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat()}
     table = stages.best_table
     current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
     return best

@@ -110,7 +110,7 @@ def view(
             raise DesignError(f"the page of serve=True has controls of its own: leave {surplus} out.")
         raise DesignError(f"add serve=True, whose page these are for, or leave {surplus} out.")
     if serve:
-        _serve(stages.PageOptions(**of_page), design if body is None else body)
+        _serve(of_page, design if body is None else body)
         return {}
     pressures, factor, file = _pressures(pressure_mpa), _factor(scale), None if save is None else Path(save)
     stages.require_shown(file)
@@ -140,12 +140,12 @@ def _read(body: "BodyLike") -> Any:
     return stages.read_body(Path(body)) if isinstance(body, Path | str) else body
 
 
-def _serve(options: "stages.PageOptions", source: "BodyLike | None") -> None:
+def _serve(of_page: dict[str, Any], source: "BodyLike | None") -> None:
     """Serve the page of a design until Ctrl-C."""
     design = None if source is None else _read(source)
     if isinstance(design, stages.Scene):
         raise DesignError(f"{source} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
-    stages.open_page(options, design, current().bars, current().as_json)
+    stages.open_page(design, current().bars, current().as_json, **of_page)
     if current().is_typed:
         leave_at_once()
 

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from trimesh import creation
 
 from fem.contact import Capsule, Convex, Shape
 from geometry.errors import ArgumentError, needing
@@ -82,7 +84,7 @@ class ContactReader:
         if not mm_per_length > 0:
             raise ArgumentError(f"mm_per_length={mm_per_length!r} must be above 0; 1000 for a model in metres.")
         self.model, self.mm_per_length = model, float(mm_per_length)
-        self._shapes: dict[int, Capsule | Convex] = {}
+        self._shape = cache(lambda geom: _shape(model, geom, self.mm_per_length))
         self._site = _number(model, "site", site)
         if geom is not None:
             self._is_slab = np.arange(model.ngeom) == _number(model, "geom", geom)
@@ -102,13 +104,14 @@ class ContactReader:
         found = self.read(data)
         axes = data.site_xmat[self._site].reshape(3, 3)
         slab = np.flatnonzero(self._is_slab)
-        middle = data.geom_xpos[slab] + np.einsum(
-            "gab,gb->ga", data.geom_xmat[slab].reshape(-1, 3, 3), self.model.geom_aabb[slab, :3]
+        turned, (middle, half) = (
+            axes.T @ data.geom_xmat[slab].reshape(-1, 3, 3),
+            np.split(self.model.geom_aabb[slab], 2, 1),
         )
-        reach = np.einsum(
-            "gab,gb->ga", np.abs(axes.T @ data.geom_xmat[slab].reshape(-1, 3, 3)), self.model.geom_aabb[slab, 3:]
-        )
-        top = ((middle - data.site_xpos[self._site]) @ axes + reach)[:, 2].max()
+        above = (data.geom_xpos[slab] - data.site_xpos[self._site]) @ axes
+        top = (above + np.einsum("gab,gb->ga", turned, middle) + np.einsum("gab,gb->ga", np.abs(turned), half))[
+            :, 2
+        ].max()
         bodies = {}
         for geom in np.unique(found.geoms).tolist():
             place = (data.geom_xpos[geom] - data.site_xpos[self._site]) @ axes - (0.0, 0.0, top)
@@ -118,11 +121,6 @@ class ContactReader:
                 float(found.force_n[found.geoms == geom, 2].sum()),
             )
         return bodies
-
-    def _shape(self, geom: int) -> Capsule | Convex:
-        if geom not in self._shapes:
-            self._shapes[geom] = _shape(self.model, geom, self.mm_per_length)
-        return self._shapes[geom]
 
     def read(self, data: Any) -> SurfaceContacts:
         """Contacts of a `mujoco.MjData`; after ``mj_step`` those of the state that the step began with."""
@@ -200,14 +198,11 @@ def _shape(model: Any, geom: int, mm_per_length: float) -> Capsule | Convex:
     if kind == kinds.mjGEOM_CAPSULE:
         return Capsule(x, 2.0 * y)
     if kind == kinds.mjGEOM_BOX:
-        return Convex.hull(np.stack(np.meshgrid(*np.outer(size, (-1.0, 1.0))), axis=-1).reshape(-1, 3))
-    turns = np.arange(ROUND) * 2.0 * np.pi / ROUND
-    around = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        return Convex.hull(creation.box(2.0 * size).vertices)
     if kind == kinds.mjGEOM_CYLINDER:
-        return Convex.hull(np.vstack([np.column_stack([x * around, np.full(ROUND, end)]) for end in (-y, y)]))
+        return Convex.hull(creation.cylinder(x, 2.0 * y, sections=ROUND).vertices)
     if kind == kinds.mjGEOM_ELLIPSOID:
-        up = around[: ROUND // 2 + 1]
-        return Convex.hull(np.concatenate([np.column_stack([s * around, np.full(ROUND, c)]) for c, s in up]) * size)
+        return Convex.hull(creation.icosphere().vertices * size)
     if kind == kinds.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]

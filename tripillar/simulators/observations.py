@@ -76,21 +76,9 @@ class TactileObservation(gymnasium.Wrapper):
     model decodes them, or resistances of the pillars z, x, y [Ω]. ``info["tactile"]`` is the net force of MuJoCo's
     contacts on the slab's top, (3,) [N], in the sensor's frame.
 
-    Parameters
-    ----------
-    env : gymnasium.Env
-        ``env.unwrapped`` has MuJoCo's ``model`` and ``data``, which stay the same objects.
-    sensor : VirtualSensor
-        Of one environment; each reset draws its imperfections anew, by the seed if there is one.
-    observe : {"newtons", "ohms"}
-    **slab
-        Where it is in the model, as `ContactReader` takes it: site, geom or body, mm_per_length.
-
-    Raises
-    ------
-    ArgumentError
-        If the environment has no model, the model no such names, the sensor no decoder for newtons or another number
-        of environments.
+    ``env.unwrapped`` has MuJoCo's ``model`` and ``data``, which stay the same objects. The `VirtualSensor` is of one
+    environment; each reset draws its imperfections anew, by the seed if there is one. ``**slab`` says where it is in
+    the model, as `ContactReader` takes it. What does not fit together is an `ArgumentError`.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
 """Samples at finite strain made by a pool: each group is kept as it comes, so that a killed run is taken up again."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from threading import Lock
 
 from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups, samples_of
@@ -16,32 +15,23 @@ from geometry.storage.journal import Journal
 from tripillar.sweep.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GroupJob:
-    """All that groups of one dataset need."""
-
-    response: ArrayResponse
-    settings: DatasetSettings
-
-    @property
-    def journal(self) -> Journal:
-        """Groups of one protocol, seed, cap and sensor in the cache, whatever number is wanted."""
-        return Journal(cache_folder() / f"samples-{group_cache_key(self.response, self.settings)}")
-
-
 _solvers: dict[str, GroupSolver] = {}  #: of this process, the last one only
 _one_at_a_time = Lock()  #: a worker of Dask may have several threads, a factor takes one
 
 
-def group(number: int, job: GroupJob) -> Group:
+def group(number: int, response: ArrayResponse, settings: DatasetSettings) -> Group:
     """Make a group, in a worker; its solver is kept for the next one."""
     with _one_at_a_time:
-        key = group_cache_key(job.response, job.settings)
+        key = group_cache_key(response, settings)
         if key not in _solvers:
             _solvers.clear()
-            _solvers[key] = GroupSolver(job.response, job.settings)
-        return _solvers[key].group(job.settings, number)
+            _solvers[key] = GroupSolver(response, settings)
+        return _solvers[key].group(settings, number)
+
+
+def groups_of(response: ArrayResponse, settings: DatasetSettings) -> Journal:
+    """Groups of one protocol, seed, cap and sensor in the cache, whatever number is wanted."""
+    return Journal(cache_folder() / f"samples-{group_cache_key(response, settings)}")
 
 
 def simulate_finite(
@@ -72,18 +62,16 @@ def simulate_finite(
     OSError
         If a file cannot be written.
     """
-    job = GroupJob(response=response, settings=settings)
-    journal, numbers = job.journal, range(n_groups(settings.samples))
-    kept = {number: journal.read(f"{number:07d}", Group.of_plain) for number in numbers}
-    groups = {number: group for number, group in kept.items() if group is not None}
-    missing = [number for number in numbers if number not in groups]
+    journal, keys = groups_of(response, settings), [f"{number:07d}" for number in range(n_groups(settings.samples))]
+    groups = journal.kept(keys, Group.of_plain)
+    missing = [number for number, key in enumerate(keys) if key not in groups]
     if missing and response.design.electrics.is_conduction:
         typical_conduction(response.design)  # once in the cache, not by every worker
     words = f"stopped; the samples in {journal.folder} are kept: give the same command again to go on."
-    with last_words(words), open_pool(count, scheduler, journal.folder / "workers.log", len(missing)) as pool:
+    with last_words(words), open_pool(count, scheduler, len(missing)) as pool:
         progress(len(groups), "workers begin")
-        for number, made in made_parts(pool, group, missing, job, "groups of samples"):
-            journal.keep(f"{number:07d}", made.as_plain())
-            groups[number] = made
+        for number, made in made_parts(pool, group, missing, "groups of samples", response, settings):
+            journal.keep(keys[number], made.as_plain())
+            groups[keys[number]] = made
             progress(1, f"{made.iterations.mean():.0f} iterations a sample")
-    return samples_of(response, settings, [groups[number] for number in numbers], readout)
+    return samples_of(response, settings, [groups[key] for key in keys], readout)

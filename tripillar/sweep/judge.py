@@ -3,29 +3,23 @@
 Every force is judged by the pillar named after it, its own. Definitions with their equations are in docs/results.md.
 """
 
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from dataset import Samples
-from dataset.measurement import ReadingError, measured
+from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS, forces
-from dataset.resistance import effective_lengths, largest_factors, pillar_resistances
+from dataset.resistance import largest_factors
 from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
-from decoupler.evaluation.metrics import evaluate
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.touch.limits import touch_limits
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
-from geometry.errors import TriPillarError
-from geometry.layout import AXES, PILLARS, FloatArray, pillar_volumes
-from tripillar.sweep.memory import peak_mib
+from geometry.layout import AXES, PILLARS, FloatArray
 from tripillar.sweep.rows import DISTANCES, Metrics, Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
@@ -33,53 +27,27 @@ from tripillar.sweep.sweep_file import Judging
 OWN_AXIS = tuple(AXES.index(pillar) for pillar in PILLARS)  #: the force component that each pillar is named after
 LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is the mean of
 SEED = 0  #: of those draws, the same for every design
-SPLITS = {"train": (3000, 1), "test": (400, 2)}  #: samples and seed of the trained net's data
-FAILURES = (TriPillarError, MemoryError, ArithmeticError, np.linalg.LinAlgError)  #: errors that a design may fail by
 
 
 def row_of(sample: Sample, judging: Judging) -> Row:
-    """Judge a design; one that fails gives a row with the reason."""
-    unjudged = Row(cache_key=sample.cache_key, values=sample.values, design=None, reason=sample.reason)
-    if sample.design is None:
-        return unjudged
-    row = replace(unjudged, design=design_to_toml(sample.design))
+    """Judge a sample that has a design. Errors are those of `array_response`, `metrics_of` and `touch_limits`."""
+    assert sample.design is not None
     start = perf_counter()
-    try:
-        response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
-        metrics = metrics_of(response, judging.noise, judging.bits, judging.cap)
-        if judging.touch_n:
-            errors = ReadingError(noise=judging.noise, bits=judging.bits)
-            net, place = touch_limits(sample.design, judging.touch_n, errors)
-            metrics |= {"touch_net_pct": net, "touch_place_mm": place}
-        row = replace(row, sensitivity_per_n=sensitivities(response))
-    except FAILURES as error:
-        return replace(row, reason=f"{type(error).__name__}: {error}", metrics=_cost(start))
-    if judging.train:
-        try:
-            metrics |= training_errors(response, judging.noise, judging.bits, judging.cap)
-        except FAILURES as error:
-            row = replace(row, note=f"not trained: {error}")
+    response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
+    metrics = metrics_of(response, judging.noise, judging.bits, judging.cap)
+    if judging.touch_n:
+        errors = ReadingError(noise=judging.noise, bits=judging.bits)
+        net, place = touch_limits(sample.design, judging.touch_n, errors)
+        metrics |= {"touch_net_pct": net, "touch_place_mm": place}
     spent = {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
-    return replace(row, metrics=metrics | spent | _cost(start))
+    metrics |= spent | {"seconds": perf_counter() - start}
+    return Row(cache_key=sample.cache_key, values=sample.values, design=design_to_toml(sample.design), metrics=metrics)
 
 
-def failed_row(sample: Sample, error: BaseException, more: str = "") -> Row:
-    """The row of a design that ended its worker, or failed by an unforeseen error."""
-    reason = f"{type(error).__name__}: {error}".splitlines()[0] + more
-    return Row(cache_key=sample.cache_key, values=sample.values, design=None, reason=reason)
-
-
-def sensitivities(response: ArrayResponse) -> list[list[list[float]]]:
-    """Relative resistance change of every pillar by 1 N of its own force, (rows, cols, 3) as lists [1/N]."""
-    design = response.design
-    G = relative_slopes(SensorModel.of(response, component_named("all")))
-    by_unit = self_sensitivities(G, design.n_units).reshape(design.array.rows, design.array.cols, -1)
-    found: list[list[list[float]]] = by_unit.tolist()
-    return found
-
-
-def _cost(start: float) -> Metrics:
-    return {"seconds": perf_counter() - start, "peak_mib": peak_mib()}
+def failed_row(sample: Sample, reason: str) -> Row:
+    """The row of numbers that make no design, or of a design that could not be judged."""
+    design = None if sample.design is None else design_to_toml(sample.design)
+    return Row(cache_key=sample.cache_key, values=sample.values, design=design, reason=reason)
 
 
 def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Metrics:
@@ -203,30 +171,6 @@ def largest_pressures(response: ArrayResponse, cap: float) -> tuple[float, float
     traction[..., AXES.index("z")] = down
     factors = largest_factors(displacements(response, traction, ("z",)), response.design.unit, cap)
     return float(factors[:-1].min()), float(factors[-1])
-
-
-def training_errors(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Metrics:
-    """Errors of the joint network, trained and tested on noisy samples of loads like those of the noise-limited error.
-
-    Raises
-    ------
-    DesignError
-        If the converter cannot tell the design's resistances.
-    """
-    from decoupler import train  # loads torch: only where something is trained
-
-    design, samples = response.design, {}
-    for split, (count, seed) in SPLITS.items():
-        force_n, moved = loads_at_cap(response, cap, count, seed)
-        newtons = force_n.reshape(len(force_n), -1, 3) * np.array([1.0, 1.0, -1.0])
-        lengths = effective_lengths(response, moved, newtons).reshape(force_n.shape)
-        exact_ohm = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-        ohm = measured(exact_ohm, noise, bits, np.random.default_rng([seed, 1]))
-        samples[split] = Samples(resistance_ohm=ohm, force_n=force_n, design=design, noise=noise, bits=bits)
-    network = NetworkConfig(feature="inverse")
-    model = train(samples["train"], "all", network, TrainingConfig(), response=response)
-    errors = evaluate(model, samples["test"])
-    return {f"trained_{axis}_n": errors[f"f{axis}"].rmse_n for axis in AXES}
 
 
 def _number(value: float) -> float | None:

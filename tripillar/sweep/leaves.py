@@ -21,7 +21,7 @@ from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
-from geometry.errors import DesignError, NotWrittenError
+from geometry.errors import NotWrittenError
 from geometry.pool import open_pool
 from geometry.storage.files import digest, reported
 from geometry.storage.journal import Journal
@@ -117,30 +117,29 @@ def make_directory(
     LoadError
         If samples cannot be made.
     DesignError
-        If the unfinished folder is of other settings or used by another process, workers were lost with some leaves,
-        or the scheduler is lost. What was made is kept.
+        If another process makes it, workers were lost with some leaves, or the scheduler is lost. What was made is
+        kept.
     NotWrittenError
         If the disk is full or the place may not be written to. What was made is kept.
     """
     first = job.part(0, 1)  # refuses what no worker could make
     recipe = digest("zarr", first.made_from["recipe"], job.named, job.dtype)
-    folder = unfinished(out)
+    folder = unfinished(out, job)
     if is_current(out, recipe):
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
         return Made(recipe=recipe, redrawn=int(read_samples(out).made_from["redrawn"]), kept=job.settings.samples)
-    journal, numbers = records(folder), range(n_leaves(job.settings.samples))
+    journal, numbers = Journal(folder), range(n_leaves(job.settings.samples))
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
-    with reported(out, folder / "any"), Journal(folder).alone(), last_words(f"stopped; {go_on}"):
+    with reported(out, folder / "any"), journal.alone(), last_words(f"stopped; {go_on}"):
         try:
-            _require_same(folder, job)
             read = {number: journal.read(job.key(number), partial(_intact, folder, number)) for number in numbers}
             found = {number: record for number, record in read.items() if record is not None}
-            missing = [number for number in numbers if number not in found]
             kept = sum(job.size(number) for number in found)
             progress(kept)
-            with open_pool(count, scheduler, folder / "workers.log", len(missing)) as pool:
-                for number, (made, redrawn) in made_parts(pool, leaf, missing, job, "parts of the data set"):
+            missing = [number for number in numbers if number not in found]
+            with open_pool(count, scheduler, len(missing)) as pool:
+                for number, (made, redrawn) in made_parts(pool, leaf, missing, "parts of the data set", job):
                     write_leaf(folder / "data.zarr", number, made)
                     found[number] = {
                         "redrawn": redrawn,
@@ -162,15 +161,10 @@ def make_directory(
     return Made(recipe=recipe, redrawn=redrawn, kept=kept)
 
 
-def unfinished(out: Path) -> Path:
-    """Folder of a data set's leaves until all are there."""
+def unfinished(out: Path, job: LeafJob) -> Path:
+    """Folder of a data set's leaves until all are there; that of other settings is another one."""
     target = Path(os.path.realpath(out))
-    return target.with_name(f"{target.name}.unfinished")
-
-
-def records(folder: Path) -> Journal:
-    """Records of the leaves in an unfinished folder."""
-    return Journal(folder / "leaves")
+    return target.with_name(f"{target.name}.unfinished-{job.cache_key[:8]}")
 
 
 def _intact(folder: Path, number: int, record: dict[str, Any]) -> dict[str, Any]:
@@ -201,18 +195,6 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
             target.mkdir(exist_ok=True)
         else:
             path.replace(target)
-
-
-def _require_same(folder: Path, job: LeafJob) -> None:
-    """Refuse a folder of other settings; state those of a new one."""
-    journal = Journal(folder)
-    stated = journal.read("job", lambda plain: plain["cache_key"])
-    if stated is None or not records(folder).keys():
-        journal.keep("job", {"cache_key": job.cache_key})
-    elif stated != job.cache_key:
-        raise DesignError(
-            f"{folder} holds an unfinished data set of other settings: give those again to finish it, or remove it."
-        )
 
 
 def _hash(content: bytes) -> str:

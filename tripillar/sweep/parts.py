@@ -10,9 +10,9 @@ AHEAD = 2  #: parts given to each worker, so that none waits for what came to be
 
 
 def made_parts(
-    pool: Pool, make: Callable[..., Any], numbers: Sequence[int], job: Any, parts: str
+    pool: Pool, make: Callable[..., Any], numbers: Sequence[int], parts: str, *shared: Any
 ) -> Iterator[tuple[int, Any]]:
-    """Numbers of parts with what `make` (number, job) gives, as they come; `parts` names them in messages.
+    """Numbers of parts with what `make` (number, *shared) gives, as they come; `parts` names them in messages.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def made_parts(
         When all others are made, if some failed; or if the scheduler is lost.
     """
     failed: dict[int, Exception] = {}
-    for number, made in pool.done(make, numbers, job, ahead=AHEAD):
+    for number, made in pool.done(make, numbers, *shared, ahead=AHEAD):
         if isinstance(made, TriPillarError):
             raise made
         if isinstance(made, Exception):

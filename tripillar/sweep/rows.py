@@ -58,13 +58,6 @@ METRICS = {
     "seconds_mesh": ("meshing", "s", "of which meshing its cell"),
     "seconds_condense": ("condensing", "s", "of which condensing it"),
     "seconds_couple": ("coupling", "s", "of which coupling the array"),
-    "peak_mib": ("memory", "MiB", "largest memory of the worker so far"),
-    **{
-        f"trained_{axis}_n": (
-            f"trained error of F{axis}", "N", f"error of the trained joint net in F{axis}, root mean square"
-        )
-        for axis in AXES
-    },
 }  # fmt: skip
 
 Metrics = dict[str, float | None]
@@ -77,10 +70,8 @@ class Row:
     cache_key: str  #: hash of the design and of how it was judged
     values: dict[str, float]  #: of the varied keys
     design: str | None  #: as a design file; None if the numbers make no design
-    metrics: Metrics = field(default_factory=dict)  #: by the names of `METRICS`; costs alone if the design failed
-    sensitivity_per_n: list[list[list[float]]] | None = None  #: (rows, cols, 3): of every pillar by its own force
+    metrics: Metrics = field(default_factory=dict)  #: by the names of `METRICS`
     reason: str = ""  #: why it failed
-    note: str = ""  #: why the trained net is missing
 
     @property
     def failed(self) -> bool:
@@ -99,7 +90,6 @@ class Row:
             **self.values,
             "failed": self.failed,
             "reason": self.reason,
-            "note": self.note,
             **{name: self.metrics.get(name) for name in METRICS},
             "design": self.design,
         }
@@ -121,18 +111,13 @@ def metric_label(name: str) -> str:
 
 
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as a Parquet table, whole or not at all, with `sensitivity_per_n` as nested lists."""
+    """Write rows as a Parquet table, whole or not at all; its metrics have their units and meaning as metadata."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    nested = pa.list_(pa.list_(pa.list_(pa.float64())))
-    types = dict.fromkeys(("recipe", "reason", "note", "design"), pa.string()) | {"failed": pa.bool_()}
-    types |= {"sensitivity_per_n": nested}
+    types = dict.fromkeys(("recipe", "reason", "design"), pa.string()) | {"failed": pa.bool_()}
     notes = {name: {"units": units, "meaning": meaning} for name, (_, units, meaning) in METRICS.items()}
-    notes["sensitivity_per_n"] = {
-        "units": "1/N", "meaning": "relative resistance change of each pillar by its own force, at rest (rows, cols, 3)"
-    }  # fmt: skip
-    lines = [{**row.flat(), "sensitivity_per_n": row.sensitivity_per_n} for row in rows]
+    lines = [row.flat() for row in rows]
     schema = pa.schema([pa.field(name, types.get(name, pa.float64()), metadata=notes.get(name)) for name in lines[0]])
     content = pa.BufferOutputStream()
     pq.write_table(pa.Table.from_pylist(lines, schema=schema), content)

@@ -40,7 +40,7 @@ def samples_of(sweep: Sweep) -> list[Sample]:
 def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
     """The value of each variable in each design."""
     if sweep.sampling == "grid":
-        return list(product(*(variable.grid() for variable in sweep.variables)))
+        return list(product(*(variable.values for variable in sweep.variables)))
     n_variables = len(sweep.variables)
     if sweep.sampling == "sobol":
         # a Sobol sequence is balanced at powers of two; the first of the next one are taken

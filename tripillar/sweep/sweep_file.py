@@ -29,7 +29,6 @@ class Judging:
     bits: int | None = None  #: of the converter; None reads exactly
     cap: float = quantity(0.3, "largest strain of a pillar")
     touch_n: float = quantity(0.0, "normal force of a touch on bare rubber; 0: touches are not judged")
-    train: bool = False  #: the joint network is trained as well
 
     def __post_init__(self) -> None:
         require_sound(self)
@@ -103,13 +102,12 @@ class Sweep:
                     f"{name} needs touch_n, the normal force of a touch: write touch_n = 20.0 in [sweep]."
                 )
         if self.sampling == "grid":
-            count = math.prod(len(variable.grid()) for variable in self.variables)
+            ranged = next((variable for variable in self.variables if not variable.values), None)
+            if ranged is not None:
+                raise DesignError(f"{ranged.name}: a grid needs values in place of a range.")
+            count = math.prod(len(variable.values) for variable in self.variables)
             if count > MAX_SAMPLES:
-                raise DesignError(f"the grid has {count} designs, at most {MAX_SAMPLES} are taken: use fewer steps.")
-        else:
-            gridded = next((variable for variable in self.variables if variable.steps is not None), None)
-            if gridded is not None:
-                raise DesignError(f"{gridded.name}: steps belong to sampling = 'grid'.")
+                raise DesignError(f"the grid has {count} designs, at most {MAX_SAMPLES} are taken: use fewer values.")
 
     def excess(self, metrics: dict[str, float | None]) -> float:
         """Sum of how far a design's metrics are out of bounds; 0 if all are within."""
@@ -131,7 +129,7 @@ def sweep_from_dict(table: dict[str, Any], source: str = "the sweep") -> Sweep:
 def _sweep(table: dict[str, Any]) -> Sweep:
     STRICT.require_keys(table, ("design", "sweep", "vary", "bounds"))
     settings = STRICT.table(table, "sweep")
-    judged = tuple(spec.name for spec in fields(Judging) if spec.name != "train")
+    judged = tuple(spec.name for spec in fields(Judging))
     own = ("sampling", "samples", "seed", "least")
     STRICT.require_keys(settings, (*own, *judged), " in [sweep]")
     sweep: Sweep = STRICT.made(

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import wrap
-from typing import Any
 
 import numpy as np
 from rich.markup import escape
@@ -18,12 +16,7 @@ from tripillar.sweep.variables import Variable
 
 SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
-BEST, FEW = 5, 4  #: designs drawn thick: so many, or one in so many of a small sweep
 AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
-BESIDE = ("range_n", "crosstalk_1", "condition")  #: metrics of the parallel axes, after the keys
-HOPELESS = 100.0  #: times the least value of a metric; worse designs are drawn at the edge
-PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.8}  #: behind texts
-PALE = 0.55  #: strength of colour of the lines that are not among the best
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
@@ -68,9 +61,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = [row for row in rows if not row.failed]
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    whole = column(sound, sweep.least)
-    error = _clipped(whole)
-    is_clipped = error < whole
+    error = column(sound, sweep.least)
     variable = telling_variable(sound, sweep)
     shade = np.array([row.values[variable.name] for row in sound])
     norm = LogNorm() if _is_wide(shade) else Normalize()
@@ -82,12 +73,9 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
-        for marker, those in (("o", within & ~is_clipped), ("^", within & is_clipped)):
-            axes.scatter(
-                other[those], error[those], c=shade[those], s=42, marker=marker, cmap="viridis", norm=norm,
-                edgecolors="white", linewidths=0.6, zorder=3,
-            )  # fmt: skip
-        front = pareto(np.where(within & ~is_clipped, error, np.inf), -other if more else other)
+        points = {"s": 42, "cmap": "viridis", "norm": norm, "edgecolors": "white", "linewidths": 0.6, "zorder": 3}
+        axes.scatter(other[within], error[within], c=shade[within], **points)
+        front = pareto(np.where(within, error, np.inf), -other if more else other)
         order = front[np.argsort(other[front])]
         line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
         axes.step(other[order], error[order], where="pre" if more else "post", **line)
@@ -98,56 +86,8 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
     figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
-    counts = {"more failed": len(rows) - len(sound), "with larger errors still: triangles": int(is_clipped.sum())}
-    parts = [f"{len(sound)} designs", *(f"{count} {what}" for what, count in counts.items() if count)]
-    figure.suptitle("; ".join(parts), fontsize=12)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
-
-
-def draw_parallel(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
-    """Write a PNG of parallel coordinates: a line a design through its keys and metrics, the best ones thick."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import to_rgb
-    from matplotlib.figure import Figure
-
-    sound = [row for row in rows if not row.failed]
-    best = {row.cache_key for row in ranked(rows, sweep)[: min(BEST, -(-len(sound) // FEW))]}
-    kept: list[tuple[str, FloatArray, bool]] = []  # label, values and whether they are cut of each axis
-    for variable in sweep.variables:
-        kept.append((variable.label, np.array([row.values[variable.name] for row in sound]), False))
-    for name in dict.fromkeys((sweep.least, *BESIDE)):
-        whole = column(sound, name)
-        if np.isfinite(whole).any():
-            kept.append((metric_label(name), _clipped(whole), bool((whole > _clipped(whole)).any())))
-    heights = np.array([_share(values) for _, values, _ in kept])
-    goal = heights[len(sweep.variables)]
-    shades = colormaps["viridis"]
-    figure = Figure(figsize=(1.25 * len(kept) + 2.0, 5.4), dpi=100, layout="constrained")
-    axes = figure.subplots()
-    places = np.arange(len(kept))
-    for k in np.argsort(-goal):  # the best are drawn last, on top
-        thick = sound[k].cache_key in best
-        colour = np.array(shades(0.95 * goal[k])[:3] if not sweep.excess(sound[k].metrics) else to_rgb(GREY))
-        paler = colour if thick else 1.0 - PALE * (1.0 - colour)
-        axes.plot(places, heights[:, k], color=tuple(paler), linewidth=2.6 if thick else 1.0, zorder=3 if thick else 2)
-    for place, (_, values, is_cut) in enumerate(kept):
-        axes.axvline(place, color="#333333", linewidth=1.0, zorder=1)
-        for share, text in _ticks(values):
-            above = "≥ " if is_cut and share == 1.0 else ""
-            axes.text(place + 0.05, share, above + text, fontsize=8, va="center", zorder=5, bbox=PAPER)
-            axes.plot([place - 0.03, place + 0.03], [share, share], color="#333333", linewidth=1.0)
-    axes.set_xticks(places, ["\n".join(wrap(label, 14)) for label, _, _ in kept], fontsize=9)
-    axes.xaxis.set_ticks_position("top")
-    axes.tick_params(length=0)
-    failed = len(rows) - len(sound)
-    axes.set_title(f"{len(sound)} designs" + (f"; {failed} more failed" if failed else ""), fontsize=12, pad=14)
-    axes.set(yticks=[], xlim=(-0.3, places[-1] + 0.6), ylim=(-0.04, 1.04))
-    axes.spines[:].set_visible(False)
-    bar = figure.colorbar(ScalarMappable(cmap=shades), ax=axes, pad=0.01, shrink=0.7, ticks=[])
-    grey = "; grey: out of bounds" if sweep.bounds else ""
-    bar.set_label(f"{metric_label(sweep.least)}: dark is least; thick: the {len(best)} best{grey}", fontsize=9)
+    failed = f"; {len(rows) - len(sound)} more failed" if len(sound) < len(rows) else ""
+    figure.suptitle(f"{len(sound)} designs{failed}", fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -166,47 +106,19 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
-    """The variable of the strongest rank correlation with the minimised metric, hopeless designs left out."""
+    """The variable of the strongest rank correlation with the minimised metric."""
     error = column(rows, sweep.least)
-    sane = error == _clipped(error)
-    error = error[sane]
 
     def agreement(variable: Variable) -> float:
-        values = np.array([row.values[variable.name] for row in rows])[sane]
+        values = np.array([row.values[variable.name] for row in rows])
         if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
             return 0.0
-        return abs(float(spearmanr(values, error).statistic))
+        return abs(float(spearmanr(values, error, nan_policy="omit").statistic))
 
     return max(sweep.variables, key=agreement)
-
-
-def _clipped(values: FloatArray) -> FloatArray:
-    """Values not above `HOPELESS` times the least, so that a few singular designs do not squeeze all others."""
-    least = np.nanmin(values, initial=np.inf)
-    return np.minimum(values, HOPELESS * least) if least > 0 else values
 
 
 def _is_wide(values: FloatArray) -> bool:
     """Whether values are so far apart that their axis is logarithmic."""
     finite = values[np.isfinite(values)]
     return bool(len(finite) and finite.min() > 0 and finite.max() > WIDE * finite.min())
-
-
-def _share(values: FloatArray) -> FloatArray:
-    """Places of values on their axis, from the least (0) to the largest (1)."""
-    on_axis = np.log(values) if _is_wide(values) else values
-    low, high = np.nanmin(on_axis), np.nanmax(on_axis)
-    return (on_axis - low) / (high - low) if high > low else np.full(len(values), 0.5)
-
-
-def _ticks(values: FloatArray, count: int = 5) -> list[tuple[float, str]]:
-    """Places and texts along an axis of the parallel coordinates."""
-
-    def text(number: float) -> str:
-        return f"{number:.3g}" if abs(number) < 1000 else f"{number:,.0f}"
-
-    low, high = np.nanmin(values), np.nanmax(values)
-    if not high > low:
-        return [(0.5, text(low))]
-    places = np.geomspace(low, high, count) if _is_wide(values) else np.linspace(low, high, count)
-    return [(share, text(place)) for share, place in zip(np.linspace(0.0, 1.0, count), places, strict=True)]

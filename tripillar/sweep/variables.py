@@ -24,23 +24,18 @@ def _numeric_keys(table: Table, prefix: str = "") -> dict[str, type]:
 
 #: every numeric key of a design by its dotted name, with its type; sweeps judge designs by eq. 1
 KEYS = _numeric_keys({name: value for name, value in asdict(SensorDesign()).items() if name != "electrics"})
-LABELS = {
-    "resistivity_ohm_mm": ("resistivity", "Ω mm"),
-    "unit.span_mm": ("span", "mm"),
-    "unit.height_mm": ("height", "mm"),
-    "unit.pillar_width_mm": ("pillar width", "mm"),
-    "unit.electrode_mm": ("electrode", "mm"),
-    "array.rows": ("rows", ""),
-    "array.cols": ("columns", ""),
-    "array.pitch_mm": ("pitch", "mm"),
-    "pad.size_mm": ("pad", "mm"),
-    "pad.offset_x_mm": ("pad offset in x", "mm"),
-    "pad.offset_y_mm": ("pad offset in y", "mm"),
-    "pillar_material.young_mpa": ("pillars' modulus", "MPa"),
-    "pillar_material.poisson": ("pillars' Poisson ratio", ""),
-    "matrix_material.young_mpa": ("matrix modulus", "MPa"),
-    "matrix_material.poisson": ("matrix Poisson ratio", ""),
-}  #: names of the keys for tables and pictures, and units
+UNITS = {"_ohm_mm": "Ω mm", "_mm": "mm", "_mpa": "MPa"}  #: by the ending of a key
+
+
+def label_of(key: str) -> str:
+    """A key as words with its unit.
+
+    >>> label_of("array.pitch_mm"), label_of("array.rows"), label_of("matrix_material.young_mpa")
+    ('array pitch [mm]', 'array rows', 'matrix material young [MPa]')
+    """
+    ending = next((ending for ending in UNITS if key.endswith(ending)), "")
+    words = key.removesuffix(ending).translate(str.maketrans("._", "  "))
+    return f"{words} [{UNITS[ending]}]" if ending else words
 
 
 def _is_number(given: Any) -> bool:
@@ -57,7 +52,6 @@ class Variable:
     values: tuple[float, ...] = ()  #: instead of a range
     log: bool = False  #: the range is sampled evenly in its logarithm
     of: str | None = None  #: key of whose value the numbers are shares
-    steps: int | None = None  #: points of a range in a grid
 
     def __post_init__(self) -> None:
         for key in (*self.key, *([] if self.of is None else [self.of])):
@@ -77,15 +71,13 @@ class Variable:
         if bool(self.values) == (self.low is not None or self.high is not None):
             raise DesignError(f"{self.name}: give either values, or low and high.")
         if self.values:
-            if self.log or self.steps is not None:
-                raise DesignError(f"{self.name}: log and steps belong to a range: leave them out, or the values.")
+            if self.log:
+                raise DesignError(f"{self.name}: log belongs to a range: leave it out, or the values.")
             return
         if self.low is None or self.high is None or not self.low < self.high:
             raise DesignError(f"{self.name}: low must be below high, both given; low={self.low}, high={self.high}.")
         if self.log and not self.low > 0:
             raise DesignError(f"{self.name}: low={self.low:g} must be above 0 where log = true.")
-        if self.steps is not None and (not isinstance(self.steps, int) or self.steps < 2):
-            raise DesignError(f"{self.name}: steps={self.steps!r} must be a whole number of at least 2.")
 
     @property
     def name(self) -> str:
@@ -94,13 +86,8 @@ class Variable:
 
     @property
     def label(self) -> str:
-        """Its name in tables and pictures: the names of all its keys, with their unit.
-
-        >>> Variable(key=("array.pitch_mm",), low=1.0, high=2.0).label
-        'pitch [mm]'
-        """
-        names, units = zip(*(LABELS[key] for key in self.key), strict=True)
-        return ", ".join(names) + (f" [{units[0]}]" if units[0] else "")
+        """Its name in tables and pictures: the words of all its keys, with their units."""
+        return ", ".join(label_of(key) for key in self.key)
 
     def at(self, share: float) -> float:
         """The value at a share from 0 to below 1 of its range, or of its list of values.
@@ -115,14 +102,6 @@ class Variable:
         if self.log:
             return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
         return self.low + share * (self.high - self.low)
-
-    def grid(self) -> list[float]:
-        """All its values in a grid."""
-        if self.values:
-            return list(self.values)
-        if self.steps is None:
-            raise DesignError(f"{self.name}: a grid needs values, or steps of the range.")
-        return [self.at(number / (self.steps - 1)) for number in range(self.steps)]
 
 
 def value_of(table: Table, key: str) -> Any:

@@ -114,8 +114,8 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 continue
             shown = time.monotonic()
             notes = [scanner.trouble] if scanner.trouble else []
-            if not streams and (latest := scanner.latest()) is not None:
-                frame = sensor.forces(latest, RENEWED_S)
+            if newest and not streams:
+                frame = sensor.forces(newest[-1], RENEWED_S)
             if frame is None:
                 screen.update(Group("waiting for scans", *notes), refresh=True)
                 continue
@@ -179,7 +179,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 "explained": not frame.unexplained,
                 "faults": list(frame.faults),
                 "saturated": int(frame.saturated.sum()),
-                "dropped": sensor.scanner.dropped,
+                "dropped": sensor.scanner.stats.dropped,
                 **wrench_content(frame.net()),
             }
             if frame.contacts is not None:

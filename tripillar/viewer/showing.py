@@ -39,37 +39,25 @@ def show_deformed(
     camera: Camera,
     bars: "Bars",
 ) -> "tuple[dict[str, Parts], float]":
-    """Solve for what is shown, and show it in a window or write it to a file.
+    """Solve for what is shown, and show it in a window or write it to a file, of which `require_shown` approves.
 
     Parameters
     ----------
     body : SensorDesign or Scene
     save : Path, optional
-        File of a kind in `NEEDS`; None opens a window, and returns when it is closed.
-    pressures_mpa : sequence of float
-        One picture each, of a design; a scene has its own loads.
-    load : str
-        Load of a design: a round indenter over the middle of the array, or all pads alike.
-    colour : str
-        Quantity shown as colour.
+        None opens a window, and returns when it is closed.
+    pressures_mpa, load : sequence of float, str
+        Of a design, one picture each; a scene has its own loads.
+    colour, camera : str
     scale : float, optional
         Factor of the displacement as drawn; None chooses one that shows it well.
-    camera : str
-        Direction to look from.
     bars : Bars
-        Shows progress.
 
     Returns
     -------
     dict of Parts, float
         The deformed parts by the name of their picture, and the scale.
-
-    Raises
-    ------
-    DesignError, FileFormatError
-        If there is no display for a window, or the file cannot be of this kind.
     """
-    require_shown(save)
     from fem.pictures.deformation import DeformedPicture
     from fem.pictures.scenery import QUANTITIES
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks

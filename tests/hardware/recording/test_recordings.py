@@ -8,11 +8,11 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import FileFormatError
-from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, Statistics, encode
+from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.recording.recorded_frames import CALIBRATION, INFO, MADE_FROM, assert_same, frames, record
-from tests.hardware.test_decoder import U8, U16, U32, infos
+from tests.hardware.test_decoder import U8, U32, infos
 
 EACH_FILE = settings(
     max_examples=50,
@@ -29,61 +29,47 @@ def path(tmp_path):
     return tmp_path / "press.frames"
 
 
-@st.composite
-def boards(draw):
-    """A board, and frames of it, each with its time of arrival and whether a run begins with it."""
-    info = draw(infos(max_rows=3, max_cols=3))
-    sequence, device_us, sent = draw(U16), draw(U32), []
-    generator = np.random.default_rng(draw(U32))
-    for _ in range(draw(st.integers(1, 12))):
-        sent.append(
-            Frame(
-                sequence=sequence,
-                device_us=device_us,
-                bits=info.bits,
-                counts=generator.integers(0, 2**info.bits, info.n_crossings),
-                saturated=draw(st.booleans()),
-                scan_mode=info.scan_mode,
-                overruns=draw(U8),
-            )
-        )
-        sequence = (sequence + draw(st.sampled_from([1, 1, 1, 2, 700, 40_000]))) % 2**16
-        device_us = (device_us + draw(st.integers(1, 2**31 - 1))) % 2**32
-    arrivals = draw(st.lists(st.floats(1e9, 9.9e9), min_size=len(sent), max_size=len(sent)))
-    begins = ["", *draw(st.lists(BEGINS, min_size=len(sent) - 1, max_size=len(sent) - 1))]
-    return info, list(zip(sent, arrivals, begins, strict=True))
+#: of each frame its steps in sequence and clock, arrival, whether a run begins with it, and the rest of it
+STEPS = st.tuples(
+    st.sampled_from([1, 1, 1, 2, 700, 40_000]), st.integers(1, 2**31 - 1), st.floats(1e9, 9.9e9), BEGINS, U8, U32
+)
 
 
 @EACH_FILE
-@given(boards(), st.text(max_size=20), st.sampled_from([{}, MADE_FROM]), st.builds(Statistics, bad_crc=U8, foreign=U8))
-def test_what_was_recorded_is_read_to_the_last_bit(path, board, calibration, made_from, met):
-    """In several sessions and runs; by a decoder's counts of what is lost, and nothing lost from run to run."""
-    info, scans = board
+@given(
+    infos(max_rows=3, max_cols=3),
+    st.lists(STEPS, min_size=1, max_size=12),
+    st.text(max_size=20),
+    st.sampled_from([{}, MADE_FROM]),
+    st.builds(Statistics, bad_crc=U8, foreign=U8),
+)
+def test_what_was_recorded_is_read_to_the_last_bit(path, info, steps, calibration, made_from, met):
+    """In several sessions and runs; what is lost and restarted as the recorders counted it, one frame after another."""
     path.unlink(missing_ok=True)
-    recorder, decoder, lost, restarts = Recorder(path, info, calibration, made_from), FrameDecoder(), 0, 0
-    for frame, arrival, begins in scans:
-        if begins:
-            restarts += decoder.statistics.restarts + (begins == "restart")
-            lost += decoder.statistics.lost
-            decoder = FrameDecoder()
-            if begins == "append":
-                recorder.close()
-                recorder = Recorder(path, info, calibration, made_from, append=True)
-            else:
-                recorder.begin_run(begins)
-        recorder.append(frame, arrival)
-        decoder.feed(encode(frame))
-    recorder.close(met)
+    recorders, sent, sequence, device_us = [Recorder(path, info, calibration, made_from)], [], 2**15, 2**31
+    for number, ticks, _, _, overruns, seed in steps:
+        sequence, device_us = (sequence + number) % 2**16, (device_us + ticks) % 2**32
+        counts = np.random.default_rng(seed).integers(0, 2**info.bits, info.n_crossings)
+        given = {"bits": info.bits, "scan_mode": info.scan_mode, "saturated": seed % 2 == 0, "overruns": overruns}
+        sent.append(Frame(sequence=sequence, device_us=device_us, counts=counts, **given))
+    arrivals, runs = [arrival for _, _, arrival, *_ in steps], ["", *(begins for *_, begins, _, _ in steps[1:])]
+    for frame, arrival, begins in zip(sent, arrivals, runs, strict=True):
+        if begins == "append":
+            recorders[-1].close()
+            recorders.append(Recorder(path, info, calibration, made_from, append=True))
+        elif begins:
+            recorders[-1].begin_run(begins)
+        recorders[-1].append(frame, arrival)
+    recorders[-1].close(met)
     recording = read_recording(path.rename(path.with_suffix(".nc")))  # told by content, not by name
-    sent, arrivals, begins = zip(*scans, strict=True)
     assert_same(recording, sent, arrivals)
     assert [encode(frame) for frame in recording.frames()] == [encode(frame) for frame in sent]
     assert (recording.info, recording.calibration, recording.made_from) == (info, calibration, made_from)
     found = recording.statistics
     assert (found.bad_crc, found.foreign, found.ok) == (met.bad_crc, met.foreign, len(sent))
-    assert found.lost == lost + decoder.statistics.lost
-    assert found.restarts == restarts + decoder.statistics.restarts
-    assert recording.run[-1] == sum(map(bool, begins)) + found.restarts - begins.count("restart")
+    assert found.lost == sum(recorder.lost for recorder in recorders)
+    assert found.restarts == sum(recorder.restarts for recorder in recorders)
+    assert recording.run[-1] == sum(map(bool, runs)) + found.restarts - runs.count("restart")
 
 
 def test_clocks_are_unwrapped_and_go_on_by_the_hosts_from_run_to_run(path):

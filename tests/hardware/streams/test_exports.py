@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from decoupler.touch.contacts import TouchContact
 
+from decoupler.touch.decoder import TouchContact
 from geometry.errors import FileFormatError
 from hardware import convert, replay, write_forces
 from hardware.readout.wrench import SIGNS

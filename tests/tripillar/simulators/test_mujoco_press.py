@@ -1,10 +1,7 @@
 """The examples: the press's decoded forces are MuJoCo's, in real time and in pictures."""
 
-import ctypes.util
-import os
 import re
 import runpy
-import subprocess
 import sys
 
 import numpy as np
@@ -55,28 +52,3 @@ def test_the_environment_presses_with_about_the_wanted_force(press_env, capsys, 
     rewards = re.findall(r"reward (−?-?[\d.]+)", capsys.readouterr().out)
     assert len(rewards) == 2
     assert all(float(reward) > -0.05 for reward in rewards)
-
-
-@pytest.mark.skipif(not ctypes.util.find_library("EGL"), reason="EGL is not installed")
-@pytest.mark.parametrize("drawn_by", ["egl", "glfw"])
-def test_a_picture_needs_no_display_where_egl_is(drawn_by):
-    code = (
-        "import mujoco\nfrom finger_on_slab import FINGERTIP, finger_on_slab, renderer\n"
-        "model = finger_on_slab(FINGERTIP, 8.0)\ndata = mujoco.MjData(model)\nmujoco.mj_forward(model, data)\n"
-        "with renderer(model, 64, 48) as drawn:\n    drawn.update_scene(data)\n    print(drawn.render().std())\n"
-    )
-    places = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "examples")]), "DISPLAY": ""}
-    environment = os.environ | places | {"MUJOCO_GL": drawn_by}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=ROOT)
-    if drawn_by == "egl":
-        assert float(done.stdout) > 10, done.stderr
-    else:
-        assert "DrawingError: MuJoCo cannot draw here (no display): without a display set MUJOCO_GL=egl" in done.stderr
-
-
-def test_a_missing_package_is_named_before_anything_begins(example, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "imageio", None)
-    monkeypatch.setitem(example["main"].__globals__, "find_spec", lambda name: None if name == "imageio" else True)
-    with pytest.raises(SystemExit, match=r"imageio not installed: pip install .*tripillar\[film\]"):
-        example["main"](film=tmp_path / "press.mp4")
-    assert not list(tmp_path.iterdir())

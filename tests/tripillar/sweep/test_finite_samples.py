@@ -13,66 +13,55 @@ from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.pool import WorkerLost, in_parallel
 from tripillar.sweep import finite_samples as finite
-from tripillar.sweep.finite_samples import GroupJob
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=1, pitch_mm=20.0), pad=Pad(kind="stiff"))
+INFLUENCE = np.full((1, 1, 2, 3, 1, 1, 3), 1e-3)
 #: stands in for a response: samples at finite strain need one to correct their grids
 NOMINAL = ArrayResponse(
-    design=DESIGN,
-    influence_mm_per_n=np.full((1, 1, 2, 3, 1, 1, 3), 1e-3),
-    residual=0.0,
-    unknowns=1,
-    seconds={},
-    error_estimate=1e-3,
+    design=DESIGN, influence_mm_per_n=INFLUENCE, residual=0.0, unknowns=1, seconds={}, error_estimate=1e-3
 )
-
-
-@pytest.fixture
-def job(tmp_path, monkeypatch):
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "cache"))
-    return GroupJob(response=NOMINAL, settings=DatasetSettings(protocol="light", samples=3 * GROUP))
+SETTINGS = DatasetSettings(protocol="light", samples=3 * GROUP)
 
 
 def blank(number):
     whole = np.full(GROUP, number)
     shape = {"traction_mpa": (GROUP, 1, 3), "displacement_mm": (GROUP, 1, 2, 3), "resistance_ratio": (GROUP, 1, 3)}
     arrays = {name: np.full(size, number / 3) for name, size in shape.items()}
-    return Group(
-        **arrays, error_estimate=whole / 3, ratio_error=whole / 3, iterations=whole, redrawn=whole, unsolved=whole
-    )
+    numbers = dict.fromkeys(("iterations", "redrawn", "unsolved"), whole)
+    return Group(**arrays, error_estimate=whole / 3, ratio_error=whole / 3, **numbers)
 
 
-def test_lost_groups_are_told_and_the_others_taken_up_again(job, monkeypatch):
-    given = []
+def test_lost_groups_are_told_and_the_others_taken_up_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path / "cache"))
+    given, journal = [], finite.groups_of(NOMINAL, SETTINGS)
 
-    def made(bad, number, _):
+    def made(bad, number, *_):
         given.append(number)
         if number in bad:
             raise bad[number]
         return blank(number)
 
-    def samples(**bad):
-        monkeypatch.setattr(finite, "group", partial(made, {int(key[1:]): error for key, error in bad.items()}))
+    def samples(bad=()):
+        monkeypatch.setattr(finite, "group", partial(made, dict(bad)))
         given.clear()
-        return finite.simulate_finite(job.response, job.settings, count=1)
+        return finite.simulate_finite(NOMINAL, SETTINGS, count=1)
 
     with pytest.raises(DesignError, match=r"1 of 3 groups of samples failed, such as number 1: WorkerLost: ended"):
-        samples(_1=WorkerLost("ended by SIGKILL"))
-    assert job.journal.keys() == ["0000000", "0000002"]
-    (job.journal.folder / "0000002.json").write_text('{"traction_mpa": []}')  # damaged
+        samples({1: WorkerLost("ended by SIGKILL")})
+    assert journal.keys() == ["0000000", "0000002"]
+    (journal.folder / "0000002.json").write_text('{"traction_mpa": []}')  # damaged
     found = samples()
     assert given == [1, 2]
     assert np.array_equal(found.displacement_mm.reshape(3, GROUP, 1, 2, 3)[2], blank(2).displacement_mm)
-    samples()
-    assert given == []
-    (job.journal.folder / "0000000.json").unlink()
+    (journal.folder / "0000000.json").unlink()
     with pytest.raises(LoadError, match="raise the cap"):  # which no worker can do, and nobody tries again
-        samples(_0=LoadError("raise the cap"))
+        samples({0: LoadError("raise the cap")})
+    assert given == [0]
 
 
-def test_processes_make_to_the_last_bit_what_this_one_does(job):
-    here = [finite.group(number, job) for number in (1, 2)]
-    there = in_parallel([(finite.group, number, job) for number in (1, 2)], lambda number: None)
+def test_processes_make_to_the_last_bit_what_this_one_does():
+    here = [finite.group(number, NOMINAL, SETTINGS) for number in (1, 2)]
+    there = in_parallel([(finite.group, number, NOMINAL, SETTINGS) for number in (1, 2)], lambda number: None)
     for found, expected in zip(there, here, strict=True):
         for name, values in vars(expected).items():
             assert np.array_equal(getattr(found, name), values)

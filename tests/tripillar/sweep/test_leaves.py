@@ -11,12 +11,13 @@ from dataset.leaves import LEAF
 from dataset.simulation import BLOCK, LoadError
 from geometry import Array, DesignError, SensorDesign
 from geometry.errors import NotWrittenError
+from geometry.storage.journal import Journal
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import sensor
 from tests.house import House
 from tests.tripillar.made_files import a_model
 from tripillar.pipeline import run as pipeline
-from tripillar.sweep.leaves import LeafJob, make_directory, records, unfinished
+from tripillar.sweep.leaves import LeafJob, make_directory, unfinished
 
 RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
 
@@ -89,14 +90,13 @@ def test_what_is_there_is_not_made_again_unless_it_is_damaged(tmp_path, caplog):
     assert len(read_samples(out)[:]) == LEAF + 9
 
 
-def test_a_damaged_part_is_made_anew_and_another_data_set_refused(tmp_path):
+def test_a_damaged_part_is_made_anew_and_another_data_set_has_a_place_of_its_own(tmp_path):
     out = tmp_path / "data.zarr"
     with pytest.raises(Stopped):
         make_directory(job(3 * LEAF), out, count=1, progress=stopping_after(2))
-    chunk = unfinished(out) / "data.zarr/force_n/0.0.0.0"
+    chunk = unfinished(out, job(3 * LEAF)) / "data.zarr/force_n/0.0.0.0"
     chunk.write_bytes(b"\0" * chunk.stat().st_size)  # as a crash of the machine may leave it
-    with pytest.raises(DesignError, match=r"data\.zarr\.unfinished holds an unfinished data set of other settings"):
-        make_directory(job(3 * LEAF, dtype="float32"), out, count=1)
+    assert make_directory(job(9, dtype="float32"), out, count=1).kept == 0
     assert make_directory(job(3 * LEAF), out, count=1).kept == LEAF
     assert np.array_equal(read_samples(out)[:].force_n, simulate(RESPONSE, job(3 * LEAF).settings).force_n)
 
@@ -107,7 +107,7 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
     real = Path.write_bytes
 
     def full(path, content):
-        if path.name == "chunk.new" and len(records(unfinished(out)).keys()) == 1:
+        if path.name == "chunk.new" and len(Journal(unfinished(out, job(2 * LEAF))).keys()) == 1:
             return real(Path("/dev/full"), content)
         return real(path, content)
 
@@ -116,18 +116,6 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
         make_directory(job(2 * LEAF), out, count=1)
     monkeypatch.undo()
     assert make_directory(job(2 * LEAF), out, count=1).kept == LEAF
-
-
-@pytest.mark.filterwarnings("ignore")  # of dask's own
-def test_workers_of_a_scheduler_make_the_same(tmp_path):
-    from distributed import LocalCluster
-
-    here = make_directory(job(2 * LEAF + 1, only=()), tmp_path / "here.zarr", count=1)
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
-        made = make_directory(job(2 * LEAF + 1, only=()), tmp_path / "there.zarr", None, cluster.scheduler_address)
-    assert made == here
-    one, other = (read_samples(tmp_path / f"{name}.zarr").content_hash for name in ("here", "there"))
-    assert one == other
 
 
 def test_nothing_is_left_of_what_cannot_begin(tmp_path, monkeypatch):

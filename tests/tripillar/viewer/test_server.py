@@ -15,10 +15,8 @@ import pytest
 
 from tests.tripillar.viewer.visitor import PATIENT_S, Visitor, frame, memory_mb, rest
 from tripillar.viewer.page import server as server_module
-from tripillar.viewer.page.server import MAX_BROWSERS, MAX_BYTES, Guard, Server, listening_on
-from tripillar.viewer.page.session import BURST_S, MAX_A_SECOND
-
-FILES = ("", "page.js", "page.css", "picture.js")
+from tripillar.viewer.page.page import BURST_S, MAX_A_SECOND
+from tripillar.viewer.page.server import FILES, MAX_BROWSERS, MAX_BYTES, AddressError, Guard, Server, listening_on
 
 
 @pytest.fixture(autouse=True)
@@ -53,27 +51,21 @@ def on_page(*hosts, **bounds):
 
 @on_page()
 async def test_the_token_is_asked_for_and_kept_in_a_strict_cookie(visitor):
-    for path in (*FILES, "socket", "?token=", "?token=wrong", "nothing"):
-        assert (await visitor.get(path))[0] == 403, path
+    for path in ("", *FILES, "socket", "?token=", "?token=wrong", "nothing", f"page.js?token={visitor.token}"):
+        assert (await visitor.get(path))[0] == 403, path  # the token opens the page alone
     for token in ("wrong", "\xff"):
         assert (await visitor.get("page.js", Cookie=visitor.cookie(token)))[0] == 403
-    assert (await visitor.get(f"page.js?token={visitor.token}"))[0] == 403  # it opens the page alone
     status, headers, text = await visitor.get(f"?token={visitor.token}")
-    assert (status, visitor.token in text) == (200, False)
+    assert (status, visitor.token in text, len(visitor.token) >= 43) == (200, False, True)  # 256 bits
     said = headers["Set-Cookie"]
     assert said.startswith(visitor.cookie(visitor.token))
     assert {"HttpOnly", "SameSite=Strict"} <= {word.strip() for word in said.split(";")}
     assert "script-src 'self';" in headers["Content-Security-Policy"]
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     assert headers["Referrer-Policy"] == "no-referrer"  # the address holds the token
-    for path in FILES:
+    for path in ("", *FILES):
         assert (await visitor.get(path, Cookie=visitor.cookie(visitor.token)))[0] == 200
-
-
-def test_each_server_has_a_long_token_of_its_own(subject):
-    one, other = (Server(subject, "127.0.0.1")._guard.token for _ in range(2))
-    assert one != other
-    assert len(one) >= 43  # 256 bits
+    assert Guard("127.0.0.1").token != visitor.token
 
 
 @on_page()
@@ -109,13 +101,24 @@ async def test_other_machines_come_by_the_address_that_they_ask_for(visitor):
         assert (await visitor.get("", **place))[0] == 403  # without the token
 
 
-def test_a_name_that_the_user_gave_is_one_of_the_servers():
-    guard = Guard("Lab-PC.local")
-    assert guard.is_ours("lab-pc.local:8080", "192.0.2.7")
-    assert guard.is_ours("192.0.2.7:8080", "192.0.2.7")
-    assert guard.is_ours("[2001:db8::1]:8080", "2001:db8:0:0::1")
-    for name in ("lab-pc", "localhost:8080", "192.0.2.8", "2001:db8::1", ""):
-        assert not guard.is_ours(name, "192.0.2.7"), name
+@pytest.mark.parametrize(
+    ("host", "address", "is_ours"),
+    [
+        ("lab-pc.local:8080", "192.0.2.7", True), ("192.0.2.7:8080", "192.0.2.7", True),
+        ("[2001:db8::1]:8080", "2001:db8:0:0::1", True), ("lab-pc", "192.0.2.7", False),
+        ("localhost:8080", "192.0.2.7", False), ("192.0.2.8", "192.0.2.7", False),
+        ("2001:db8::1", "192.0.2.7", False), ("", "192.0.2.7", False),
+    ],
+)  # fmt: skip
+def test_a_name_that_the_user_gave_is_one_of_the_servers(host, address, is_ours):
+    assert Guard("Lab-PC.local").is_ours(host, address) == is_ours
+
+
+def test_a_port_that_is_taken_is_refused_in_a_line():
+    with listening_on("127.0.0.1", 0) as taken, pytest.raises(AddressError, match=r"cannot listen on 127\.0\.0\.1"):
+        listening_on("127.0.0.1", taken.getsockname()[1])
+    with pytest.raises(AddressError, match="give another --host"):
+        listening_on("192.0.2.1", 0)  # none of this machine's
 
 
 @on_page()
@@ -158,8 +161,8 @@ WRONG_VALUES = {
 WRONG_MESSAGES = [
     "", "no JSON", "[]", '"set"', "{", '{"set": ' + "[" * 30_000, '{"set": ' + 900 * "[" + 900 * "]" + "}",
     *(json.dumps(message) for message in (
-        {"file": "/etc/passwd"}, {"file": ["csv"]}, {"application.exit": []}, {"set": None}, {"set": [["pad", 1]]},
-        {"do": "exit"}, {"do": ["reset"]}, {"turn": 1}, {"turn": [1, "2"]}, {"turn": [1e9, 0]}, {"nearer": 0},
+        {"file": "/etc/passwd"}, {"application.exit": []}, {"set": None}, {"set": [["pad", 1]]}, {"do": "exit"},
+        {"do": ["reset"]}, {"turn": 1}, {"turn": [1, "2"]}, {"turn": [1e9, 0]}, {"nearer": 0},
         {"nearer": float("nan")}, {"move": [0, 6]}, {"size": [0, 100]}, {"size": [5000, 100]}, {"size": ["800", 600]},
         {"restore": {}}, {"restore": {"controls": {"pad": 9999}}},
         {"restore": {"controls": {}, "traction_mpa": [0.0] * 5}},
@@ -172,10 +175,9 @@ WRONG_MESSAGES = [
 async def test_what_no_control_can_say_is_refused_and_the_page_stays(visitor):
     values = [{"set": {name: value}} for name, wrong in WRONG_VALUES.items() for value in wrong]
     values.append({"set": {"pressure": 2.0, "pad": 9999}})  # one wrong: none is taken
-    messages = [*map(json.dumps, values), *WRONG_MESSAGES]
     async with visitor.browser() as browser:
         before = dict(browser.controls)
-        for message in messages:
+        for message in (*map(json.dumps, values), *WRONG_MESSAGES):
             await browser.socket.send_str(message)
             assert await browser.heard("refused"), message[:80]
         await browser.socket.send_bytes(b"\x00" * 13)
@@ -206,29 +208,28 @@ async def test_each_browser_has_a_state_of_its_own_and_each_pad_its_load(visitor
         assert {"controls": again.controls, "traction_mpa": again.shown["traction_mpa"]} == kept
 
 
-@on_page(MAX_BROWSERS=1)
-async def test_one_browser_more_than_there_are_places_is_told_so(visitor):
+@on_page(HEARTBEAT_S=1.0, MAX_BROWSERS=1)
+async def test_one_browser_too_many_is_told_so_and_a_silent_one_leaves_its_place(visitor):
     assert MAX_BROWSERS == 8
     async with visitor.browser(), visitor.browser(is_served=False) as refused:
         with pytest.raises(ConnectionResetError, match=str(aiohttp.WSCloseCode.TRY_AGAIN_LATER.value)):
             await refused.heard("show")
     await visitor.wait_for_a_place()
+    reader, writer = await visitor.raw_socket()  # answers no ping
+    await rest(reader)
+    writer.close()
+    await visitor.wait_for_a_place()
 
 
 @on_page()
-async def test_a_claimed_flood_is_refused_before_it_is_stored(visitor):
-    async with visitor.bystander():  # it was 4 GB each
-        for claimed in (MAX_BYTES + 1, 2**20, 4 * 2**30, 2**63 - 1, 2**64 - 1):
+async def test_floods_are_refused_before_they_are_stored_or_wait_in_their_sender(visitor):
+    """Claimed lengths; fragments without end, 20,000 values, as many pings: another browser is served meanwhile."""
+    async with visitor.bystander() as other:
+        for claimed in (MAX_BYTES + 1, 4 * 2**30, 2**64 - 1):  # it was 4 GB each
             reader, writer = await visitor.raw_socket()
             writer.write(frame(2, claimed, b""))
             assert struct.pack(">H", 1009) in (await rest(reader))[-200:], claimed  # message too big
             writer.close()
-
-
-@on_page()
-async def test_a_real_flood_waits_in_its_sender(visitor):
-    """Fragments without end, 20,000 values, as many pings: another browser is served meanwhile."""
-    async with visitor.bystander() as other:
         reader, fragments = await visitor.raw_socket()
         fragments.write(frame(1, 1000, b"x" * 1000, fin=False))
         for _ in range(1000):
@@ -255,12 +256,12 @@ async def test_a_real_flood_waits_in_its_sender(visitor):
 @on_page()
 async def test_messages_are_read_at_the_rate_of_a_screen(visitor):
     async with visitor.browser() as browser:
-        start, count = time.perf_counter(), 2 * MAX_A_SECOND
+        start, count = time.perf_counter(), int(1.5 * MAX_A_SECOND)
         for _ in range(count):
             await browser.say(set={"pad": 9999})
         for _ in range(count):
             await browser.heard("refused")
-        assert time.perf_counter() - start > 2.0 - BURST_S - 0.1
+        assert time.perf_counter() - start > 1.5 - BURST_S - 0.1
 
 
 @on_page()
@@ -269,7 +270,7 @@ async def test_who_reads_nothing_keeps_nobody_waiting(visitor):
     _, writer = await visitor.raw_socket()
     writer.transport.pause_reading()
     async with visitor.bystander():
-        for number in range(50):
+        for number in range(30):
             said = json.dumps({"set": {"pressure": 0.05 * number}, "turn": [5, 0], "size": [1000, 1000]}).encode()
             writer.write(frame(1, len(said), said))
             await asyncio.sleep(0.02)
@@ -277,14 +278,6 @@ async def test_who_reads_nothing_keeps_nobody_waiting(visitor):
     await visitor.stop()
     writer.close()
     assert time.perf_counter() - start < 5.0
-
-
-@on_page(HEARTBEAT_S=1.0, MAX_BROWSERS=1)
-async def test_a_browser_that_gives_no_sign_of_life_leaves_its_place(visitor):
-    reader, writer = await visitor.raw_socket()  # answers no ping
-    await rest(reader)
-    writer.close()
-    await visitor.wait_for_a_place()
 
 
 @on_page(MAX_CONNECTIONS=8, PATIENCE_S=1.0)
@@ -309,8 +302,8 @@ async def test_connections_that_ask_nothing_end_and_hold_no_place(visitor):
 
 @on_page()
 async def test_browsers_that_leave_give_everything_back(visitor):
-    for number in range(8):
-        if number == 3:
+    for number in range(6):
+        if number == 2:
             before = memory_mb(), psutil.Process().num_fds()
         async with visitor.browser() as browser:
             await browser.say(size=[800, 600], turn=[1, 0])
@@ -318,4 +311,4 @@ async def test_browsers_that_leave_give_everything_back(visitor):
     async with asyncio.timeout(PATIENT_S):
         while psutil.Process().num_fds() > before[1] + 3:
             await asyncio.sleep(0.1)
-    assert memory_mb() - before[0] < 50  # 5 scenes that stayed took 100
+    assert memory_mb() - before[0] < 50  # 4 scenes that stayed took 80

@@ -127,9 +127,8 @@ def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels,
 
 
 def test_a_table_named_body_makes_a_scene(tmp_path):
-    (tmp_path / "scene.toml").write_text(SCENE)
+    for name, text in (("scene", SCENE), ("spaced", SCENE.replace("[body]", "[ body ]"))):
+        (tmp_path / f"{name}.toml").write_text(text)
+        assert read_body(tmp_path / f"{name}.toml").body.size_mm == (12.0, 12.0, 6.0)
     (tmp_path / "design.toml").write_text('extends = "paper"\n[array]\nrows = 2\n')
-    assert read_body(tmp_path / "scene.toml").body.size_mm == (12.0, 12.0, 6.0)
-    (tmp_path / "spaced.toml").write_text(SCENE.replace("[body]", "[ body ]"))
-    assert read_body(tmp_path / "spaced.toml").body.size_mm == (12.0, 12.0, 6.0)
     assert read_body(tmp_path / "design.toml").array.rows == 2

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
-from fem.pictures.scenery import QUANTITIES
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -20,7 +19,6 @@ from tripillar.viewer.page.scene import TITLES
 
 MAX_PRESSURE_MPA = NORMAL_MPA[1]  #: of a pad, as in the datasets
 MAX_SHEAR_MPA = TANGENTIAL_MPA[1]
-STRESSES = {name for name, quantity in QUANTITIES.items() if quantity.of_stress}
 SCALES = (1, 2, 5, 10)  #: of displacements
 NOISES = {0.0: "exact", 0.001: "0.1 % noise", 0.005: "0.5 % noise", 0.01: "1 % noise"}  #: of the readings, relative
 WIDTH_MM = (5.0, 40.0)  #: of the indenter; further where the pitch is
@@ -64,9 +62,8 @@ Controls = dict[str, Range | Choice]
 
 
 def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
-    """The controls for an array, each with its start value; stress has no colour at finite strain."""
-    is_linear = design.matrix_material.model == "linear"
-    colours = {name: title.split(" [")[0] for name, title in TITLES.items() if is_linear or name not in STRESSES}
+    """The controls for an array, each with its start value."""
+    colours = {name: title.split(" [")[0] for name, title in TITLES.items()}
     half_x, half_y = design.slab_mm[0] / 2, design.slab_mm[1] / 2
     middle = design.array.rows // 2 * design.array.cols + design.array.cols // 2
     pitch = design.array.pitch_mm

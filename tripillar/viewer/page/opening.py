@@ -3,7 +3,6 @@
 import asyncio
 import json
 from contextlib import ExitStack
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,46 +18,55 @@ LOOPBACK = "127.0.0.1"
 HTTP_PORT = 8080
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageOptions:
-    """Options of the page: its address, and the sensor that may load its array."""
-
-    host: str = LOOPBACK  #: address to listen on
-    http_port: int = HTTP_PORT  #: 0 is any free one
-    port: str | None = None  #: of a board, or a recording
-    model: Path | None = None  #: gives the forces; default: the response's own inverse
-    calibration: Path | None = None  #: of the sensor on that port
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.http_port < 2**16:
-            raise DesignError(f"--http-port {self.http_port} must be from 0 (any free one) to {2**16 - 1}.")
-        if not self.host:
-            raise DesignError(f"--host is empty: give an address of this machine, such as {LOOPBACK}.")
-        if self.port is not None and self.model is None:
-            raise DesignError("--port needs --model: the model that turns the sensor's resistances into forces.")
-        if self.port is None and self.calibration is not None:
-            raise DesignError("--calibration is of a sensor: give its --port, or a recording of it.")
-
-
-def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars", as_json: bool = False) -> None:
+def open_page(
+    design: "SensorDesign | None",
+    bars: "Bars",
+    as_json: bool = False,
+    *,
+    host: str = LOOPBACK,
+    http_port: int = HTTP_PORT,
+    port: str | None = None,
+    model: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
     """Serve the page until Ctrl-C; its address is printed on stdout once browsers can come.
 
-    `design` None is the model's, if there is a model that knows it, else the paper's.
+    Parameters
+    ----------
+    design : SensorDesign, optional
+        Default: the model's, if there is a model that knows it, else the paper's.
+    bars : Bars
+    as_json : bool
+        Whether the address is printed as an object.
+    host, http_port : str, int
+        Address to listen on; port 0 is any free one.
+    port : str, optional
+        Of a board, or a recording: the sensor that may load the array.
+    model : path, optional
+        Gives the forces; default: the response's own inverse.
+    calibration : path, optional
+        Of the sensor on that port.
 
     Raises
     ------
     TriPillarError, OSError
         If a package is missing or the page's port is taken, and as reading the files and opening the sensor's port do.
     """
+    if not 0 <= http_port < 2**16:
+        raise DesignError(f"--http-port {http_port} must be from 0 (any free one) to {2**16 - 1}.")
+    if not host:
+        raise DesignError(f"--host is empty: give an address of this machine, such as {LOOPBACK}.")
+    if port is not None and model is None:
+        raise DesignError("--port needs --model: the model that turns the sensor's resistances into forces.")
+    if port is None and calibration is not None:
+        raise DesignError("--calibration is of a sensor: give its --port, or a recording of it.")
     if find_spec("aiohttp") is None:
         raise DesignError("the page needs aiohttp, not installed: pip install 'tripillar[page]'.")
-    from dataset.finite_strain import require_finite
     from decoupler.touch.touch_file import read_model
     from fem.pictures.arrays import solve_array_field
     from geometry.design import SensorDesign, with_model
     from tripillar.pipeline.run import respond
     from tripillar.terminal.entry import say
-    from tripillar.viewer.page.finite import FiniteStrain
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.scene import Superposition
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
@@ -66,29 +74,26 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
 
     with ExitStack() as stack:
         # a taken port is refused before anything takes time
-        listening = stack.enter_context(listening_on(options.host, options.http_port))
-        model = None if options.model is None else read_model(options.model)
-        if model is not None:
-            design = _design_for(model, str(options.model), design)
+        listening = stack.enter_context(listening_on(host, http_port))
+        decoder = None if model is None else read_model(model)
+        if decoder is not None:
+            design = _design_for(decoder, str(model), design)
         design = design or SensorDesign()
-        is_finite = design.matrix_material.model != "linear"
-        if is_finite:
-            require_finite(design)
+        if design.matrix_material.model != "linear":
+            say("the page shows linear rubber: take --save for a picture at finite strain")
         feed = None
-        if options.port is not None and model is not None:
-            feed = stack.enter_context(SensorFeed(options.port, model, options.calibration))
+        if port is not None and decoder is not None:
+            feed = stack.enter_context(SensorFeed(port, decoder, calibration))
         with bars:
             _, response = respond(with_model(design, "linear"), bars)
             advance = bars.begin("page", total=2)
             field = solve_array_field(response.design, lambda step: advance(0, step))
             advance(1, "decoupler")
-            by_response = "the linear response's inverse" if is_finite else "the response's inverse"
             subject = Subject(
                 loads=Superposition(field),
-                sensor=PressedSensor(response, inverse_forces(response) if model is None else net_forces(model)),
-                decoupler=by_response if model is None else f"the model {options.model}",
+                sensor=PressedSensor(response, inverse_forces(response) if decoder is None else net_forces(decoder)),
+                decoupler="the response's inverse" if decoder is None else f"the model {model}",
                 feed=feed,
-                finite=FiniteStrain(design, response) if is_finite else None,
             )
             advance(1, "")
 
@@ -96,7 +101,7 @@ def open_page(options: PageOptions, design: "SensorDesign | None", bars: "Bars",
             print(json.dumps({"url": url}) if as_json else url, flush=True)
             say("" if as_json else "Ctrl-C ends it")
 
-        asyncio.run(serve(subject, options.host, listening, tell))
+        asyncio.run(serve(subject, host, listening, tell))
 
 
 def _design_for(model: "AnyDecoder", name: str, given: "SensorDesign | None") -> "SensorDesign":

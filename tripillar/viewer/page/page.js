@@ -2,6 +2,7 @@
 // what was said last, from which a lost connection goes on.
 
 import { loadState, save, savePicture } from "./files.js";
+import { colour, csv, largestStrain, missed, tableRows, unitForces, unitPillars, words, ARROWS, MAPS } from "./numbers.js";
 import { watchPicture } from "./picture.js";
 import { Plot } from "./plot.js";
 
@@ -42,15 +43,15 @@ function hear(message) {
     byId("trouble").textContent = "";
     picture.resize();
   }
-  if (message.file) save(message.file.name, message.file.text);
   if (message.refused) byId("trouble").textContent = message.refused;
   if (message.show) {
     Object.assign(controls, message.show.controls);
     const isFirst = !said.traction_mpa;
     Object.assign(said, message.show);
+    if (message.show.force_n || message.show.change_pct) plot.add(said);
+    if (message.show.trouble !== undefined) byId("trouble").textContent = message.show.trouble;
     showControls();
     if (isFirst && matchMedia("(prefers-color-scheme: dark)").matches) set("dark", true);
-    for (const [name, value] of Object.entries(message.show)) showers[name]?.(value);
   }
 }
 
@@ -80,7 +81,7 @@ function lay(given) {
     }
   }
   for (const button of all("[data-do]")) button.onclick = () => send({ do: button.dataset.do });
-  for (const button of all("[data-file]")) button.onclick = () => send({ file: button.dataset.file });
+  byId("save-csv").onclick = () => save("tripillar.csv", csv(facts, said));
   byId("save-picture").onclick = () => savePicture(byId("picture"), said, document.documentElement);
   byId("save-state").onclick = () => save("tripillar-state.json", JSON.stringify(state()));
   byId("open-state").onclick = () => byId("load-state").click();
@@ -112,32 +113,17 @@ function showControls() {
   byId("pads-caption").textContent = `${kind} on pads [MPa]`;
   document.documentElement.classList.toggle("dark", controls.dark);
   plot.show(controls.tab === "time", controls.pad);
-  for (const cell of all("[data-unit-number]")) cell.classList.toggle("chosen", +cell.dataset.unitNumber === controls.pad);
+  if (said.force_n) showNumbers();
+  showTexts();
 }
 
-// what the server says, by its name
+// what the server says
 
-const showers = {
-  pads: cells => fill(byId("pads"), cells, "button", (button, cell) => {
-    button.id = `pad-${cell.unit}`;
-    asCell(button, cell);
-    text(part(button, 0, "span"), cell.text);
-    text(part(button, 1, "small"), cell.arrow);
-  }),
-  resistance_maps: maps => showMaps(byId("resistance-maps"), maps),
-  force_maps: maps => showMaps(byId("force-maps"), maps),
-  unit_pillars: rows => showRows(byId("unit-pillars"), rows),
-  unit_forces: rows => showRows(byId("unit-forces"), rows),
-  rows: rows => showRows(byId("whole-table"), rows),
-  rms: rms => text(byId("rms"), rms && `all forces missed by ${rms} N (rms)`),
-  trouble: trouble => text(byId("trouble"), trouble),
-  contacts: contacts => fill(byId("contacts"), contacts, "li", text),
-  faults: faults => fill(byId("faults"), faults, "li", text),
-  ended: ended => (byId("play-again").hidden = !ended),
-  strain_share: share => (document.querySelector(".gauge div").style.width = `${share}%`),
-  strain_over: over => document.querySelector(".gauge div").classList.toggle("over", over),
-  sample: values => plot.add(values),
-  legend: bars => fill(byId("legend"), bars, "div", (element, { title, colours, labels }) => {
+function showTexts() {
+  for (const element of all("[data-text]")) text(element, said[element.dataset.text] ?? "");
+  for (const name of ["contacts", "faults"]) fill(byId(name), said[name] ?? [], "li", text);
+  byId("play-again").hidden = !said.ended;
+  fill(byId("legend"), said.legend ?? [], "div", (element, { title, colours, labels }) => {
     element.className = "key";
     text(part(element, 0, "span"), title);
     part(element, 1, "div").style.background = `linear-gradient(to right, ${colours.join()})`;
@@ -145,15 +131,32 @@ const showers = {
       text(label, words);
       label.style.left = `${100 * place}%`;
     });
-  }),
-};
-for (const element of all("[data-text]")) {
-  const name = element.dataset.text, before = showers[name];
-  showers[name] = value => (before?.(value), text(element, value));
+  });
 }
 
-function showMaps(place, maps) {
-  fill(place, maps, "div", (element, map) => {
+function showNumbers() {
+  const { pad } = controls, [strain, place] = largestStrain(facts, said), gauge = document.querySelector(".gauge div");
+  Object.assign(said, { unit_name: nameOf(pad), strain: words(strain, 1), strain_at: place, rms: missed(said) });
+  gauge.style.width = `${Math.min(100 * strain / facts.cap, 100)}%`;
+  gauge.classList.toggle("over", strain > facts.cap);
+  fill(byId("pads"), lying(), "button", (button, unit) => {
+    const [x, y, z] = said.traction_mpa.slice(3 * unit), eighth = Math.round(4 * Math.atan2(y, x) / Math.PI);
+    button.id = `pad-${unit}`;
+    asCell(button, unit, colour(-z, facts.kinds.pressure.max));
+    text(part(button, 0, "span"), Math.abs(z) > 0.02 ? words(-z, Math.abs(z) < 10 ? 1 : 0) : "");
+    text(part(button, 1, "small"), Math.hypot(x, y) > 0.02 ? ARROWS[(eighth + 8) % 8] : "");
+  });
+  showRows(byId("unit-pillars"), unitPillars(said, pad));
+  showRows(byId("unit-forces"), unitForces(said, pad));
+  if (controls.tab === "maps") for (const [id, map] of Object.entries(MAPS)) showMaps(byId(id), map);
+  if (controls.tab === "table") showRows(byId("whole-table"), tableRows(facts, said));
+}
+
+// the strongest colour is of the largest value, but at least of `least`, so that noise at rest stays pale
+
+function showMaps(place, { titles, name, unit, digits, least }) {
+  fill(place, titles, "div", (element, title, axis) => {
+    const values = said[name].filter((_, at) => at % 3 === axis), most = Math.max(least, ...values.map(Math.abs));
     element.className = "map";
     const caption = part(element, 0, "div"), cells = element.querySelector(".cells") ?? part(element, 1, "div");
     caption.className = "caption";
@@ -161,14 +164,23 @@ function showMaps(place, maps) {
       cells.className = "cells";
       number(cells);
     }
-    text(part(caption, 0, "b"), map.title);
-    text(part(caption, 1, "span"), `± ${map.most} ${map.unit}`);
-    fill(cells, map.cells, "div", (box, cell) => {
-      asCell(box, cell);
-      text(part(box, 0, "span"), cell.text);
-      box.title = `${cell.text} ${map.unit}`;
+    text(part(caption, 0, "b"), title);
+    text(part(caption, 1, "span"), `± ${words(most, digits)} ${unit}`);
+    fill(cells, lying(), "div", (box, which) => {
+      asCell(box, which, colour(values[which], most));
+      text(part(box, 0, "span"), words(values[which], digits));
+      box.title = `${words(values[which], digits)} ${unit}`;
     });
   });
+}
+
+const nameOf = unit => `row ${Math.floor(unit / facts.cols)}, col ${unit % facts.cols}`;
+
+// units as the array lies before you: y up
+
+function lying() {
+  const { rows, cols } = facts;
+  return Array.from({ length: rows * cols }, (_, place) => cols * (rows - 1 - Math.floor(place / cols)) + place % cols);
 }
 
 // numbers of rows at the left of cells, from the last down as the array lies, and of columns below
@@ -183,8 +195,8 @@ function number(cells) {
   fill(cols, numbers(facts.cols), "li", (item, col) => text(item, `${col}`));
 }
 
-function asCell(element, { unit, colour }) {
-  element.style.background = colour;
+function asCell(element, unit, shade) {
+  element.style.background = shade;
   if (element.dataset.unitNumber === undefined) element.onclick = () => set("pad", +element.dataset.unitNumber);
   element.dataset.unitNumber = unit;
   element.classList.toggle("chosen", unit === controls.pad);
@@ -198,7 +210,7 @@ function showRows(table, rows) {
 
 function fill(place, items, tag, show) {
   while (place.children.length > items.length) place.lastChild.remove();
-  items.forEach((item, number) => show(part(place, number, tag), item));
+  items.forEach((item, number) => show(part(place, number, tag), item, number));
 }
 
 function part(place, number, tag) {

@@ -1,19 +1,23 @@
-"""The page of one browser: its controls or a sensor load the array; a picture and numbers follow."""
+"""The page of one browser: its messages are checked and done; the array follows, and what has changed is sent back.
+
+Its controls or a sensor load the array. A picture and numbers follow.
+"""
 
 import asyncio
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from aiohttp import WSMsgType, web
 
 from dataset.protocols import FRICTION
 from fem.pictures.arrays import indenter_tractions
-from geometry.design import SensorDesign
+from fem.pictures.scenery import Bar
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
-from tripillar.viewer.page import numbers
 from tripillar.viewer.page.controls import (
     MAX_PRESSURE_MPA,
     MAX_SHEAR_MPA,
@@ -26,7 +30,6 @@ from tripillar.viewer.page.controls import (
     taken,
     traction_of,
 )
-from tripillar.viewer.page.finite import REST_S, FiniteAnswer, FiniteStrain, is_answer_to
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import ArrayScene, Superposition
 from tripillar.viewer.page.sensing import PressedSensor, Reading, SensorFeed
@@ -36,6 +39,11 @@ LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
 UNDRAWN = "drawn at rest: no pillar bears these forces"
 LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
+CAP_PCT = 30  #: largest pillar strain of the datasets and of the paper
+MAX_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
+BURST_S = 1.0  #: worth of messages that are read at once after a silence
+MAX_PIXELS_A_SIDE = 4096
+TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,16 +54,15 @@ class Subject:
     sensor: PressedSensor
     decoupler: str  #: name of what turns resistances into forces
     feed: SensorFeed | None = None  #: of a sensor that can load the array in place of the controls
-    finite: FiniteStrain | None = None  #: solves neo-Hookean rubber; `loads` and `sensor` stay linear
-
-    @property
-    def design(self) -> SensorDesign:
-        """The design of the array."""
-        return self.loads.field.design if self.finite is None else self.finite.design
 
 
 class Page:
     """State of one browser's page, with its scene and its pictures.
+
+    Messages are JSON objects, usually of one name. From the browser: "set" {control: value}, "do" one of `calls`,
+    "turn" [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in
+    pixels, and "restore", a state. To it: "facts", "show" with what has changed, and "refused" with the reason.
+    Pictures are the binary messages.
 
     Parameters
     ----------
@@ -64,22 +71,30 @@ class Page:
     """
 
     def __init__(self, subject: Subject) -> None:
-        self._subject, self._design = subject, subject.design
+        self._subject, self._design = subject, subject.loads.field.design
         self._traction = np.zeros((self._design.n_units, 3))
-        self._reading: Reading | None = None  # as it is shown
-        self._answer: FiniteAnswer | None = None  # of the last load solved at finite strain
         self._generator = np.random.default_rng(0)
         self._kinds = controls_of(self._design, subject.feed is not None)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
-        self.is_changed, self._is_unsolved = asyncio.Event(), asyncio.Event()
-        self.is_changed.set()
+        self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
+        self._is_changed = asyncio.Event()
+        self._is_changed.set()
         self.scene = ArrayScene(subject.loads)
-        self.pictures = Pictures(self.scene.plotter, self.scene.fit)
+        camera, self.pictures = self.scene.camera, Pictures(self.scene.plotter, self.scene.fit)
         #: what a browser can have done, without further words
-        self.calls: dict[str, Callable[[], None]] = {"reset": self._reset, "home": self._look_from_the_start}
+        self.calls: dict[str, Callable[[], None]] = {"reset": self._reset, "home": self.scene.look_from_the_start}
         if subject.feed is not None:
             self.calls["again"] = subject.feed.play_again
             subject.feed.listeners.add(self._hear)
+        self._takers: dict[str, Callable[[Any], None]] = {
+            "set": self.set,
+            "do": self._do,
+            "turn": lambda said: camera.turn(*numbers_of("turn", said, 2, -TURN_DEG, TURN_DEG)),
+            "nearer": lambda said: camera.approach(*numbers_of("nearer", [said], 1, *NEARER)),
+            "move": lambda said: camera.move(*numbers_of("move", said, 2, -MOVED, MOVED)),
+            "size": lambda said: self.pictures.resize(*numbers_of("size", said, 2, 1.0, MAX_PIXELS_A_SIDE)),
+            "restore": self._restore,
+        }
 
     def close(self) -> None:
         """Let go of the scene and of the sensor."""
@@ -87,7 +102,61 @@ class Page:
             self._subject.feed.listeners.discard(self._hear)
         self.scene.plotter.close()
 
-    def facts(self) -> dict[str, Any]:
+    # a browser, while it is there
+
+    async def run(self, socket: web.WebSocketResponse) -> None:
+        """Listen, tell and draw until the browser leaves."""
+
+        async def send(**message: Any) -> None:
+            await socket.send_str(json.dumps(message, allow_nan=False))
+
+        async def tell() -> None:
+            """Send what has changed whenever something has, until cancelled."""
+            while True:
+                await self._is_changed.wait()
+                self._is_changed.clear()
+                shown = self.update() | {"controls": dict(self.controls)}
+                changed = news(self._shown, shown) | {"controls": news(self._shown["controls"], shown["controls"])}
+                self._shown |= shown
+                await send(show=changed)
+
+        try:
+            await send(facts=self._facts())
+            async with asyncio.TaskGroup() as group:
+                working = [group.create_task(one) for one in (tell(), self.pictures.run(socket.send_bytes))]
+                next_s = 0.0
+                async for message in socket:
+                    try:
+                        if message.type is WSMsgType.PING:
+                            await socket.pong(message.data)
+                        elif message.type is WSMsgType.TEXT:
+                            self._take(message.data)
+                        elif message.type is not WSMsgType.PONG:
+                            raise ControlError("messages are text.")
+                    except ControlError as error:
+                        await send(refused=str(error))
+                    now_s = time.monotonic()
+                    next_s = max(next_s, now_s - BURST_S) + 1.0 / MAX_A_SECOND
+                    await asyncio.sleep(max(next_s - now_s, 0.0))  # others have their turn, a flood waits in its sender
+                for task in working:
+                    task.cancel()
+        except* ConnectionResetError:  # it left meanwhile
+            pass
+
+    def _take(self, text: str) -> None:
+        """Do what a message says; ControlError if it is none of those that `Page` names."""
+        try:
+            said = json.loads(text)
+        except (ValueError, RecursionError):
+            raise ControlError("a message is no JSON.") from None
+        for name, value in mapping("a message", said).items():
+            if name not in self._takers:
+                raise ControlError(f"there is no message {shortened(name)}.")
+            self._takers[name](value)
+            if name in ("turn", "nearer", "move", "do"):
+                self.pictures.schedule_render()
+
+    def _facts(self) -> dict[str, Any]:
         """The facts that do not change: the array, and the values that each control may take."""
         array, feed = self._design.array, self._subject.feed
         return {
@@ -95,27 +164,30 @@ class Page:
             "cols": array.cols,
             "pitch_mm": array.pitch_mm,
             "pads": self._design.pad.kind,
-            "cap": 100 * numbers.CAP,
+            "cap": CAP_PCT,
             "friction": FRICTION,
             "decoupler": self._subject.decoupler,
             "sensor": None if feed is None else feed.port,
             "kinds": {name: asdict(kind) for name, kind in self._kinds.items()},
         }
 
-    # messages of the browser
+    # what it may say
 
     def set(self, said: object) -> None:
         """Take values of controls, {name: value}; ControlError, and none is taken, if one is not sound."""
         given = taken(self._kinds, said)
         self.controls |= given
+        self._shown["controls"] |= given
         if self.controls["source"] == "pads":
             if given.keys() & {*LOAD_SLIDERS, "cone"}:
                 self._traction[self.controls["pad"]] = self._held(*LOAD_SLIDERS)
             elif given.keys() & {"pad", "source"}:
-                self._show_load_of_pad()
-        self.is_changed.set()
+                pressure, shear, angle = sliders_of(self._traction[self.controls["pad"]])
+                values = round(pressure, 2), round(shear, 2), float(round(angle))
+                self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
+        self._is_changed.set()
 
-    def restore(self, said: object) -> None:
+    def _restore(self, said: object) -> None:
         """Take all controls, and the pads' tractions as `update` gave them. Errors as of `set`."""
         state = mapping("a state", said)
         if state.keys() != {"controls", "traction_mpa"}:
@@ -124,114 +196,75 @@ class Page:
         traction = np.array(numbers_of("traction_mpa", state["traction_mpa"], n, -1e3, 1e3)).reshape(-1, 3)
         self._traction = np.clip(traction, -LIMITS_MPA, LIMITS_MPA * (1, 1, 0))
         self.controls |= given
-        self.is_changed.set()
+        self._is_changed.set()
 
-    def do(self, said: object) -> None:
+    def _do(self, said: object) -> None:
         """Do one of `calls`; ControlError if it is none."""
         if not isinstance(said, str) or said not in self.calls:
             raise ControlError(f"do={shortened(said)} is none of {', '.join(self.calls)}.")
         self.calls[said]()
 
-    def file(self, kind: object) -> dict[str, str]:
-        """A file of what is shown, "name" and "text"; ControlError if there is none of that kind, or none yet."""
-        if self._reading is None or kind not in ("csv", "scene"):
-            raise ControlError(f"there is no file {shortened(kind)}.")
-        if kind == "scene":
-            return {"name": "scene.toml", "text": numbers.scene_of(self._design, self._traction, self.controls["pad"])}
-        return {"name": "tripillar.csv", "text": numbers.csv_of(self._design, self._reading)}
-
     def _reset(self) -> None:
         """Take all loads off."""
         self._traction[:] = 0.0
         self.controls |= dict.fromkeys((*LOAD_SLIDERS, "peak", "at_x", "at_y", "drag", "drag_angle"), 0.0)
-        self.is_changed.set()
-
-    def _look_from_the_start(self) -> None:
-        """Put the camera where it was at first."""
-        self.scene.look_from_the_start()
-        self.pictures.schedule_render()
+        self._is_changed.set()
 
     def _hear(self) -> None:
         """Follow the sensor, which has something new."""
         if self.controls["source"] == "sensor":
-            self.is_changed.set()
+            self._is_changed.set()
 
-    async def solve(self) -> None:
-        """Solve at finite strain for loads that rest, until cancelled."""
-        while True:
-            await self._is_unsolved.wait()
-            before = self._traction.copy()
-            await asyncio.sleep(REST_S)
-            self._is_unsolved.clear()
-            finite = self._subject.finite
-            if finite is None or is_answer_to(self._answer, self._traction):
-                continue
-            if np.array_equal(before, self._traction):
-                self._answer = await finite.answer(before)
-            self.is_changed.set()
-
-    # what the browser shows
+    # what it is shown
 
     def update(self) -> dict[str, Any]:
         """Load the array, schedule its picture, and return what the page shows beside it.
 
-        That is "trouble" alone where forces or displacements are unknown.
+        Numbers of units are lists of three a unit, along x, y, z or of the pillars z, x, y; None where unknown. All is
+        "trouble" alone where forces or displacements are unknown.
         """
         start, controls, feed = time.perf_counter(), self.controls, self._subject.feed
         try:
-            answer, reading = self._loaded()
+            reading = self._loaded()
         except TriPillarError as error:
             return {"trouble": str(error)}
-        self._reading, self._traction = reading, reading.traction_mpa
-        is_drawn = bool(reading.strain.max() <= MAX_DRAWN)
-        legend = self.scene.show(
-            self._traction if is_drawn else 0.0 * self._traction, reading.change.reshape(-1, 3), controls["colour"],
-            controls["scale"], controls["pad"], controls["dark"],
-            answer.field if answer is not None and is_drawn else None,
-        )  # fmt: skip
+        self._traction, strain = reading.traction_mpa, float(reading.strain.max())
+        is_drawn = strain <= MAX_DRAWN
+        drawn = self._traction if is_drawn else 0.0 * self._traction
+        looks = (controls[name] for name in ("colour", "scale", "pad", "dark"))
+        bar = self.scene.show(drawn, reading.change.reshape(-1, 3), *looks)
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
-        shown = numbers.beside_picture(controls["tab"], controls["pad"], reading) | {
-            "trouble": "" if answer is None else answer.refusal,
-            "legend": [numbers.legend(bar) for bar in (legend, self.scene.pads_bar)],
+        shown: dict[str, Any] = {
+            "trouble": "",
+            "legend": [legend(bar), legend(self.scene.pads_bar)],
             "scale_note": "true scale" if controls["scale"] == 1 else f"displacement × {controls['scale']}",
-            "strain_note": self._strain_note(answer, reading) if is_drawn else UNDRAWN,
+            "strain_note": (beyond_linear(strain) or "linear") if is_drawn else UNDRAWN,
             "times": f"computed in {1e3 * seconds:.0f} ms, drawn in {self.pictures.draw_ms:.0f} ms",
-            "traction_mpa": self._traction.ravel().round(4).tolist(),
+            "traction_mpa": listed(self._traction, 4),
+            "applied_n": listed(reading.applied_n, 3),
+            "force_n": listed(reading.force_n, 3),
+            "resistance_ohm": listed(reading.resistance_ohm, 3),
+            "change_pct": listed(100.0 * reading.change, 4),
+            "strain_pct": listed(100.0 * reading.strain, 4),
         }
         if feed is not None:
             of_scan = {"faults": feed.faults, "contacts": feed.contacts} if controls["source"] == "sensor" else {}
             shown |= {"link": feed.link, "ended": feed.ended, "faults": [], "contacts": []} | of_scan
-            shown["trouble"] = feed.trouble or shown["trouble"]
+            shown["trouble"] = feed.trouble
         return shown
 
-    def _strain_note(self, answer: FiniteAnswer | None, reading: Reading) -> str:
-        """What the picture and the numbers are worth."""
-        largest = float(reading.strain.max())
-        beyond = beyond_linear(largest) or "linear"
-        if self._subject.finite is None:
-            return beyond
-        if answer is None:
-            return beyond + ("" if self.controls["source"] == "sensor" else "; solving finite strain …")
-        if answer.field is None:
-            return f"{beyond}; no answer at finite strain"
-        return f"finite strain, estimated error {answer.error_estimate:.1%}"
-
-    def _loaded(self) -> tuple[FiniteAnswer | None, Reading]:
-        """Load the array as the controls or the sensor say, and read it: at finite strain once that is solved."""
+    def _loaded(self) -> Reading:
+        """Load the array as the controls or the sensor say, and read it."""
         controls, sensor, feed = self.controls, self._subject.sensor, self._subject.feed
         if controls["source"] == "sensor" and feed is not None and feed.scan is not None:
-            return None, sensor.follow(feed.scan)
+            return sensor.follow(feed.scan)
         if controls["source"] == "indenter":
             at_middle, centre = self._held("peak", "drag", "drag_angle"), (controls["at_x"], controls["at_y"])
             self._traction = indenter_tractions(self._design, at_middle, centre, controls["width"])
-        answer = self._answer if is_answer_to(self._answer, self._traction) else None
-        if answer is None and self._subject.finite is not None and controls["source"] != "sensor":
-            self._is_unsolved.set()
-        finite_mm = None if answer is None else answer.moved_mm
-        reading = sensor.read(self._traction, controls["noise"], self._generator, finite_mm)
+        reading = sensor.read(self._traction, controls["noise"], self._generator)
         unknown = np.full_like(reading.applied_n, np.nan)
-        return answer, replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
+        return replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
 
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""
@@ -239,8 +272,22 @@ class Page:
         held = min(dragged, FRICTION * pressed) if self.controls["cone"] else dragged
         return traction_of(pressed, held, towards)
 
-    def _show_load_of_pad(self) -> None:
-        """Set the sliders to the load of the chosen pad."""
-        pressure, shear, angle = sliders_of(self._traction[self.controls["pad"]])
-        values = round(pressure, 2), round(shear, 2), float(round(angle))
-        self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
+
+def listed(values: FloatArray, digits: int) -> list[float | None]:
+    """Values as one rounded list; None for those that are not finite."""
+    return [number if np.isfinite(number) else None for number in values.ravel().round(digits).tolist()]
+
+
+def legend(bar: Bar) -> dict[str, Any]:
+    """A colour bar: its title, colours from low to high, and labels with their places as fractions of it."""
+    labels = [[(value - bar.low) / (bar.high - bar.low), words] for value, words in bar.labels.items()]
+    return {"title": bar.title, "colours": [*bar.colours[::15], bar.colours[-1]], "labels": labels}
+
+
+def news(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """The items of `new` that `old` lacks or has otherwise.
+
+    >>> news({"a": 1, "b": 2}, {"a": 1, "b": 3})
+    {'b': 3}
+    """
+    return {name: value for name, value in new.items() if name not in old or old[name] != value}

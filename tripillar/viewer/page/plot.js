@@ -40,8 +40,9 @@ export class Plot {
     if (isShown) this.timer = setInterval(() => this.draw(), 200);
   }
 
-  add(values) {
-    const t = performance.now() / 1000;
+  add({ force_n, change_pct }) {
+    const t = performance.now() / 1000, three = (all, unit) => all.slice(3 * unit, 3 * unit + 3);
+    const values = Array.from({ length: force_n.length / 3 }, (_, unit) => [...three(force_n, unit), ...three(change_pct, unit)]);
     this.samples.push({ t, values });
     while (this.samples.length > MOST || this.samples[1]?.t < t - SECONDS) this.samples.shift();
     this.draw();

@@ -49,7 +49,6 @@ class Reading:
     change: FloatArray  #: (rows, cols, 3): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
     strain: FloatArray  #: (rows, cols, 3): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
-    is_linear: bool = True  #: whether by linear rubber
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +58,10 @@ class PressedSensor:
     response: ArrayResponse
     decouple: Decouple
 
-    def read(
-        self, traction_mpa: FloatArray, noise: float, draw: np.random.Generator, finite_mm: FloatArray | None = None
-    ) -> Reading:
-        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances.
-
-        Electrodes move as in linear rubber, unless displacements (n_units, 2, 3) [mm] at finite strain are given.
-        """
+    def read(self, traction_mpa: FloatArray, noise: float, draw: np.random.Generator) -> Reading:
+        """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
         design = self.response.design
-        lengths_mm, strain = self._deformed(traction_mpa, finite_mm)
+        lengths_mm, strain = self._deformed(traction_mpa)
         if self.response.conducted is not None:
             newtons = traction_mpa[None] * design.pad.size_mm**2
             lengths_mm = by_unit(conducted_lengths(self.response.conducted, newtons)[0], design)
@@ -76,7 +70,6 @@ class PressedSensor:
         return Reading(
             traction_mpa=traction_mpa, applied_n=by_unit(forces(traction_mpa, design), design), resistance_ohm=ohm,
             change=ohm / rest_resistances(design) - 1.0, force_n=self.decouple(ohm), strain=strain,
-            is_linear=finite_mm is None,
         )  # fmt: skip
 
     def follow(self, scan: Forces) -> Reading:
@@ -88,10 +81,10 @@ class PressedSensor:
             change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
         )  # fmt: skip
 
-    def _deformed(self, traction_mpa: FloatArray, finite_mm: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def _deformed(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths [mm] and strains of all pillars, each (rows, cols, 3)."""
         design = self.response.design
-        moved_mm = displacements(self.response, traction_mpa[None])[0] if finite_mm is None else finite_mm
+        moved_mm = displacements(self.response, traction_mpa[None])[0]
         lengths_mm = pillar_lengths(moved_mm, design.unit)
         strains = pillar_strains(moved_mm, lengths_mm, design.unit)
         return by_unit(lengths_mm, design), by_unit(strains, design)

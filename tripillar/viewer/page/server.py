@@ -17,9 +17,15 @@ from aiohttp.typedefs import Handler
 from geometry.errors import TriPillarError
 from hardware.session import ended_by_signal
 from tripillar.viewer.page.page import Page, Subject
-from tripillar.viewer.page.session import Session
 
-FILES = ("page.css", "page.js", "picture.js", "plot.js", "files.js")  #: all that is served beside page.html
+FILES = (
+    "page.css",
+    "page.js",
+    "numbers.js",
+    "picture.js",
+    "plot.js",
+    "files.js",
+)  #: all that is served beside page.html
 MAX_BROWSERS = 8  #: at once; each has a scene of its own, 40 MB
 MAX_CONNECTIONS = 64  #: at once, browsers with a page not counted; one more ends the oldest
 MAX_BYTES = 2**16  #: of a message; the state of 500 pads takes 20 kB
@@ -62,21 +68,15 @@ def listening_on(host: str, port: int) -> socket.socket:
     AddressError
         If the host is none of this machine, or another program listens on that port.
     """
-    opened = None
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        opened = socket.socket(family, kind, protocol)
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        opened.bind(address)
-        opened.listen()
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        is_both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
+        return socket.create_server(address[:2], family=family, dualstack_ipv6=is_both)
     except (OSError, UnicodeError) as error:
-        if opened is not None:
-            opened.close()
         why = error.strerror if isinstance(error, OSError) else "no name of a machine"
         raise AddressError(
             f"cannot listen on {host}, port {port}: {why}; give another --host or --http-port."
         ) from None
-    return opened
 
 
 def page_url(host: str, port: int, token: str) -> str:
@@ -221,7 +221,7 @@ class Server:
         page = None
         try:
             page = Page(self._subject)
-            await Session(page, browser).run()
+            await page.run(browser)
         finally:
             del self._sockets[browser]
             if page is not None:

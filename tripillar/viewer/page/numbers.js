@@ -1,0 +1,71 @@
+// Numbers beside the picture, as text, colours and rows, and as CSV; null is unknown. What the server says of all units is
+// one list with three numbers a unit, of the axes x, y, z or the pillars z, x, y.
+
+const AXES = ["x", "y", "z"], PILLARS = ["z", "x", "y"];
+export const ARROWS = "→↗↑↖←↙↓↘";  // of shear, by eighths of a turn from +x
+export const MAPS = {
+  "resistance-maps": { titles: PILLARS.map(name => `${name} pillar`), name: "change_pct", unit: "%", digits: 1, least: 2 },
+  "force-maps": { titles: AXES.map(name => `F${name}`), name: "force_n", unit: "N", digits: 0, least: 10 },
+};
+
+export function words(value, digits) {
+  if (value === null) return "–";
+  if (value === Infinity) return "∞";
+  const rounded = value.toFixed(digits);
+  return rounded.replace("-", +rounded ? "−" : "");
+}
+
+// red above 0, blue below, more opaque the larger, so that it suits a pale and a dark page
+
+export function colour(value, most) {
+  if (value === null) return "transparent";
+  return `rgba(${value > 0 ? "214,69,65" : "47,110,186"},${Math.min(Math.abs(value / most), 1).toFixed(3)})`;
+}
+
+const minus = (one, other) => (one === null || other === null ? null : one - other);
+const three = (values, unit) => values.slice(3 * unit, 3 * unit + 3);
+
+export function unitPillars({ resistance_ohm, change_pct, strain_pct }, unit) {
+  const [ohm, change, strain] = [resistance_ohm, change_pct, strain_pct].map(values => three(values, unit));
+  return PILLARS.map((name, k) => [name, words(ohm[k] / 1e3, 3), words(change[k], 2), words(strain[k] ?? Infinity, 1)]);
+}
+
+export function unitForces({ applied_n, force_n }, unit) {
+  const applied = three(applied_n, unit), found = three(force_n, unit);
+  return AXES.map((name, k) =>
+    [`F${name}`, words(applied[k], 1), words(found[k], 1), words(minus(found[k], applied[k]), 2)]);
+}
+
+export function tableRows({ cols }, { resistance_ohm, applied_n, force_n }) {
+  return Array.from({ length: resistance_ohm.length / 3 }, (_, unit) => {
+    const applied = three(applied_n, unit), found = three(force_n, unit);
+    return [`${Math.floor(unit / cols)}, ${unit % cols}`, ...three(resistance_ohm, unit).map(ohm => words(ohm / 1e3, 3)),
+      ...AXES.flatMap((_, k) => [words(applied[k], 1), words(found[k], 1)])];
+  });
+}
+
+// the largest strain [%] and whose it is; of a pillar that turned over it is unknown
+
+export function largestStrain({ cols }, { strain_pct }) {
+  const strains = strain_pct.map(strain => strain ?? Infinity), most = Math.max(...strains), at = strains.indexOf(most);
+  const unit = Math.floor(at / 3);
+  return [most, `${PILLARS[at % 3]} pillar of row ${Math.floor(unit / cols)}, col ${unit % cols}`];
+}
+
+export function missed({ applied_n, force_n }) {
+  const errors = force_n.map((found, at) => minus(found, applied_n[at])).filter(error => error !== null);
+  const square = errors.reduce((sum, error) => sum + error * error, 0) / errors.length;
+  return errors.length ? `all forces missed by ${words(Math.sqrt(square), 2)} N (rms)` : "";
+}
+
+export function csv({ rows, cols, pitch_mm }, { traction_mpa, resistance_ohm, applied_n, force_n }) {
+  const head = ["row", "col", "x_mm", "y_mm", ...AXES.map(axis => `traction_${axis}_mpa`),
+    ...PILLARS.map(pillar => `resistance_${pillar}_ohm`), ...AXES.map(axis => `applied_f${axis}_n`),
+    ...AXES.map(axis => `decoupled_f${axis}_n`)];
+  const lines = Array.from({ length: rows * cols }, (_, unit) => {
+    const row = Math.floor(unit / cols), col = unit % cols;
+    const place = [pitch_mm * (col - (cols - 1) / 2), pitch_mm * (row - (rows - 1) / 2)];
+    return [row, col, ...place, ...[traction_mpa, resistance_ohm, applied_n, force_n].flatMap(all => three(all, unit))];
+  });
+  return [head, ...lines].map(line => line.join()).join("\n") + "\n";
+}
