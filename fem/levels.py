@@ -9,7 +9,7 @@ probe (Becker & Rannacher, Acta Numerica 10, 2001). Indicators bound it element 
 slowly from mesh to mesh, and is shown by the change of the probe over the fall of the indicators' sum η.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,15 +20,8 @@ from fem.scene.solution import SMALLEST_SHARE, relative_errors
 from geometry.layout import FloatArray
 
 Answer = Mapping[str, FloatArray]  #: displacements of probes, or whatever else is compared by name
-Change = Callable[[Answer, Answer, Answer], float]  #: of one answer to another, relative to a third
 
 SAFETY = 1.5  #: factor on the error that the observed rate says
-
-
-def largest_change(one: Answer, other: Answer, reference: Answer) -> float:
-    """Largest change of a probe from one answer to another, relative to a reference as `relative_errors` says."""
-    difference = {name: other[name] - one[name] for name in reference}
-    return max(relative_errors(difference, reference).values(), default=0.0)
 
 
 def richardson_factor(coarse: float, fine: float, rate: float) -> float:
@@ -40,32 +33,12 @@ def richardson_factor(coarse: float, fine: float, rate: float) -> float:
     return float(1 / ((fine / coarse) ** rate - 1))
 
 
-def observed_rate(
-    levels: tuple[float, float, float], changes: tuple[float, float], bounds: tuple[float, float]
-) -> float:
-    """The rate p at which errors ~ level^(−p) change so between three levels, between bounds.
-
-    >>> round(observed_rate((1, 2, 4), (1.0, 0.25), (1.0, 4.0)), 6)
-    2.0
-    """
-    first, second, third = levels
-    low, high = bounds
-
-    def misfit(p: float) -> float:
-        return changes[1] * (first**-p - second**-p) - changes[0] * (second**-p - third**-p)
-
-    if misfit(low) >= 0 or not changes[0] > 0:
-        return low
-    return high if misfit(high) <= 0 else float(brentq(misfit, low, high))
-
-
 @dataclass(eq=False)
 class Convergence:
     """Answers on levels so far, the best one, and its estimated error."""
 
     rates: tuple[float, float]  #: least and greatest rate of convergence that is believed
     is_extrapolated: bool = False  #: whether the best answer is the limit that the last two levels tend to
-    change: Change = largest_change
     levels: list[float] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
 
@@ -74,15 +47,26 @@ class Convergence:
         self.levels.append(level)
         self.answers.append(answer)
 
+    def change(self, one: Answer, other: Answer) -> float:
+        """Largest change of a probe from one answer to another, relative to the last answer."""
+        difference = {name: other[name] - u for name, u in one.items()}
+        return max(relative_errors(difference, self.answers[-1]).values(), default=0.0)
+
     @property
     def rate(self) -> float:
-        """Rate of convergence: observed, or the least that is believed."""
+        """Rate of convergence p at which errors ~ level^(−p) change so: observed, or the least that is believed."""
+        low, high = self.rates
         if len(self.levels) < 3:
-            return self.rates[0]
-        one, two, three = self.answers[-3:]
-        changes = self.change(one, two, three), self.change(two, three, three)
-        a, b, c = self.levels[-3:]
-        return observed_rate((a, b, c), changes, self.rates)
+            return low
+        (a, b, c), (one, two, three) = self.levels[-3:], self.answers[-3:]
+        first, second = self.change(one, two), self.change(two, three)
+
+        def misfit(p: float) -> float:
+            return second * (a**-p - b**-p) - first * (b**-p - c**-p)
+
+        if misfit(low) >= 0 or not first > 0:
+            return low
+        return high if misfit(high) <= 0 else float(brentq(misfit, low, high))
 
     @property
     def factor(self) -> float:
@@ -108,7 +92,7 @@ class Convergence:
         """
         if len(self.answers) < 2:
             return np.inf
-        return SAFETY * self.factor * self.change(self.answers[-2], self.answers[-1], self.answers[-1])
+        return SAFETY * self.factor * self.change(self.answers[-2], self.answers[-1])
 
 
 def sizes(probes: FloatArray) -> FloatArray:

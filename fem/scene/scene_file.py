@@ -104,8 +104,7 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
     kind = _known(entry.get("kind", "dead"), LOAD_KINDS, place)
     given = {key: value for key, value in entry.items() if key != "kind"}
     made, of_kind = LOAD_KINDS[kind], f"{place} of kind {kind}" if "kind" in entry else place
-    STRICT.require_keys(given, keys_of(made, optional=True), f" in {of_kind}", keys_of(made))
-    load: Load = STRICT.made(place, made, **given)
+    load: Load = STRICT.filled(of_kind, made, given, keys_of(made, optional=True), keys_of(made))
     return load
 
 

@@ -23,7 +23,7 @@ class PatchError(TriPillarError, ValueError):
 def patch_means(basis: Basis, rectangles: FloatArray) -> sp.csr_matrix:
     """Rows that take nodal displacements to mean displacements of rectangles (k, 4) of the top face.
 
-    Shape (k·3, n_displacement): rows run over rectangles, then axes. A row is also the nodal load vector of a
+    Shape (k·3, 3·basis.N): rows run over rectangles, then axes. A row is also the nodal load vector of a
     unit force spread evenly over that rectangle.
     """
     area_mm2 = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])

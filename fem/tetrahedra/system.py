@@ -53,7 +53,7 @@ class TetrahedralSystem(Equations):
         """Energy in the rubber."""
         return self.body.energy_mj(state.u, state.p)
 
-    def motions(self, rotation: FloatArray) -> sp.csr_matrix:
+    def _motions(self, rotation: FloatArray) -> sp.csr_matrix:
         """T: displacements of all nodes (3 n_nodes) by the unknowns that are no pressures, as a matrix."""
         axis, n, k = np.arange(3), len(self.free), self.plates.count
         node, plate = self.plates.node, self.plates.plate
@@ -101,7 +101,7 @@ class TetrahedralSystem(Equations):
                 yield some, K
 
         A = self.assembly.matrix(self.assembled(blocks(), state, share, reactions)).tocsr()
-        B = self._coupling(np.concatenate(pulls), self.motions(state.rotation))
+        B = self._coupling(np.concatenate(pulls), self._motions(state.rotation))
         C = self.body.compliance()
         if not self.symmetric:
             return sp.block_array([[A, B.T], [B, -C]], format="csr")
