@@ -73,9 +73,8 @@ def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> Floa
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
     """Resistance (..., 3) [Ω] of conductive pillars z, x, y of these lengths (..., 3), which keep their volumes (3,).
 
-    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236; it falls in compression. No
-    piezoresistive change of ρ and no contact resistance. A length that is not above 0, of a collapsed pillar, is a
-    `ValueError`.
+    R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236; it falls in compression. A length that
+    is not above 0, of a collapsed pillar, is a `ValueError`.
 
     Examples
     --------

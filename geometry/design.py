@@ -6,8 +6,9 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 import reprlib
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
+from html import escape
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -283,6 +284,17 @@ class SensorDesign:
                 f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end within "
                 f"{self.pad_room_mm:g} mm of the unit's centre; shrink the pad or raise pitch_mm."
             )
+
+    def _repr_html_(self) -> str:
+        """Its numbers and words with their meanings as a table, for notebooks."""
+        parts = [(f"{part.name}.", getattr(self, part.name)) for part in fields(self) if is_dataclass(part.type)]
+        rows = [
+            f"<tr><td>{name}{spec.name}<td>{getattr(part, spec.name)}<td>{escape(spec.metadata['meaning'])}"
+            for name, part in (("", self), *parts)
+            for spec in fields(part)
+            if spec.type in (int, float, str)
+        ]
+        return f"<table>{''.join(rows)}</table>"
 
     @property
     def n_units(self) -> int:

@@ -22,13 +22,8 @@ from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.storage.text_file import why_unreadable
 
 STANDARD_GRAVITY = 9.80665  # m/s²
-UNITS_N = {
-    "": 1.0,
-    "n": 1.0,
-    "kn": 1e3,
-    "g": 1e-3 * STANDARD_GRAVITY,
-    "kg": STANDARD_GRAVITY,
-}  #: that a force may be written in
+#: that a force may be written in
+UNITS_N = {"": 1.0, "n": 1.0, "kn": 1e3, "g": 1e-3 * STANDARD_GRAVITY, "kg": STANDARD_GRAVITY}
 PLAIN = {"": 1.0}
 SHARE = {"": 1.0, "%": 0.01}  #: units of what is relative
 FORCE = "a number of newtons, or with a unit: N, kN, g, kg"
@@ -84,25 +79,14 @@ def as_pairs(loads: list[KnownLoad], source: object, bits: int | None = None) ->
 
 
 def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLoad]:
-    """Known loads of a CSV table, in its order.
+    """Known loads of a CSV table on an array with pads of this area [mm²], in its order.
 
-    Parameters
-    ----------
-    path : Path
-        With a header and some of the columns `COLUMNS`; lines of the same `load` act together. `kind` is pad (the
-        default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and
-        `col` are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as
-        500 g; of air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit.
-        Readings stand in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative.
-    rows, cols : int
-        Of the array.
-    pad_mm2 : float
-        Area of a pad [mm²].
-
-    Raises
-    ------
-    FileFormatError
-        If the file or a column is missing, or a line makes no sense; it names the line.
+    It has a header and some of the columns `COLUMNS`; lines of the same `load` act together. `kind` is pad (the
+    default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and `col`
+    are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as 500 g; of
+    air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit. Readings stand
+    in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative. A file or column that is
+    missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as opened:
@@ -134,10 +118,7 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
 def keep_pair(path: Path, load: KnownLoad) -> None:
     """Add a load with its readings to a table, which is begun if there is none; on disk when this returns.
 
-    Raises
-    ------
-    FileFormatError
-        If the table has other columns than this array's, or cannot be written.
+    A table of other columns than this array's, or that cannot be written, is a `FileFormatError`.
     """
     assert load.resistance_ohm is not None
     rows, cols, _ = load.resistance_ohm.shape
@@ -184,7 +165,7 @@ def _load(
     path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], rows: int, cols: int, pad_mm2: float
 ) -> KnownLoad:
     lines = [_Line(values, f"{path}, line {number}") for number, values in numbered]
-    parts = [known_forces(values, rows, cols, pad_mm2, f"{path}, line {number}") for number, values in numbered]
+    parts = [known_forces(line.texts, rows, cols, pad_mm2, line.source) for line in lines]
     times = {tuple(line.number(column) if line.text(column) else None for column in TIMES) for line in lines}
     if len(times) > 1:
         raise FileFormatError(f"{path}: load '{name}' has lines with different times: give all of them the same.")

@@ -96,9 +96,8 @@ class StrainMaps:
         found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, -1)
         found += first[0] + rowwise(z[..., : 9 * OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
         pressing = pairs[..., _PRESSING]
-        for factor, values, matrix in (
-            (o, z, with_own), (pressing, around, with_pressing), (0.5 * pairs, pairs, with_pairs)
-        ):  # fmt: skip
+        products = (o, z, with_own), (pressing, around, with_pressing), (0.5 * pairs, pairs, with_pairs)
+        for factor, values, matrix in products:
             mapped = rowwise(values.reshape(n * k, -1), matrix).reshape(n, k, factor.shape[2], -1)
             found += (factor[..., None] * mapped).sum(axis=2)
         return found
@@ -174,17 +173,10 @@ class StrainMaps:
         return values, by_o @ self._by_force
 
     def states(self, force_n: FloatArray) -> FloatArray:
-        """States G in which forces F act, both (n, 3 k) [N].
+        """States G in which forces F act, both (n, 3 k) [N], by damped Newton steps.
 
-        Raises
-        ------
-        SampleError
-            If there are none: forces beyond those of the samples at finite strain.
-
-        Notes
-        -----
-        Damped Newton steps. Where a column nearly gives way, χ can miss the forces that it bears by as much as its
-        misfit: there the G whose forces are nearest counts.
+        Where a column nearly gives way, χ can miss the forces that it bears by as much as its misfit: there the G whose
+        forces are nearest counts. Forces beyond those of the samples at finite strain are a `SampleError`.
         """
         found, there_are = self.nearest_states(force_n)
         if not there_are.all():

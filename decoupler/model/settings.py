@@ -19,11 +19,8 @@ METHODS = {"lm": "levenberg_marquardt:train_lm", "momentum": "momentum:train_mom
 _TRAINERS_OWN = {
     "varpro": {"goal_mse": 1e-7, "max_iterations": 200, "patience": 10},
     "lm": {"goal_mse": 1e-5, "max_iterations": 200, "patience": 10},  # the paper's goal
-    "momentum": {
-        "goal_mse": 1e-5,
-        "max_iterations": 5000,
-        "patience": 500,
-    },  # first order: many cheap steps, each gaining little
+    # first order: many cheap steps, each gaining little
+    "momentum": {"goal_mse": 1e-5, "max_iterations": 5000, "patience": 500},
 }
 
 

@@ -214,7 +214,8 @@ class ForceReader:
     def forces(self, counts: NDArray[Any]) -> Forces:
         """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
         parts = [self.measured(counts[k : k + CHUNK]) for k in range(0, len(counts), CHUNK)]
-        measured_ohm, saturated = (np.concatenate(each) for each in zip(*parts, strict=True))
+        whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
+        measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
         if self.model.knows_touch:
             decoded = self._touched(resistance_ohm)

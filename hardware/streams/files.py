@@ -39,7 +39,7 @@ class Message(NamedTuple):
     """One message; times in nanoseconds."""
 
     topic: str
-    content: Mapping[str, Any]
+    content: Mapping[str, Any] | str
     log_ns: int
     publish_ns: int
     sequence: int = 0

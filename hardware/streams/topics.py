@@ -1,7 +1,8 @@
 """Messages of MCAP files and of live streams: their topics, and what each says of the forces of a scan, as JSON."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,7 +30,6 @@ from hardware.streams.scene import (
 INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics
 SENSOR, WRENCH, SCENE = "/tripillar/sensor", "/tripillar/wrench", "/tripillar/scene"
 RESISTANCES, CONTACTS = "/tripillar/resistances", "/tripillar/contacts"
-UNUSED = ("metadata", "cylinders", "lines", "triangles", "texts", "models")  #: of foxglove.SceneEntity
 CONTACT = ("force_n", "force_deviation_n", "centre_mm", "centre_deviation_mm", "half_mm", "half_deviation_mm")
 
 
@@ -64,53 +64,59 @@ def wrench_content(net: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {name: plain_numbers(there[name]) if name in there else [] for name in NET}
 
 
-def scene_content(scan: Forces) -> dict[str, Any]:
-    """Foxglove's picture: pads as cubes, forces as arrows, contacts as spheres."""
+# Texts with places for numbers: filling them in is far quicker than `json`, and the picture is the largest message.
+_COLOUR = '"color":{"r":%.3f,"g":%.3f,"b":%.3f,"a":1.0}'
+_TURNED = '"pose":{"position":{"x":%.12g,"y":%.12g,"z":%.12g},"orientation":{"x":0.0,"y":%.12g,"z":%.12g,"w":%.12g}}'
+_THICK = '"shaft_diameter":%.12g,"head_diameter":%.12g'
+
+
+def _block(centre_m: FloatArray, size_m: Any) -> str:
+    """A cube or sphere, but for the numbers of its colour."""
+    place, size = (dict(zip("xyz", map(float, each), strict=True)) for each in (centre_m, size_m))
+    pose = {"position": place, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return f"{json.dumps({'pose': pose, 'size': size})[:-1]},{_COLOUR}}}"
+
+
+@lru_cache(maxsize=8)
+def _pads(sensor: SensorDescription) -> str:
+    """The pads as cubes, but for the numbers of their colours."""
+    side = 1e-3 * sensor.pad_mm
+    centres_m = 1e-3 * sensor.position_mm.reshape(-1, 3) - [0.0, 0.0, PAD_HEIGHT * side / 2]
+    return ",".join(_block(each, [side, side, PAD_HEIGHT * side]) for each in centres_m)
+
+
+def _arrow(thick_m: float, rgb: tuple[int, int, int]) -> str:
+    """An arrow, but for the numbers of its place, direction and lengths."""
+    look = f"{_THICK},{_COLOUR}" % (thick_m, 2.0 * thick_m, *(each / 255 for each in rgb))
+    return f'{{{_TURNED},"shaft_length":%.12g,"head_length":%.12g,{look}}}'
+
+
+def scene_content(scan: Forces) -> str:
+    """Foxglove's picture as JSON: pads as cubes, forces as arrows, contacts as spheres."""
     scene, (sec, nsec) = scene_of(scan), divmod(int(scan.stamp_ns), 10**9)
-    side, height = scene.pad_m, PAD_HEIGHT * scene.pad_m
-    drawn = np.linalg.norm(scene.arrows_m, axis=1) > MIN_ARROW * LONGEST * side
-    cubes = [
-        {"pose": _pose(place), "size": _xyz([side, side, height]), "color": _colour(colour)}
-        for place, colour in zip(scene.places_m - [0.0, 0.0, height / 2], scene.pad_colours.tolist(), strict=True)
-    ]
-    spheres = [
-        {"pose": _pose(centre), "size": _xyz(2.0 * half), "color": _colour(CONTACT_COLOUR)}
-        for centre, half in zip(scene.contact_centres_m, scene.contact_halves_m, strict=True)
-    ]
-    arrows = _arrows(scene.places_m[drawn], scene.arrows_m[drawn], THICK * side, ARROW_COLOUR)
-    arrows += _arrows(scene.net_tip_m, scene.net_arrow_m, 2.0 * THICK * side, NET_COLOUR)
-    array: dict[str, Any] = {"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": FRAME, "id": "array"}
-    array |= {"lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False, **{name: [] for name in UNUSED}}
-    return {"deletions": [], "entities": [array | {"cubes": cubes, "arrows": arrows, "spheres": spheres}]}
-
-
-def _arrows(tips_m: FloatArray, arrows_m: FloatArray, thick_m: float, colour: Sequence[int]) -> list[dict[str, Any]]:
-    """Arrows (n, 3) that end at points (n, 3); Foxglove's begin at their pose and point along its x axis."""
-    lengths = np.linalg.norm(arrows_m, axis=1)
-    heads = np.minimum(2.0 * thick_m, lengths)
-    return [
-        {"pose": _pose(tail, turn), "shaft_length": length - head, "shaft_diameter": thick_m}
-        | {"head_length": head, "head_diameter": 2.0 * thick_m, "color": _colour(colour)}
-        for tail, turn, length, head in zip(
-            tips_m - arrows_m, turns_from_x(arrows_m), lengths.tolist(), heads.tolist(), strict=True
-        )
-    ]
-
-
-def _xyz(values: Any) -> dict[str, float]:
-    return dict(zip("xyzw", map(float, values), strict=False))
-
-
-def _pose(position: FloatArray, orientation: Any = (0.0, 0.0, 0.0, 1.0)) -> dict[str, Any]:
-    return {"position": _xyz(position), "orientation": _xyz(orientation)}
-
-
-def _colour(rgb: Sequence[int]) -> dict[str, float]:
-    return {name: value / 255 for name, value in zip("rgba", (*rgb, 255), strict=True)}
+    thick_m, contact = THICK * scene.pad_m, tuple(each / 255 for each in CONTACT_COLOUR)
+    drawn = np.linalg.norm(scene.arrows_m, axis=1) > MIN_ARROW * LONGEST * scene.pad_m
+    # arrows begin at their pose and point along its x axis; the last is the net force, if there is one
+    arrows_m = np.concatenate([scene.arrows_m[drawn], scene.net_arrow_m])
+    tails_m = np.concatenate([scene.places_m[drawn], scene.net_tip_m]) - arrows_m
+    kinds = [_arrow(thick_m, ARROW_COLOUR)] * drawn.sum() + [_arrow(2.0 * thick_m, NET_COLOUR)] * len(scene.net_tip_m)
+    longest_m = np.repeat([2.0 * thick_m, 4.0 * thick_m], [drawn.sum(), len(scene.net_tip_m)])[:, None]
+    lengths_m = np.linalg.norm(arrows_m, axis=1, keepdims=True)
+    heads_m = np.minimum(longest_m, lengths_m)
+    numbers = np.hstack([tails_m, turns_from_x(arrows_m)[:, 1:], lengths_m - heads_m, heads_m])
+    spheres = zip(scene.contact_centres_m, 2.0 * scene.contact_halves_m, strict=True)
+    lists = dict.fromkeys(("metadata", "cylinders", "lines", "triangles", "texts", "models"), "") | {
+        "cubes": _pads(scan.description) % tuple((scene.pad_colours / 255).reshape(-1).tolist()),
+        "arrows": ",".join(kinds) % tuple(numbers.reshape(-1).tolist()),
+        "spheres": ",".join(_block(*each) % contact for each in spheres),
+    }
+    entity = f'"timestamp":{{"sec":{sec},"nsec":{nsec}}},"frame_id":"{FRAME}","id":"array","frame_locked":false'
+    shown = ",".join(f'"{name}":[{each}]' for name, each in lists.items())
+    return f'{{"deletions":[],"entities":[{{{entity},"lifetime":{{"sec":0,"nsec":0}},{shown}}}]}}'
 
 
 #: what each topic says of the forces of a scan
-CONTENTS: dict[str, Callable[[Forces], dict[str, Any]]] = {
+CONTENTS: dict[str, Callable[[Forces], dict[str, Any] | str]] = {
     FORCES: forces_content,
     WRENCH: lambda scan: wrench_content(scan.net()),
     RESISTANCES: lambda scan: {"units": _units(resistance_ohm=scan.resistance_ohm.round(3), saturated=scan.saturated)},
@@ -119,9 +125,10 @@ CONTENTS: dict[str, Callable[[Forces], dict[str, Any]]] = {
 }
 
 
-def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """A message as JSON; numbers that are not finite are a ValueError."""
-    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+def json_bytes(content: Mapping[str, Any] | str) -> bytes:
+    """A message as JSON, which a text is; numbers that are not finite are a ValueError."""
+    text = content if isinstance(content, str) else json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text.encode()
 
 
 TITLES = {SCENE: "foxglove.SceneUpdate"}  #: of schemas that are not ours
@@ -130,7 +137,7 @@ TITLES = {SCENE: "foxglove.SceneUpdate"}  #: of schemas that are not ours
 def schemas() -> dict[str, dict[str, Any]]:
     """JSON schemas of all topics: those of the messages of a scan that has all that a scan can have."""
     scan = _everything()
-    examples = {topic: content(scan) for topic, content in CONTENTS.items()}
+    examples = {topic: json.loads(json_bytes(content(scan))) for topic, content in CONTENTS.items()}
     examples |= {
         INFO: Header(info=Info()).plain(),
         SCAN: {name: 0 for name in COLUMNS} | {"counts": [0], "received_s": 0.0},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dataset import counts_from_resistance, measured, resistance_from_counts
-from dataset.measurement import SENSE_OHM, ReadingError
+from dataset.measurement import SENSE_OHM, ReadingError, reading_deviation
 from geometry import DesignError
 
 RESISTANCES = np.geomspace(3e3, 30e3, 5000)
@@ -45,6 +45,9 @@ def test_a_converter_errs_by_half_a_step_at_most(bits):
     share_error = np.abs(SENSE_OHM / (read + SENSE_OHM) - SENSE_OHM / (RESISTANCES + SENSE_OHM))
     half_step = 0.5 / (2**bits - 1)
     assert 0.99 * half_step < share_error.max() <= half_step * (1 + 1e-8)  # reached, but for rounding
+    even = np.linspace(9e3, 30e3, 200_001)  # many in each step, which holds its readings evenly
+    missed = (measured(even, 0.0, bits, rng()) - even) / reading_deviation(even, 0.0, bits)
+    assert np.sqrt(np.mean(missed**2)) == pytest.approx(1.0, abs=0.04)  # of 4 bits, whose steps are a sixth of R
     for sense_ohm in (1e3, SENSE_OHM):
         counts = np.unique(np.linspace(1, 2**bits - 1, 1000).astype(np.int64))
         ohms = resistance_from_counts(counts, bits, sense_ohm)

@@ -13,13 +13,12 @@ from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training.suited import explaining, suited_feature
 from fem.array.response import ArrayResponse, ConductedPillars
 from geometry.layout import PILLAR_TOP, pillar_ends
-from tests.decoupler.synthetic_sensor import labelled, response, sensor, split
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
 ALL = component_named("all")
 DATA = labelled(SENSOR, "xyz", n_samples=300, seed=0)
-TRAIN, TEST = split(DATA, 200)
 FORWARD = SensorModel.of(RESPONSE, ALL)
 READABLE = np.ones(FORWARD.n_pillars, dtype=bool)
 TRAINING = Columns.of(DATA, ALL)
@@ -96,14 +95,6 @@ def test_an_unreadable_pillar_is_not_looked_at():
     once, other = (inverse.forces(np.where(readable, COLUMNS, ohm)) for ohm in (1e4, 7.0))
     np.testing.assert_array_equal(once, other)
     assert np.std(once - FORCES) < 0.5 * FORCES.std()
-
-
-def test_a_net_on_the_inverse_beats_one_on_the_root():
-    config = TrainingConfig(goal_mse=1e-12, max_iterations=20)
-    known = train(TRAIN, "all", NetworkConfig(hidden=6, feature="inverse"), config, response=RESPONSE)
-    unknown = train(TRAIN, "all", NetworkConfig(hidden=6, feature="root"), config)
-    for name, errors in evaluate(known, TEST).items():
-        assert errors.rmse_n < evaluate(unknown, TEST)[name].rmse_n / 3
 
 
 def test_the_feature_needs_a_response_that_explains_the_data():

@@ -109,9 +109,9 @@ def test_the_bytes_of_a_board_are_a_recording_without_times_of_arrival(path):
     for cut in (1, SIZE - 1):
         recording = parse_recording(whole[: len(whole) - cut])
         assert (recording.statistics.ok, recording.truncated_bytes) == (24_999, SIZE - cut)
-    lost = parse_recording(encode(BOARD) + a_frame(0) + a_frame(1) + a_frame(4))
+    lost = parse_recording(encode(BOARD) + a_frame(0) + 2 * a_frame(1) + a_frame(4))
     assert lost.time_s == pytest.approx([0.0, 0.005, 0.020])
-    assert lost.statistics.lost == 2
+    assert (lost.statistics.lost, lost.statistics.repeated) == (2, 1)
 
 
 def test_a_flipped_bit_costs_one_frame_at_most_and_is_named(path):
