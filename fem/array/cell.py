@@ -35,14 +35,13 @@ Free = tuple[int, ...]  #: numbers of the `FACES` that no neighbour shares
 CLAMPED = 0.7  #: exponent of displacements at the clamped end of a free side: 0.6 as ν → 0.5, 0.71 at 0.3
 
 
-def lobatto(degree: int, t: FloatArray) -> FloatArray:
-    """Bubble of a degree of at least 2: integral of the Legendre polynomial below it, zero at t = ±1.
+def bubbles(degree: int, t: FloatArray) -> FloatArray:
+    """Integrals of Legendre polynomials at places (n,), zero at t = ±1, of degrees 2 to `degree`: (n, degree − 1).
 
     (P_k − P_{k−2}) / √(2(2k−1)), Szabó & Babuška, Finite Element Analysis, eq. 3.15.
     """
-    series = np.zeros(degree + 1)
-    series[degree], series[degree - 2] = 1.0, -1.0
-    return legendre.legval(t, series) / np.sqrt(2 * (2 * degree - 1))
+    P = legendre.legvander(t, degree)
+    return (P[:, 2:] - P[:, :-2]) / np.sqrt(2 * (2 * np.arange(2, degree + 1) - 1))
 
 
 @dataclass(frozen=True)
@@ -118,22 +117,14 @@ class PortModes:
     def values(self, points_mm: FloatArray) -> FloatArray:
         """Every mode at points (n, 3) of the side faces, shape (n, n_modes)."""
         x, y = points_mm[:, 0] / self.half_mm, points_mm[:, 1] / self.half_mm
-        upward = self._upward(points_mm[:, 2])
+        t = 2 * (points_mm[:, 2] / self.height_mm) ** CLAMPED - 1
+        upward = np.column_stack([_hat(t, 1), bubbles(self.up, t)])
         columns = [np.einsum("n,nk->nk", _hat(x, sx) * _hat(y, sy), upward) for sx, sy in EDGES]
         for axis, side in FACES:
             across, along = (x, y) if axis == 0 else (y, x)
-            bubbles = self._bubbles(along) * _hat(across, side)[:, None]
-            columns.append(np.einsum("nm,nk->nmk", bubbles, upward).reshape(len(points_mm), self.per_face))
+            on_face = bubbles(self.side, along) * _hat(across, side)[:, None]
+            columns.append(np.einsum("nm,nk->nmk", on_face, upward).reshape(len(points_mm), self.per_face))
         return np.hstack(columns)
-
-    def _bubbles(self, t: FloatArray) -> FloatArray:
-        return (
-            np.stack([lobatto(k, t) for k in range(2, self.side + 1)], axis=-1) if self.side > 1 else t[:, None][:, :0]
-        )
-
-    def _upward(self, z_mm: FloatArray) -> FloatArray:
-        t = 2 * (z_mm / self.height_mm) ** CLAMPED - 1
-        return np.stack([_hat(t, 1), *[lobatto(k, t) for k in range(2, self.up + 1)]], axis=-1)
 
 
 def _hat(t: FloatArray, sign: int) -> FloatArray:
@@ -267,7 +258,7 @@ def _eliminated(
 ) -> CondensedCell:
     """What a cell does in fields of a parity: `condense` of one of its copies, under loads (m, k·3) on the unknowns."""
     points, numbers = body.points_mm, body.numbers
-    on_side = (np.abs(points[:, :2]) > ports.half_mm * (1 - ON_FACE)).any(axis=1) & (numbers[:, 0] >= 0)
+    on_side = on_faces(points, ports.half_mm) & (numbers[:, 0] >= 0)
     K, follows = body.matrix(parity), numbers[on_side].ravel()
     block = K.blocksize[0] if K.format == "bsr" else 1
     is_outer = np.zeros(K.shape[0] // block, dtype=bool)
@@ -316,7 +307,7 @@ def _part(K: SparseMatrix, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> 
     return sp.bsr_matrix((K.data[some.data - 1], some.indices, some.indptr), shape=shape)
 
 
-def on_faces(points_mm: FloatArray, half_mm: float, free: Free) -> NDArray[np.bool_]:
+def on_faces(points_mm: FloatArray, half_mm: float, free: Free = ()) -> NDArray[np.bool_]:
     """Which points (n, 3) of a cell lie on a side that is not free, shape (n,)."""
     found = np.zeros(len(points_mm), dtype=bool)
     for number, (axis, side) in enumerate(FACES):

@@ -303,15 +303,11 @@ def expanded(influence: FloatArray, rows: int, cols: int, radius: int) -> FloatA
 
 def reduced(influence: FloatArray, rows: int, cols: int) -> FloatArray:
     """Influence of a smaller array, some middle units left out, from that of a larger one; `expanded` undoes it."""
-    if influence.shape[:2] == (rows, cols):
-        return influence
     small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
-    skipped = influence.shape[0] - rows, influence.shape[1] - cols
-    for i in range(rows):
-        up = skipped[0] if i > rows // 2 else 0
-        for j in range(cols):
-            right = skipped[1] if j > cols // 2 else 0
-            small[i, j] = influence[i + up, j + right, :, :, up : up + rows, right : right + cols]
+    up, right = influence.shape[0] - rows, influence.shape[1] - cols
+    for i, j in np.ndindex(rows, cols):
+        y, x = up * (i > rows // 2), right * (j > cols // 2)
+        small[i, j] = influence[i + y, j + x, :, :, y : y + rows, x : x + cols]
     return small
 
 

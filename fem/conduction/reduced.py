@@ -16,7 +16,8 @@ from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
 from fem.field import IntArray
 from geometry.design import Unit
-from geometry.layout import FloatArray, pillar_ends, pillar_sections
+from geometry.layout import FloatArray
+from geometry.prism import unit_prisms
 
 MESH = (3, 1, True)  #: order, levels, and whether it is cut across; what it gets wrong at rest is put right
 DROPPED = 2e-4  #: of the energy of the potentials' changes, by compression
@@ -150,10 +151,5 @@ def _cubature(rows: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArra
 
 
 def pillars_of(unit: Unit, points_mm: FloatArray) -> IntArray:
-    """The number of the pillar in which each point lies (n,), the first one's where they meet."""
-    pillar = np.full(len(points_mm), -1)
-    share = points_mm[:, 2:] / unit.height_mm
-    for number, ((base, top), section) in enumerate(zip(pillar_ends(unit), pillar_sections(unit), strict=True)):
-        off = points_mm[:, :2] - base[:2] - share * (top - base)[:2]
-        pillar[(pillar < 0) & (np.abs(off) < section / 2 * (1 + 1e-6)).all(axis=1)] = number
-    return pillar
+    """The number of the pillar in which each of the points (n, 3) lies, (n,), the first one's where they meet."""
+    return np.argmax([prism.holds(points_mm, 1e-6 * unit.pillar_width_mm) for prism in unit_prisms(unit)], axis=0)

@@ -42,7 +42,7 @@ DEGREE = 2  #: of the polynomials between tiles
 FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceCompliance:
     """Displacements of an array's top and of its upper electrodes by forces on the top."""
 
@@ -78,14 +78,8 @@ def surface_compliance(
 ) -> tuple[SurfaceCompliance, Path, bool]:
     """Compliance of a sensor's top, its file, and whether it was there already; pads do not matter.
 
-    `progress` is called with the name of each step as it begins.
-
-    Raises
-    ------
-    DesignError
-        If the rubber is not linear, pads are stiff, pillars conduct by their strain, or the array is too large.
-    GeometryError, SolverError
-        If the mesh or an answer cannot be trusted.
+    `progress` is called with the name of each step as it begins. Errors as of `require_bare`, and a `GeometryError` or
+    `SolverError` if the mesh or an answer cannot be trusted.
     """
     require_bare(design)
     plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
@@ -98,25 +92,13 @@ def surface_compliance(
 
 
 def endless_surface(design: SensorDesign) -> SurfaceCompliance:
-    """The same without what rims and pillars of another rubber add: an endless layer, in a second.
-
-    Raises
-    ------
-    DesignError
-        As `surface_compliance` does.
-    """
+    """The same without what rims and pillars of another rubber add: an endless layer, in a second."""
     require_bare(design)
     rows, cols = design.array.rows, design.array.cols
     tiles = int(np.ceil(MIN_TILES / min(rows, cols)))
-    ny, nx = rows * tiles, cols * tiles
-    table, step_mm = _electrode_table(design)
-    return SurfaceCompliance(
-        design=design,
-        on_tiles=np.zeros((3, ny, nx, 3, ny, nx), dtype=np.float32),
-        on_electrodes=np.zeros((rows, cols, 2, 3, 3, ny, nx), dtype=np.float32),
-        table=table,
-        step_mm=step_mm,
-    )
+    ny, nx, n_upper = rows * tiles, cols * tiles, len(design.unit.layout.upper)
+    tiled, electrodes = ((3, ny, nx) * 2, (rows, cols, n_upper, 3, 3, ny, nx))
+    return _on_layer(design, np.zeros(tiled, np.float32), np.zeros(electrodes, np.float32))
 
 
 def tiles_per_pitch(design: SensorDesign) -> int:
@@ -158,13 +140,10 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
     on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
     progress("electrodes")
-    table, step_mm = _electrode_table(design)
-    return SurfaceCompliance(
-        design=design,
-        on_tiles=on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes=on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx),
-        table=table,
-        step_mm=step_mm,
+    return _on_layer(
+        design,
+        on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx),
+        on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx),
     )
 
 
@@ -214,8 +193,8 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
     return influence
 
 
-def _electrode_table(design: SensorDesign) -> tuple[FloatArray, float]:
-    """Mean displacement of an electrode of the layer per newton on a point before it, and the table's step."""
+def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatArray) -> SurfaceCompliance:
+    """What is added to the layer, and the layer's mean displacement of an electrode per newton on a point before it."""
     pitch, electrode = design.array.pitch_mm, design.unit.electrode_mm
     step = pitch / np.ceil(pitch * STEPS_PER_ELECTRODE / electrode)
     n = int(np.ceil(max(design.slab_mm[:2]) / step)) + 2
@@ -226,7 +205,7 @@ def _electrode_table(design: SensorDesign) -> tuple[FloatArray, float]:
     for row, y in enumerate(places):  # bounds the memory
         loads = np.stack([places - spot, np.full(n, y - spot), places + spot, np.full(n, y + spot)], axis=1)
         table[row] = layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material)
-    return table, step
+    return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
 
 def _write(made: SurfaceCompliance, path: Path) -> None:

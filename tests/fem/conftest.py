@@ -7,6 +7,7 @@ import pytest
 from skfem import MeshTet
 
 from fem.array.coupled_cells import CoupledArray
+from fem.contact import SurfaceCompliance, surface_compliance
 from fem.pictures.arrays import ArrayField, solve_array_field
 from geometry.design import Array, SensorDesign
 from tests.fem.scenes import box_mesh
@@ -16,6 +17,12 @@ from tests.fem.scenes import box_mesh
 def disordered_cube() -> MeshTet:
     """A 10 mm cube in 384 distorted tetrahedra."""
     return box_mesh((4, 4, 4), (10.0, 10.0, 10.0), disorder=0.25)
+
+
+@pytest.fixture(scope="session")
+def pair() -> SurfaceCompliance:
+    """The top of the paper's unit twice, 1 × 2."""
+    return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
 
 
 @pytest.fixture(scope="session")

@@ -57,7 +57,7 @@ VARIED = {
     "softer matrix": {"matrix": 1.5, "rows": 1},
     "pillars 40 times as soft": {"pillar": 0.5, "matrix": 20.0},
 }
-SHORT = ("wide pitch", "stiff pads")  #: a second or two each; pillars of another rubber: `test_unit_check`
+SHORT = ("wide pitch",)  #: a second or two; stiff pads: `test_plate`, pillars of another rubber: `test_array_field`
 VARIED = [pytest.param(value, id=key, marks=[pytest.mark.long] * (key not in SHORT)) for key, value in VARIED.items()]
 
 

@@ -17,7 +17,6 @@ from fem.contact import (
     Turned,
     press,
     read_solid,
-    surface_compliance,
 )
 from fem.contact.indentation import OPEN, STICK
 from fem.contact.surface import Patch, PatchCompliance
@@ -39,12 +38,6 @@ def endless(poisson: float, height_mm: float = 2000.0) -> SurfaceCompliance:
     rest, electrodes = np.zeros((3, 3, 3) * 2, dtype=np.float32), np.zeros((1, 1, 2, 3, 3, 3, 3), dtype=np.float32)
     table = np.zeros((3, 3, 3, 3))
     return SurfaceCompliance(design=design, on_tiles=rest, on_electrodes=electrodes, table=table, step_mm=wide / 2)
-
-
-@pytest.fixture(scope="module")
-def pair() -> SurfaceCompliance:
-    """The paper's unit twice, 1 × 2."""
-    return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
 
 
 def test_sphere_and_disc_on_a_half_space_are_hertz_and_boussinesq():

@@ -9,6 +9,7 @@ from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.potentials import unit_conductances
+from fem.contact.surface import endless_surface
 from fem.finite import samples as finite_samples
 from fem.finite.samples import SampleSolver
 from geometry.design import Array, Electrics, SensorDesign, Unit
@@ -55,6 +56,7 @@ def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path, mo
         write_response(found, tmp_path / "four.nc")
     write_response(of_paper, tmp_path / "paper.nc")
     assert read_response(tmp_path / "paper.nc").content_hash == of_paper.content_hash
+    assert endless_surface(DESIGN).on_electrodes.shape[2] == 3
 
 
 def test_derivatives_have_every_electrode():

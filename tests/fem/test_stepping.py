@@ -8,6 +8,7 @@ from fem.contact import (
     Capsule,
     ContactError,
     Convex,
+    Cylinder,
     Flat,
     Shape,
     ShapeError,
@@ -16,18 +17,10 @@ from fem.contact import (
     SurfaceCompliance,
     Turned,
     press,
-    surface_compliance,
 )
-from geometry.design import Array, SensorDesign
 
 BALL_MM, DEPTH_MM, FRICTION = 8.0, 0.6, 0.5
 BOX_MM = np.array([[x, y, z] for x in (-4.0, 4.0) for y in (-3.0, 3.0) for z in (0.0, 5.0)])
-
-
-@pytest.fixture(scope="module")
-def pair() -> SurfaceCompliance:
-    """The paper's unit twice, 1 × 2."""
-    return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
 
 
 def turned(*angles_rad: float) -> np.ndarray:
@@ -116,8 +109,13 @@ def test_steps_that_cannot_be_are_refused(pair: SurfaceCompliance, place_mm, for
         Stepper(pair, friction=3.0)
 
 
-def test_turned_capsules_and_convex_bodies_are_what_they_are_made_of():
-    """A capsule is balls along a line, a convex body the space below all of its faces."""
+def test_turned_shapes_are_what_they_are_made_of():
+    """A bar lies along its turn from x towards y; a capsule is balls along a line, a convex body the space below all of
+    its faces."""
+    end = 3.9 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    bar = Turned(Cylinder(1.0, 8.0), 30.0)
+    assert bar.heights_mm(end[0], end[1] * np.array([1.0, -1.0])) == pytest.approx([0.0, np.inf], abs=1e-12)
+    assert bar.half_extents_mm(2.0) == pytest.approx((4 * end[0] / 3.9 + 0.5, 2 + end[0] / 3.9), abs=1e-12)
     x, y = np.meshgrid(np.linspace(-6.1, 6.1, 25), np.linspace(-6.1, 6.1, 25))
     along = np.linspace(-3.5, 3.5, 2001)
     for turn in (np.eye(3), turned(0, np.pi / 2, 0), turned(0.3, -0.8, 0.4)):

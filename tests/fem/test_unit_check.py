@@ -62,9 +62,9 @@ def test_the_assembly_is_that_of_scikit_fem_s_forms():
 
 
 def test_the_cell_of_a_response_is_close_to_a_unit_solved_by_other_tools(shared_cache, monkeypatch):
-    """The mesh's own error at its usual edges is 0.4 % with stiffer pillars. Found again at once."""
+    """The mesh's own error at its usual edges is 1 %. Found again at once."""
     monkeypatch.setattr("fem.array.unit_check.usual_tolerance", lambda design: 0.1)
-    design = replace(PAIR, pad=Pad(size_mm=11.0), matrix_material=Material(young_mpa=1.0))  # no other test's
+    design = replace(PAIR, pad=Pad(size_mm=11.0))  # no other test's
     unit = check_unit(design)
     assert 1e-4 < unit.difference < 0.05
     assert not unit.reused

@@ -17,10 +17,10 @@ import pytest
 import xarray as xr
 from mcap.reader import make_reader
 
+import tripillar as tp
 from dataset import DatasetSettings, simulate
 from dataset.imperfections import Imperfections
 from decoupler.data.load_table import read_pairs
-from fem.array.solving import array_response
 from geometry.design import Array, SensorDesign
 from hardware.boards.simavr_board import find_tools
 from hardware.boards.simulated import suited_kind
@@ -30,35 +30,29 @@ from hardware.recording import read_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.house import House
 
-MODEL = "model.safetensors"
+MODEL = ("--model", "model.safetensors")
 CALIBRATE = "identify", "--as-designed", "--design", "small.toml", "--port"
 BRIEFLY = "--seconds", "0.5"
 PATIENT_S = 60.0  #: for a process to end, on a busy machine
+NONSENSE = "\nspam\n0 0 9000\n\n"
 
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory):
     """A small sensor and a joint net for it."""
     house = House(tmp_path_factory.mktemp("board"))
-    house.result(
-        "dataset", "--protocol", "contact", "--samples", "300", "--seed", "1", "--bits", "12", "--out", "data.nc",
-        "--design", "small.toml", "-q",
-    )  # fmt: skip
-    house.result("train", "--data", "data.nc", "--component", "all", "--out", MODEL, "-q")
+    made = ("--samples", "300", "--seed", "1", "--bits", "12", "--out", "data.nc", "--design", "small.toml", "-q")
+    house.result("dataset", "--protocol", "contact", *made)
+    house.result("train", "--data", "data.nc", "--component", "all", "--out", MODEL[1], "-q")
     return house
 
 
 @contextmanager
 def simulating(house, *flags):
     """A simulated board of the small sensor; its port, kept on a link."""
-    with subprocess.Popen(
-        house.command("board", "--design", "small.toml", "-q", "--json", *flags),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=house.folder,
-        env=house.environment,
-    ) as process:
+    command = house.command("board", "--design", "small.toml", "-q", "--json", *flags)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=house.folder, env=house.environment, **pipes) as process:
         try:
             line = process.stdout.readline()
             assert line, process.stderr.read()
@@ -79,13 +73,14 @@ def port(house):
 @pytest.fixture(scope="module")
 def drifted(house):
     """A board that rests, and whose pillars are up to 10 % off."""
-    with simulating(house, "--board", "python", "--bits", "12", "--pressure", "0", "--gain-spread", "0.1") as port:
+    with tp.board(house.folder / "small.toml", chip="python", bits=12, pressure_mpa=0.0, gain_spread=0.1) as port:
         yield port
 
 
-def truth_of(house):
-    with xr.open_dataset(house.folder / "truth.nc") as opened:
-        return opened["force_n"].values
+def forces_of(done):
+    """Forces of the lines that a command printed."""
+    assert done.returncode == 0, done.stderr
+    return np.array([json.loads(line)["force_n"] for line in done.stdout.splitlines()])
 
 
 def test_info_says_what_the_board_is_and_how_well_it_sends(house, port):
@@ -95,7 +90,7 @@ def test_info_says_what_the_board_is_and_how_well_it_sends(house, port):
     assert "serial      7" in house.tripillar("info", port).stdout
     assert isinstance(house.result("info")["ports"], list)
     for _ in range(5):  # until the machine does not stand still at the second's begin or end
-        told = house.result("info", port, "--model", MODEL, "--seconds", "1")
+        told = house.result("info", port, *MODEL, "--seconds", "1")
         if told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2):
             break
     assert told["rate_hz"] == pytest.approx(told["device_rate_hz"], rel=0.2)  # two clocks
@@ -106,17 +101,18 @@ def test_info_says_what_the_board_is_and_how_well_it_sends(house, port):
 
 def test_live_gives_the_forces_that_act(house, port):
     """Over a whole period each axis' largest and least force are the script's, but for 12 bits and the net's error."""
-    drawn = house.tripillar("live", port, "--model", MODEL, "--seconds", "0.3")
+    drawn = house.tripillar("live", port, *MODEL, "--seconds", "0.3")
     assert all(said in drawn.stdout for said in ("frames/s", "0 lost"))
-    done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "2.5")
-    assert done.returncode == 0, done.stderr
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    done = house.tripillar("live", port, *MODEL, "--json", "--seconds", "2.5")
+    lines, found = [json.loads(line) for line in done.stdout.splitlines()], forces_of(done)
+    with xr.open_dataset(house.folder / "truth.nc") as opened:
+        acts = opened["force_n"].values
     assert lines[-1]["time_s"] - lines[0]["time_s"] > 2.0  # a period; a busy board skips some of its 300 scans
-    found, acts = np.array([line["force_n"] for line in lines]), truth_of(house)
     assert found.max(axis=0) == pytest.approx(acts.max(axis=0), abs=0.02 * acts.max())
     assert found.min(axis=0) == pytest.approx(acts.min(axis=0), abs=0.02 * acts.max())
     assert np.array(lines[0]["deviation_n"]).shape == (1, 2, 3)
     assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * (len(lines) - 1)
+    assert (np.diff([line["time_s"] for line in lines]) > 0).all()
     net = np.array([line["net_force_n"] for line in lines])
     assert net == pytest.approx(found.sum(axis=(1, 2)), rel=1e-5, abs=1e-3)  # both are rounded
 
@@ -124,10 +120,9 @@ def test_live_gives_the_forces_that_act(house, port):
 @pytest.mark.skipif(not (find_spec("websockets") and find_spec("rerun")), reason="they are extras")
 def test_live_shows_every_scan_to_viewers_and_says_who_can_see_it(house, port):
     streams = "--foxglove-at", "127.0.0.1:0", "--mcap", "shown.mcap", "--rrd", "shown.rrd"
-    done = house.tripillar("live", port, "--model", MODEL, "--json", "--seconds", "0.3", *streams)
-    assert done.returncode == 0, done.stderr
+    done = house.tripillar("live", port, *MODEL, "--json", "--seconds", "0.3", *streams)
     assert re.search(r"Foxglove: open ws://127\.0\.0\.1:[1-9]\d+; this machine alone\n", done.stderr)
-    n = len(done.stdout.splitlines())
+    n = len(forces_of(done))
     with (house.folder / "shown.mcap").open("rb") as file:
         found = make_reader(file).get_summary().statistics.channel_message_counts
     assert sorted(found.values()) == [1, n, n, n, n]
@@ -136,24 +131,22 @@ def test_live_shows_every_scan_to_viewers_and_says_who_can_see_it(house, port):
         (("--mcap", "shown.mcap"), "shown.mcap: the file exists"),
         (("--rrd", "shown.html"), "must be a file that ends in .rrd"),
         (("--rerun-at", "nowhere:x"), "'nowhere:x' is no address: give HOST:PORT"),
-        (("--describe",), "add --json"),
     ):
-        assert said in house.refusal("live", port, "--model", MODEL, *words)
+        assert said in house.refusal("live", port, *MODEL, *words)
 
 
 def test_record_replay_and_export(house, port):
-    name = "press.frames"
-    told = house.result("record", port, "-o", name, "--model", MODEL, *BRIEFLY, "-q")
+    name, keep = "press.frames", ("-o", "press.frames", *MODEL, *BRIEFLY, "-q")
+    told = house.result("record", port, *keep)
     recording = read_recording(house.folder / name)
     assert told["scans"] == len(recording.sequence) > 15  # of 75; a busy board skips some
     assert set(recording.made_from) == {"model_recipe", "design_hash"}
-    replayed = house.result("replay", name, "--model", MODEL)
+    replayed = house.result("replay", name, *MODEL)
     assert replayed["frames"] == told["scans"]
-    quick = house.tripillar("replay", name, "--model", MODEL, "--speed", "10", "--json").stdout.splitlines()
-    live = np.array([json.loads(line)["force_n"] for line in quick])
+    live = forces_of(house.tripillar("replay", name, *MODEL, "--speed", "10", "--json"))
     assert live == pytest.approx(np.array(replayed["force_n"]), abs=1e-2)  # printed to 1e-4; corrected scan by scan
-    assert "exists" in house.refusal("record", port, "-o", name, *BRIEFLY)
-    more = house.result("record", port, "-o", name, "--model", MODEL, "--append", *BRIEFLY, "-q")
+    assert "exists" in house.refusal("record", port, *keep)
+    more = house.result("record", port, *keep, "--append")
     both = read_recording(house.folder / name)
     assert len(both.sequence) == both.statistics.ok == told["scans"] + more["scans"]
     assert both.statistics.bad_crc == both.statistics.lost == 0
@@ -163,14 +156,11 @@ def test_record_replay_and_export(house, port):
     done = house.tripillar("export", "hurt.frames", "-o", "hurt.csv")
     assert (done.returncode, done.stderr.partition("damaged at byte ")[0]) == (0, "warning: hurt.frames: ")
     for suffix in (".nc", ".mcap") if find_spec("mcap") else (".nc",):
-        converted = house.result("export", name, "-o", f"press{suffix}")
-        assert converted["frames"] == len(both.sequence)
-        again = house.result("replay", name, "--model", MODEL, "--out", f"forces{suffix}")
-        assert again["frames"] == len(both.sequence)
-    assert "an export for other programs" in house.refusal("replay", "press.nc", "--model", MODEL)
-    assert "add --out FILE.mcap" in house.refusal("replay", name, "--model", MODEL, "--ros2", "--out", "forces.nc")
+        assert house.result("export", name, "-o", f"press{suffix}")["frames"] == len(both.sequence)
+        assert house.result("replay", name, *MODEL, "--out", f"forces{suffix}")["frames"] == len(both.sequence)
+    assert "an export for other programs" in house.refusal("replay", "press.nc", *MODEL)
     if find_spec("mcap_ros2"):
-        house.result("replay", name, "--model", MODEL, "--ros2", "--out", "ros2.mcap")
+        house.result("replay", name, *MODEL, "--ros2", "--out", "ros2.mcap")
         with (house.folder / "ros2.mcap").open("rb") as file:
             counts = make_reader(file).get_summary().statistics.channel_message_counts
         assert sorted(counts.values()) == [1, len(both.sequence)]
@@ -197,22 +187,21 @@ def test_a_tare_takes_out_a_drift_of_the_rubber_live_and_in_a_recording_at_any_p
     at_rest = house.result("tare", drifted, "-o", "own.json", *BRIEFLY)
     assert np.array(at_rest["rest_ohm"]).shape == (1, 2, 3)
     for flags, is_right in ([], False), (["--calibration", "own.json"], True):
-        lines = house.tripillar("live", drifted, "--model", MODEL, "--json", "--seconds", "0.2", *flags).stdout
-        error_n = np.abs([json.loads(line)["force_n"] for line in lines.splitlines()]).max()
-        assert (error_n < 5) == is_right  # of a pad's 432 N; nothing acts
+        live = house.tripillar("live", drifted, *MODEL, "--json", "--seconds", "0.2", *flags)
+        assert (np.abs(forces_of(live)).max() < 5) == is_right  # of a pad's 432 N; nothing acts
     house.result("record", drifted, "-o", "own.frames", "--calibration", "own.json", *BRIEFLY, "-q")
-    at_once = np.array(house.result("replay", "own.frames", "--model", MODEL)["force_n"])
-    lines = house.tripillar("replay", "own.frames", "--model", MODEL, "--speed", "20", "--json").stdout.splitlines()
+    at_once = np.array(house.result("replay", "own.frames", *MODEL)["force_n"])
     assert np.abs(at_once).max() < 5  # nothing acts, and the tare says so
-    assert np.array([json.loads(line)["force_n"] for line in lines]) == pytest.approx(at_once, abs=1e-2)
-    house.result("replay", "own.frames", "--model", MODEL, "--out", "own-forces.nc")
+    paced = forces_of(house.tripillar("replay", "own.frames", *MODEL, "--speed", "20", "--json"))
+    assert paced == pytest.approx(at_once, abs=1e-2)
+    house.result("replay", "own.frames", *MODEL, "--out", "own-forces.nc")
     with xr.open_dataset(house.folder / "own-forces.nc") as forces:
         assert forces["deviation_n"].shape == at_once.shape
         assert "gain" in forces.attrs["calibration"]
         assert forces.attrs["design_hash"]
         assert forces["net_force_n"].values == pytest.approx(at_once.sum(axis=(1, 2)))
         kept = json.loads(forces.attrs["sensor"])
-    live = house.tripillar("live", drifted, "--model", MODEL, "--json", "--describe", "--seconds", "0.2").stdout
+    live = house.tripillar("live", drifted, *MODEL, "--json", "--describe", "--seconds", "0.2").stdout
     described = json.loads(live.splitlines()[0])["sensor"]
     assert described == kept
     assert [pad["position_mm"] for pad in described["pads"]] == [[-7.5, 0.0, 0.0], [7.5, 0.0, 0.0]]
@@ -242,8 +231,8 @@ def test_ctrl_c_ends_a_tare_and_leaves_nothing(house, port):
 
 def test_calibrate_finds_gains_and_offsets_in_a_recording(house, shared_cache):
     """Twelve known loads, each while ten frames were sent: the specimen's gains and offsets come back."""
-    response, _, _ = array_response(SensorDesign(array=Array(rows=1, cols=2)))
     specimen = {"gain_spread": 0.2, "offset_ohm": 150.0, "specimen": 3}
+    response = tp.response(SensorDesign(array=Array(rows=1, cols=2)))
     loads = simulate(response, DatasetSettings(protocol="three-axis", samples=12, seed=1, **specimen))
     info = Info(rows=1, cols=2, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=100)
     stream = recording_from_resistances(np.repeat(loads.resistance_ohm, 10, axis=0), info)
@@ -262,9 +251,6 @@ def test_calibrate_finds_gains_and_offsets_in_a_recording(house, shared_cache):
     assert found.gain * rest_ohm + found.offset_ohm == pytest.approx(gain * rest_ohm + offset_ohm, rel=0.01)
 
 
-NONSENSE = "\nspam\n0 0 9000\n\n"
-
-
 def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, monkeypatch):
     """Nothing lies on the simulated sensor, whatever is typed: that is refused, and taken only by force.
 
@@ -280,8 +266,7 @@ def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, mon
     assert nobody.returncode == refused.returncode == 2
     assert nobody.stderr.splitlines()[-1].startswith("tripillar: the input ended before the last load")
     assert "load '0 0 9000' changed the resistances by 0 % of what it should" in refused.stderr.splitlines()[-1]
-    assert forced.returncode == 0, forced.stderr
-    assert "'spam' is no weight" in forced.stderr
+    assert (forced.returncode, "'spam' is no weight" in forced.stderr) == (0, True)
     assert json.loads(forced.stdout)["loads"] == 2
     kept = read_pairs(house.folder / "pairs.csv", 1, 2, 144.0)
     assert kept.names == ("nothing", "0 0 9000")
@@ -292,11 +277,11 @@ def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
     """The script presses and slides every 2 s; the calibration that is to be tared stays as it was."""
     (house.folder / "kept.json").write_text(SensorCalibration.as_designed(1, 2).to_json())
     before = (house.folder / "kept.json").read_bytes()
-    said = house.refusal("tare", port, "--calibration", "kept.json", "-o", "kept.json", *BRIEFLY)
-    assert "the sensor moves: pillar " in said
-    assert "--force" in said
+    tared = ("tare", port, "--calibration", "kept.json", "-o", "kept.json", *BRIEFLY)
+    said = house.refusal(*tared)
+    assert ("the sensor moves: pillar " in said, "--force" in said) == (True, True)
     assert (house.folder / "kept.json").read_bytes() == before
-    house.result("tare", port, "--calibration", "kept.json", "-o", "kept.json", "--force", *BRIEFLY)
+    house.result(*tared, "--force")
     assert read_calibration(house.folder / "kept.json").rest_ohm is not None
 
 
@@ -308,5 +293,4 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
     kind, why = suited_kind(Info(rows=1, cols=2, bits=10, rate_hz=3000))
     assert (kind, "the firmware does not build: " in why) == ("python", True)
     done = house.tripillar("board", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
-    assert done.returncode == 2
-    assert "RATE: 1 to what the scan time allows" in done.stderr
+    assert (done.returncode, "RATE: 1 to what the scan time allows" in done.stderr) == (2, True)

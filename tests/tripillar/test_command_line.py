@@ -1,4 +1,4 @@
-"""The program: version, completion in a shell, progress, pipes, Ctrl-C."""
+"""The program: version, completion in a shell, progress, pipes, consoles, Ctrl-C and termination."""
 
 import os
 import shutil
@@ -11,16 +11,25 @@ from contextlib import suppress
 import psutil
 import pytest
 
+from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.terminal.progress import Bars
 
-
-def test_version(tmp_path):
-    assert House(tmp_path).process("--version").stdout.startswith("tripillar 0.")
+BEGIN = "import os, signal, sys, time\nfrom tripillar.terminal import interrupts\ninterrupts.install()\n"
 
 
-def test_the_shell_completes(tmp_path, monkeypatch):
-    """--install-completion installs a script that knows commands, options and choices."""
+def python(code, **settings):
+    """A program in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, **settings)
+
+
+def test_the_program_is_there_and_its_shell_completes(tmp_path, monkeypatch):
+    """--install-completion installs a script that knows commands, options and choices; a bare command is its help."""
+    house = House(tmp_path)
+    assert house.process("--version").stdout.startswith("tripillar 0.")
+    bare = house.tripillar()
+    assert (bare.returncode, bare.stderr, "Usage" in bare.stdout) == (0, "", True)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("SHELL", "/bin/bash")
     done = House(tmp_path).tripillar("--install-completion", "--shell", "bash")
@@ -29,18 +38,11 @@ def test_the_shell_completes(tmp_path, monkeypatch):
     assert all(word in script for word in ("doctor", "--explain", "varpro"))
 
 
-def test_a_bare_command_prints_its_help(tmp_path):
-    done = House(tmp_path).tripillar()
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Usage" in done.stdout
-
-
 def test_talk_and_silence(tmp_path):
     """-v says every step on stderr, -q nothing but the file; stdout is the same."""
     house = House(tmp_path)
     asked = ["response", "--design", "small.toml", "--method", "layer", "-o", "r.nc"]
-    loud = house.tripillar(*asked, "-v")
-    still = house.tripillar(*asked, "-q")
+    loud, still = (house.tripillar(*asked, flag) for flag in ("-v", "-q"))
     assert still.stderr.splitlines() == ["r.nc"]
     assert loud.stdout == still.stdout
     *steps, last = loud.stderr.splitlines()
@@ -62,14 +64,33 @@ def test_bars_end_full_unless_what_they_show_fails(capsys):
     assert not capsys.readouterr().err  # a refusal is one line, with none above it
 
 
-def test_nobody_reads_any_more(tmp_path):
-    """As after `| head`: no traceback and no word."""
+def test_nobody_reads_any_more_and_consoles_of_another_encoding(tmp_path):
+    """As after `| head`: no traceback and no word. As on Windows: neither Ω nor a name that is no UTF-8 ends one."""
     house = House(tmp_path)
     with subprocess.Popen(
         house.command("design"), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         process.stdout.close()
         assert (process.stderr.read(), process.wait(60)) == ("", 1)
+    old = {"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    name = os.fsdecode(b"caf\xe9.toml")
+    for words, said in ((["dataset", "--help"], "[Ω]"), (["design", "--out", name], "caf")):
+        done = subprocess.run(
+            house.command(*words), cwd=tmp_path, env=house.environment | old, capture_output=True, check=True
+        )
+        assert said in (done.stdout + done.stderr).decode()
+    assert "Poisson" in (tmp_path / name).read_text(encoding="utf-8")
+    assert b"\r" not in (tmp_path / name).read_bytes()
+
+
+def processes_of_group(number):
+    """List the processes of a group that still run."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(ProcessLookupError, psutil.NoSuchProcess):  # ended meanwhile
+            if os.getpgid(process.pid) == number and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process.pid)
+    return found
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is sent to a process group, which is POSIX")
@@ -106,29 +127,13 @@ def test_ctrl_c_ends_workers_too_and_prints_one_line(tmp_path):
 def test_ctrl_c_is_taken_over_before_anything_is_loaded():
     """An interrupt of the first moments prints no traceback but in what Python itself does at its start."""
     code = "import sys; before = set(sys.modules); import tripillar.__main__; print(sorted(set(sys.modules) - before))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "['tripillar', 'tripillar.__main__']\n"
-
-
-def processes_of_group(number):
-    """List the processes of a group that still run."""
-    found = []
-    for process in psutil.process_iter():
-        try:
-            if os.getpgid(process.pid) == number and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process.pid)
-        except (ProcessLookupError, psutil.NoSuchProcess):
-            continue  # ended meanwhile
-    return found
+    assert python(code, check=True).stdout == "['tripillar', 'tripillar.__main__']\n"
 
 
 def test_a_signal_that_a_session_took_ends_nothing_later_and_the_next_one_does():
     """The thread that watches for signals comes late here: it is kept waiting until the session is over."""
     program = (
-        "import os, signal, sys, time\n"
         "from hardware.session import ended_by_signal\n"
-        "from tripillar.terminal import interrupts\n"
-        "interrupts.install()\n"
         "sys.setswitchinterval(10)\n"
         "with ended_by_signal() as is_ended:\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
@@ -138,5 +143,30 @@ def test_a_signal_that_a_session_took_ends_nothing_later_and_the_next_one_does()
         "os.kill(os.getpid(), signal.SIGINT)\n"
         "time.sleep(10)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    done = python(BEGIN + program, timeout=30)
     assert (done.stdout, done.stderr, done.returncode) == ("went on\n", "tripillar: interrupted.\n", 130)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_ends_what_swallows_it_and_leaves_nothing(tmp_path, number, code):
+    """Libraries swallow an exception, or compute on; what is unfinished or was started ends within 2 s, in a line."""
+    program = (
+        "import subprocess; from pathlib import Path; from geometry.storage.files import replacing\n"
+        "started = subprocess.Popen(['sleep', '60'])\n"
+        "with replacing(Path('data.txt')) as temporary:\n"
+        "    print(started.pid, time.monotonic(), flush=True)\n"
+        f"    os.kill(os.getpid(), signal.{number})\n"
+        "    while True:\n"
+        "        try: time.sleep(60)\n"
+        "        except BaseException: pass"
+    )
+    for _ in range(5):  # until the machine holds nobody up
+        done = python(BEGIN + program, cwd=tmp_path)
+        started, begun_s = done.stdout.split()
+        if (seconds := time.monotonic() - float(begun_s)) < 2:
+            break
+    assert seconds < 2
+    assert (done.returncode, done.stderr) == (code, "tripillar: interrupted.\n")
+    assert not psutil.pid_exists(int(started)) or psutil.Process(int(started)).status() == psutil.STATUS_ZOMBIE
+    assert not list(tmp_path.iterdir())

@@ -14,6 +14,7 @@ from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.cli.app import COMMANDS, GONE, app_of, job_of
 from tripillar.cli.door import command_of, flag_of, spelled
 from tripillar.cli.help import meaning, options_of
+from tripillar.face.inputs import COUNTS, TIMES
 
 APP = app_of()
 NAMES = [name for names in COMMANDS.values() for name in names]
@@ -27,19 +28,9 @@ NEEDED = {
     "press": {"shape": "sphere", "radius_mm": 5.0, "depth_mm": 0.1},
     "dataset": {"protocol": "contact", "samples": 5, "out": "x.nc"}, "train": DATA | {"out": "m.safetensors"},
     "evaluate": MODEL | DATA, "identify": DATA | {"out": "m.safetensors"}, "export": {"out": "m.h"} | MODEL,
-    "view": {"save": "p.png"}, "sweep": {"file": "sweep.toml"}, "live": {"port": "text.txt"} | MODEL,
+    "view": {"save": "p.png"}, "sweep": {"file": "block.toml"}, "live": {"port": "text.txt"} | MODEL,
     "record": {"port": "text.txt", "out": "y.frames"}, "replay": {"recording": "text.txt"} | MODEL,
     "tare": {"port": "text.txt", "out": "x.json"}, "info": {"port": "text.txt"}, "board": {"chip": "python"},
-}  # fmt: skip
-PAIRS = DATA | {"design": "small.toml", "out": "m.safetensors"}
-LINK = {"port": "text.txt", "seconds": 1.0}
-PAGE = {"serve": True, "port": "text.txt"}
-#: what goes with some parameter in place of that
-WITH = {
-    ("evaluate", "design"): DATA | {"folds": 2}, ("identify", "loads"): {"port": "text.txt", "out": "m.safetensors"},
-    ("export", "data"): {"out": "x.nc"}, ("info", "calibration"): LINK, ("info", "model"): LINK,
-    ("view", "calibration"): PAGE | MODEL, ("view", "model"): PAGE, ("identify", "model"): PAIRS,
-    ("identify", "finite"): PAIRS,
 }  # fmt: skip
 WRITTEN = {"out", "twin", "vtu", "picture", "save", "mcap", "rrd", "keep", "link", "truth"}
 
@@ -57,9 +48,8 @@ def house(tmp_path_factory):
 def kinds(parameter):
     """Types of a parameter, None apart."""
     hint = get_args(parameter.annotation)[0]
-    return (
-        [hint] if get_origin(hint) in (None, Literal) else [each for each in get_args(hint) if each is not type(None)]
-    )
+    members = [hint] if get_origin(hint) in (None, Literal) else get_args(hint)
+    return [each for each in members if each is not type(None)]
 
 
 def typed(name, given):
@@ -82,22 +72,24 @@ def called(name, given):
         result.__enter__()
 
 
-READ = [
-    (name, key)
-    for name, parameters in PARAMETERS.items()
-    for key, parameter in parameters.items()
-    if Path in kinds(parameter) and key not in WRITTEN
-]
+def wrong_values():
+    """Whatever every job refuses alike: files that are not there, times and counts that are none."""
+    for name, parameters in PARAMETERS.items():
+        for key, parameter in parameters.items():
+            if Path in kinds(parameter) and key not in WRITTEN:
+                yield name, key, "missing.toml", "missing.toml: no such file"
+            elif key in TIMES and name != "board":
+                yield name, key, 0.0, "must be above 0"
+            elif key in COUNTS and int in kinds(parameter):
+                yield name, key, 0, "must be at least 1"
 
 
-@pytest.mark.parametrize(("name", "key"), READ)
-def test_a_missing_file_is_refused_alike_in_python_and_as_typed(house, name, key, monkeypatch):
+@pytest.mark.parametrize(("name", "key", "value", "says"), list(wrong_values()))
+def test_a_mistake_is_refused_alike_in_python_and_as_typed(house, name, key, value, says, monkeypatch):
     monkeypatch.chdir(house.folder)
-    given = WITH.get((name, key), NEEDED.get(name, {})) | {key: "missing.toml"}
+    given = NEEDED.get(name, {}) | {key: value}
     said = house.refusal(*typed(name, given))
-    assert "missing.toml: no such file" in said
-    if name == "evaluate" and "model" not in given:
-        given |= {"model": None}
+    assert says in said
     with pytest.raises(tp.TriPillarError) as refused:
         called(name, given)
     flags = {each: flag_of(each) for each in PARAMETERS[name]}
@@ -105,7 +97,13 @@ def test_a_missing_file_is_refused_alike_in_python_and_as_typed(house, name, key
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_no_choice_and_no_number_is_refused(house, name):
+def test_what_is_missing_unknown_no_choice_or_no_number_is_refused_and_every_parameter_is_told(house, name):
+    said = house.refusal(name, "--no-such-flag")
+    required = [flag for entry in OPTIONS[name] if entry.required for flag in entry.all_options]
+    assert "Unknown option: --no-such-flag" in said or any(f"{flag} is missing: " in said for flag in required)
+    told = inspect.getdoc(job_of(name))
+    for given in inspect.signature(job_of(name)).parameters.values():
+        assert given.kind is given.VAR_KEYWORD or re.search(rf"\b{given.name}\b", told), given.name
     for key, parameter in PARAMETERS[name].items():
         (kind, *_) = kinds(parameter)
         wrong, must = ("abc", "must be a number") if kind is float else ("1.5", "must be a whole number")
@@ -115,16 +113,6 @@ def test_what_is_no_choice_and_no_number_is_refused(house, name):
             continue
         said = house.refusal(*typed(name, NEEDED.get(name, {}) | {key: wrong}))
         assert f" {wrong} {must}. See 'tripillar {name} --help'." in said
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_what_is_missing_or_unknown_is_refused_and_every_parameter_is_told(house, name):
-    said = house.refusal(name, "--no-such-flag")
-    required = [flag for entry in OPTIONS[name] if entry.required for flag in entry.all_options]
-    assert "Unknown option: --no-such-flag" in said or any(f"{flag} is missing: " in said for flag in required)
-    told = inspect.getdoc(job_of(name))
-    for given in inspect.signature(job_of(name)).parameters.values():
-        assert given.kind is given.VAR_KEYWORD or re.search(rf"\b{given.name}\b", told), given.name
 
 
 @pytest.mark.parametrize("width", [80, 120])

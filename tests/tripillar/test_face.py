@@ -16,27 +16,17 @@ from tests.docs.terminal import ROOT
 MAX_NAMES = 20
 HEAVY = ["torch", "vtkmodules", "pyvista", "OCP", "build123d", "xarray", "scipy"]
 IMPORT_S = 0.3  #: of processor time
+QUICK = {"hidden": 2, "max_iterations": 2}
 
 
-def test_it_has_few_names_and_each_has_an_example():
+def test_it_has_few_names_each_with_an_example_and_no_module_is_hidden():
     """The doctests themselves run as all others do."""
-    modules = [tp, *(importlib.import_module(f"tripillar.face.{path.stem}") for path in face_files())]
-    examples = [
-        example.source
-        for module in modules
-        for test in doctest.DocTestFinder().find(module)
-        for example in test.examples
-    ]
-    used = set(re.findall(r"\btp\.(\w+)", "".join(examples)))
+    files = [path.stem for path in (ROOT / "tripillar" / "face").glob("*.py") if path.stem != "__init__"]
+    modules = [tp, *(importlib.import_module(f"tripillar.face.{name}") for name in files)]
+    found = [test for module in modules for test in doctest.DocTestFinder().find(module)]
+    used = set(re.findall(r"\btp\.(\w+)", "".join(each.source for test in found for each in test.examples)))
     assert len(tp.__all__) <= MAX_NAMES
     assert used - {"__version__"} == set(tp.__all__)
-
-
-def face_files():
-    return [path for path in (ROOT / "tripillar" / "face").glob("*.py") if path.stem != "__init__"]
-
-
-def test_its_names_are_there_and_no_module_is_hidden():
     for name in tp.__all__:
         assert getattr(tp, name) is getattr(tp, name)
         assert name in dir(tp)
@@ -53,8 +43,7 @@ def test_importing_it_is_instant_and_loads_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     seconds, *loaded = done.stdout.split()
-    assert float(seconds) < IMPORT_S
-    assert loaded == []
+    assert (float(seconds) < IMPORT_S, loaded) == (True, [])
 
 
 def test_a_given_response_is_used_and_what_is_of_another_design_or_type_refused(monkeypatch):
@@ -64,14 +53,13 @@ def test_a_given_response_is_used_and_what_is_of_another_design_or_type_refused(
     known, other = (tp.response(one, method="layer") for one in (design, replace(design, pad=Pad(size_mm=11.0))))
     samples = tp.dataset(known, "contact-fz", 60, noise=1e-3)
     monkeypatch.setattr("tripillar.pipeline.run.array_response", lambda *_: pytest.fail("solved"))
-    quick = {"hidden": 2, "max_iterations": 2}
-    assert tp.train(replace(samples, design=None), response=known, **quick).network.feature == "inverse"
-    model = tp.train(samples, response=known, **quick)
+    assert tp.train(replace(samples, design=None), response=known, **QUICK).network.feature == "inverse"
+    model = tp.train(samples, response=known, **QUICK)
     assert model.network.feature == "inverse"
     assert tp.evaluate(model, samples[40:], response=known)["fz"].limits is not None
     for call in (
-        lambda given: tp.train(samples, response=given, **quick),
-        lambda given: tp.train(samples, net="plain", response=given, **quick),
+        lambda given: tp.train(samples, response=given, **QUICK),
+        lambda given: tp.train(samples, net="plain", response=given, **QUICK),
         lambda given: tp.evaluate(model, samples[40:], response=given),
         lambda given: tp.evaluate(None, samples, folds=2, response=given),
     ):
@@ -79,7 +67,33 @@ def test_a_given_response_is_used_and_what_is_of_another_design_or_type_refused(
             call(other)
         with pytest.raises(tp.TriPillarError, match=r"^response is of type Samples, expected ArrayResponse"):
             call(samples)
-    with pytest.raises(tp.TriPillarError, match="a dict cannot be written"):
-        tp.write({}, "x")
-    with pytest.raises(tp.TriPillarError, match=r"samples is of type dict, expected Samples"):
-        tp.train({})
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: tp.write({}, "x"), "a dict cannot be written"),
+        (lambda: tp.train({}), "samples is of type dict, expected AnySamples"),
+        (lambda: tp.evaluate(None, folds=2), "give data="),
+        (lambda: tp.dataset(nois=0.1), "nois= is no argument; there are bits, "),
+        (lambda: tp.record("port", "a.frames", timeot=1.0), "timeot= is no argument; there are baud, timeout"),
+    ],
+)
+def test_what_is_of_another_type_or_name_is_refused(call, says):
+    with pytest.raises(tp.TriPillarError, match=says):
+        call()
+
+
+def test_notebooks_show_what_samples_evaluations_and_designs_are(tmp_path):
+    """In a line or a few, with size and kind, no array printed."""
+    design = replace(tp.SensorDesign(), array=replace(tp.SensorDesign().array, rows=1, cols=2))
+    known = tp.response(design, method="layer")
+    tp.write(tp.dataset(known, "contact-fz", 60), tmp_path / "samples.zarr")
+    stored = tp.read_samples(tmp_path / "samples.zarr")
+    assessed = tp.evaluate(tp.train(stored, response=known, **QUICK), stored[40:], response=known)
+    shown = ((design, "pitch_mm"), (stored, "60 "), (stored[:9], "9 samples of 1 × 2"), (assessed, "fz: "))
+    for thing, said in shown:
+        for text in (repr(thing), thing._repr_html_()):
+            assert said in text
+            assert "array(" not in text
+            assert len(text) < 8000

@@ -20,33 +20,32 @@ from tripillar.viewer import saving
 
 resource = pytest.importorskip("resource")
 
-DESIGN = ["--design", "small.toml"]
-PICTURE = ["view", "small.toml", "--save"]
+CONTACTS = "dataset --design small.toml --protocol contact --samples"
 #: by the end of what is written, below `place`
 COMMANDS = {
-    "sensor.toml": ["design", "--out"],
-    "cad": ["cad", *DESIGN, "--out"],
-    "field.vtu": ["solve", "scene.toml", "--tolerance", "0.2", "--vtu"],
-    "response.nc": ["response", *DESIGN, "--method", "layer", "--out"],
-    "data.nc": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "40", "--out"],
-    "data.zarr": ["dataset", *DESIGN, "--protocol", "contact", "--samples", "400", "--out"],
-    "model.safetensors": [
-        "train", "--data", "data.nc", "--component", "fz", "--feature", "root", "--iterations", "1", "--out"
-    ],
-    "model.h": ["export", "--model", "model", "--out"],
-    "model.onnx": ["export", "--model", "model", "--out"],
-    "p.png": [*PICTURE],
-    "p.html": [*PICTURE],
-    "p.vtm": [*PICTURE],
-    "p.mp4": [*PICTURE],
-    "out": ["run", *DESIGN, "--until", "dataset", "--out"],
-}  # fmt: skip
+    "sensor.toml": "design --out",
+    "cad": "cad --design small.toml --out",
+    "field.vtu": "solve scene.toml --tolerance 0.2 --vtu",
+    "response.nc": "response --design small.toml --method layer --out",
+    "data.nc": f"{CONTACTS} 40 --out",
+    "data.zarr": f"{CONTACTS} 400 --out",
+    "model.safetensors": "train --data data.nc --component fz --feature root --iterations 1 --out",
+    "model.h": "export --model model --out",
+    "model.onnx": "export --model model --out",
+    "p.png": "view small.toml --save",
+    "p.html": "view small.toml --save",
+    "p.vtm": "view small.toml --save",
+    "p.mp4": "view small.toml --save",
+    "out": "run --design small.toml --until dataset --out",
+}
+#: pictures take seconds, and the answer of `run` is that of test_pipeline.py
+QUICK = [name for name in COMMANDS if not name.startswith("p.") and name != "out"]
 ROOM = 1000  #: bytes that a limited file may have; a full disk has none
 
 
 @pytest.fixture
 def inputs(tmp_path, shared_cache, monkeypatch):
-    """A folder with something to work on, in which the command runs."""
+    """A folder with something to work on, in which the command runs; pictures of a coarse cell, films of two frames."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
     (tmp_path / "scene.toml").write_text(PILLAR)
@@ -54,6 +53,10 @@ def inputs(tmp_path, shared_cache, monkeypatch):
     a_model(tmp_path / "model")
     known = made_up_response(sensor(1, 2))  # what is solved is not on trial
     monkeypatch.setattr(pipeline, "array_response", lambda *_: (known, tmp_path / "none", False))
+    for name, value in {"FRAMES": 2, "HELD": 1}.items():
+        monkeypatch.setattr(saving, name, value)
+    for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
+        monkeypatch.setattr(f"fem.array.meshed.{name}", value)
     return tmp_path
 
 
@@ -73,15 +76,6 @@ def full(tmp_path):
         subprocess.run(["umount", str(folder)], check=True)
 
 
-@pytest.fixture(autouse=True)
-def quick_pictures(monkeypatch):
-    """Of a coarse cell, and of films two frames."""
-    for name, value in {"FRAMES": 2, "HELD": 1}.items():
-        monkeypatch.setattr(saving, name, value)
-    for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
-        monkeypatch.setattr(f"fem.array.meshed.{name}", value)
-
-
 def typed(*words):
     """Run a command; its exit code, its answer, and the lines on stderr, those of bars apart."""
     out, err = StringIO(), StringIO()
@@ -92,7 +86,7 @@ def typed(*words):
 def refused(name, place):
     """One line that names the file and says why; nothing is left."""
     before = sorted(place.iterdir())
-    code, _, (line,) = typed(*COMMANDS[name], f"{place.name}/{name}")
+    code, _, (line,) = typed(*COMMANDS[name].split(), f"{place.name}/{name}")
     assert (code, f"{place.name}/{name}" in line, "disk is full" in line) == (2, True, True), line
     assert sorted(place.iterdir()) == before
 
@@ -100,10 +94,6 @@ def refused(name, place):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_full_disk_is_one_line(name, inputs, full):
     refused(name, full)
-
-
-#: pictures take seconds, and the answer of `run` is that of test_pipeline.py
-QUICK = [name for name in COMMANDS if not name.startswith("p.") and name != "out"]
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -115,7 +105,7 @@ def test_a_limit_on_the_size_of_files_is_one_line_and_without_it_the_answer_is_j
         refused(name, inputs / "place")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    code, answer, said = typed(*COMMANDS[name], f"place/{name}", "--json", "-q")
+    code, answer, said = typed(*COMMANDS[name].split(), f"place/{name}", "--json", "-q")
     assert (code, type(json.loads(answer))) == (0, dict)
     assert said[-1].startswith(f"place/{name}")
 
@@ -123,5 +113,5 @@ def test_a_limit_on_the_size_of_files_is_one_line_and_without_it_the_answer_is_j
 @pytest.mark.long
 def test_a_mesh_that_cannot_be_kept_is_one_line(inputs, full, monkeypatch):
     monkeypatch.setenv("TRIPILLAR_CACHE", "full")
-    code, _, (line,) = typed("cad", "--mesh", *DESIGN, "--out", "solids")
+    code, _, (line,) = typed("cad", "--mesh", "--design", "small.toml", "--out", "solids")
     assert (code, line.startswith("tripillar: full/mesh-"), "disk is full" in line) == (2, True, True), line

@@ -27,17 +27,18 @@ all,plate,,,,3600,0,0,0
 one,pad,1,1,40,400,0.1 %,0,
 two,pad,0,2,,60 kg,0.1 %,0,
 """
-
-
-def pressed(n):
-    """Forces (n, 3, 3, 3) [N]."""
-    return np.random.default_rng(0).uniform(0.0, 1.0, (n, 3, 3, 3)) * [50.0, 50.0, 500.0]
+IDENTIFY = ("identify", "--design", "sensor.toml", "-q")
+TO_MODEL = ("-o", "m.safetensors")
 
 
 def shown(force_n):
     """Resistances of the sensor under forces (n, 3, 3, 3)."""
     everything = component_named("all")
     return SensorModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
+
+
+def forces(n):
+    return np.random.default_rng(0).uniform(0.0, 1.0, (n, 3, 3, 3)) * [50.0, 50.0, 500.0]
 
 
 def _derivatives(design, tolerances=None):
@@ -55,40 +56,55 @@ def house(tmp_path, monkeypatch):
     return House(tmp_path)
 
 
-IDENTIFY = ("identify", "--design", "sensor.toml", "-q")
-
-
 def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
     """The model reads loads that were not measured; the loads proposed make the expected error smaller and smaller."""
-    told = house.result(*IDENTIFY, "--data", "pairs.csv", "-o", "own.safetensors", "--next", "3")
+    told = house.result(*IDENTIFY, "--data", "pairs.csv", *TO_MODEL, "--next", "3")
     assert told["pairs"] == 4
     assert told["parameters"]["rubber.young_mpa"][0] == pytest.approx(6.1, rel=0.05)
     force_n = np.zeros((1, 3, 3, 3))
     force_n[0, 2, 0] = [20.0, 0.0, 300.0]
-    found = read_model(house.folder / "own.safetensors").forces(shown(force_n))
-    assert found == pytest.approx(force_n, abs=10.0)
+    assert read_model(house.folder / "m.safetensors").forces(shown(force_n)) == pytest.approx(force_n, abs=10.0)
     errors = [told["next"][0]["error_before"], *(each["error"] for each in told["next"])]
     assert errors == sorted(errors, reverse=True)
     fewer = house.result(*IDENTIFY, "--data", "pairs.csv", "--pairs", "2", "--next", "1")
     assert fewer["next"][0]["error_before"] > errors[0]
-    # without pairs each load that can be made is proposed once
-    begin = house.result(*IDENTIFY, "--next", "9", "--have", "loads.csv")
-    assert sorted(each["load"] for each in begin["next"]) == ["all", "one", "rest", "two"]
+    begin = house.result(*IDENTIFY, "--next", "9", "--have", "loads.csv")["next"]  # without pairs: of the table's only
+    assert (len(begin), {each["load"] for each in begin}) == (4, {"rest", "all", "one", "two"})
 
 
-def test_a_data_set_without_a_design_decides_alone(house):
-    force_n = pressed(300)
+def test_a_data_set_without_a_design_decides_alone_and_a_stuck_pillar_counts_as_dead(house):
+    """`--next` has nothing to go by; a stuck pillar's gain would be nearly 0, and whatever it reads a wild force."""
+    force_n = forces(300)
     Samples(force_n=force_n, resistance_ohm=shown(force_n)).write(house.folder / "many.nc")
-    told = house.result("identify", "--data", "many.nc", "-o", "flat.safetensors", "-q")
-    assert told["parameters"] == {}
-    found = read_model(house.folder / "flat.safetensors").forces(shown(force_n[:20]))
+    assert house.result("identify", "--data", "many.nc", *TO_MODEL, "-q")["parameters"] == {}
+    found = read_model(house.folder / "m.safetensors").forces(shown(force_n[:20]))
     assert np.abs(found - force_n[:20]).mean() < 15.0  # of presses up to 500 N
-    assert "give --design" in house.refusal("identify", "--data", "many.nc", "--next", "1", "-q")
+    stuck_ohm = shown(force_n[:30])
+    stuck_ohm[:, 1, 2, 0] = 9000.0
+    Samples(force_n=force_n[:30], resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
+    house.result("identify", "--data", "stuck.nc", *TO_MODEL, "-q")
+    model = read_model(house.folder / "m.safetensors")
+    assert (np.argwhere(model.dead).tolist(), model.is_identified) == ([[1, 2, 0]], True)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((*IDENTIFY, "--data", "loads.csv", *TO_MODEL), "load 'rest' has no readings"),
+        ((*IDENTIFY, "--data", "pairs.csv", *TO_MODEL, "--twin", "sensor.toml"), "is read by this command"),
+        ((*IDENTIFY, "--next", "1", "--have", "pad:5lb"), "'pad:5lb' is no load that one can have: write kind:size"),
+        ((*IDENTIFY, "--next", "1", "--have", "string:3kg"), "a string pulls on a weight: add pad:15kg"),
+        ((*IDENTIFY, "--next", "1", "--have", "pad:3000kg"), "29419.9 N on a pad is 204 MPa, more than 20"),
+        (("identify", "--data", "pairs.csv", "--design", "small.toml", *TO_MODEL), "3 × 3 units, the design has 1 × 2"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(house, words, says):
+    assert says in house.refusal(*words)
 
 
 def test_doubtful_pairs_are_refused_unless_forced(house):
     """Forces of contacts are no tractions on pads; and 60 kg are stated whose readings are those of nothing."""
-    force_n = pressed(6)
+    force_n = forces(6)
     pairs = Samples(force_n=force_n, resistance_ohm=shown(force_n), design=DESIGN, made_from={"protocol": "indent"})
     pairs.write(house.folder / "indent.nc")
     table = (house.folder / "pairs.csv").read_text().splitlines()
@@ -98,23 +114,10 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
         (("identify", "--data", "indent.nc", "-q"), "presses shapes"),
         ((*IDENTIFY, "--data", "wrong.csv"), "load 'two' changed the resistances by 0 % of what it should"),
     ):
-        assert said in house.refusal(*words, "-o", "m.safetensors")
-        house.result(*words, "-o", "m.safetensors", "--force")
-        model = house.folder / "m.safetensors"
-        assert said in read_model(model).made_from["forced"]
-        model.unlink()
-
-
-def test_a_pillar_that_has_come_to_be_stuck_counts_as_dead(house):
-    """Its gain would be nearly 0, and whatever it reads a wild force."""
-    force_n = pressed(30)
-    stuck_ohm = shown(force_n)
-    stuck_ohm[:, 1, 2, 0] = 9000.0
-    Samples(force_n=force_n, resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
-    house.result("identify", "--data", "stuck.nc", "-o", "own.safetensors", "-q")
-    model = read_model(house.folder / "own.safetensors")
-    assert np.argwhere(model.dead).tolist() == [[1, 2, 0]]
-    assert model.is_identified
+        assert said in house.refusal(*words, *TO_MODEL)
+        house.result(*words, *TO_MODEL, "--force")
+        assert said in read_model(house.folder / "m.safetensors").made_from["forced"]
+        (house.folder / "m.safetensors").unlink()
 
 
 def test_python_takes_what_the_command_takes(house, monkeypatch):
@@ -123,40 +126,17 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     (house.folder / "exact.toml").write_text(f'{text}\n[tolerance]\n"rubber.young_mpa" = 0\n')
     pairs = read_pairs(house.folder / "pairs.csv", 3, 3, 144.0)
     twin = identifying.identify(pairs, house.folder / "exact.toml", next_loads=2, have="plate:20kg,string:3kg")
-    assert twin.parameters == {}
-    assert len(twin.next_loads) == 2
+    assert (twin.parameters, len(twin.next_loads)) == ({}, 2)
     assert all("20kg on a plate" in each.load or each.load == "nothing" for each in twin.next_loads)
-    by_command = house.result(
-        *("identify", "--design", "exact.toml", "-q", "--data", "pairs.csv", "-o", "m.safetensors"),
-        *("--next", "2", "--have", "plate:20kg,string:3kg"),
-    )
+    words = ("identify", "--design", "exact.toml", "-q", "--data", "pairs.csv", *TO_MODEL)
+    by_command = house.result(*words, "--next", "2", "--have", "plate:20kg,string:3kg")
     assert [each["load"] for each in by_command["next"]] == [each.load for each in twin.next_loads]
     assert by_command["excess"] == twin.posterior.excess
-    monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
     many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
+    other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
+    with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
+        identifying.identify(many, DESIGN, finite=other)
+    monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
     with called_by(Caller(say=said.append)):
         assert identifying.identify(many, DESIGN).n_pairs == 7
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
-
-
-def test_what_makes_no_sense_is_refused(house):
-    identify = ("identify", "-q", "--design")
-    for words, says in (
-        (("sensor.toml", "--data", "loads.csv", "-o", "m.safetensors"), "load 'rest' has no readings"),
-        (
-            ("sensor.toml", "--data", "pairs.csv", "-o", "m.safetensors", "--twin", "sensor.toml"),
-            "is read by this",
-        ),
-        (
-            ("sensor.toml", "--next", "1", "--have", "pad:5lb"),
-            "'pad:5lb' is no load that one can have: write",
-        ),
-        (("sensor.toml", "--next", "1", "--have", "string:3kg"), "a string pulls on a weight: add pad:15kg"),
-        (("sensor.toml", "--next", "1", "--have", "pad:3000kg"), "29419.9 N on a pad is 204 MPa, more than 20"),
-        (("small.toml", "--data", "pairs.csv", "-o", "m.safetensors"), "3 × 3 units, the design has 1 × 2"),
-    ):
-        assert says in house.refusal(*identify, *words)
-    pairs = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=3)).labels()
-    other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
-    with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
-        identifying.identify(pairs, DESIGN, finite=other)

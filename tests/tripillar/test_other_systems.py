@@ -1,13 +1,11 @@
-"""What differs on Windows and macOS: consoles in other encodings, no POSIX."""
+"""What Windows has not: whatever is POSIX's."""
 
 import os
 import subprocess
 import sys
-from pathlib import Path
 
-from tests.house import House
+from tests.docs.terminal import ROOT
 
-ROOT = Path(__file__).parents[2]
 #: modules that ask for the system load, and work, where it is none of POSIX; libraries are loaded before
 WITHOUT_POSIX = """
 import concurrent.futures.process, ctypes, mmap, multiprocessing.spawn, os, select, signal, subprocess, sys
@@ -43,20 +41,6 @@ for begin in (lambda: virtual_board.VirtualBoard([1], Info(rows=1, cols=1)), lam
         print(error, flush=True)
 interrupts._end(signal.SIGINT)
 """
-
-
-def test_a_console_of_another_encoding_gets_utf_8(tmp_path):
-    """As on Windows: neither Ω nor a name that is no UTF-8 ends a command."""
-    house = House(tmp_path)
-    old = {"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
-    name = os.fsdecode(b"caf\xe9.toml")
-    for words, said in ((["dataset", "--help"], "[Ω]"), (["design", "--out", name], "caf")):
-        done = subprocess.run(
-            house.command(*words), cwd=tmp_path, env=house.environment | old, capture_output=True, check=True
-        )
-        assert said in (done.stdout + done.stderr).decode()
-    assert "Poisson" in (tmp_path / name).read_text(encoding="utf-8")
-    assert b"\r" not in (tmp_path / name).read_bytes()
 
 
 def test_nothing_but_boards_needs_posix(tmp_path):

@@ -82,7 +82,7 @@ def info(
     return measured
 
 
-@job()
+@job(mcap=None, rrd=None)
 def watch(
     port: str,
     /,

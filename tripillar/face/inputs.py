@@ -94,19 +94,24 @@ def job(**writes: str | None) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     def made(function: Callable[P, R]) -> Callable[P, R]:
         parameters = inspect.signature(function).parameters
-        read = [name for name, each in parameters.items() if _takes_path(each.annotation) and name not in writes]
         rest = next((name for name, each in parameters.items() if each.kind is each.VAR_KEYWORD), "")
-        known = {name for options in options_of(parameters[rest]) for name in options.names} if rest else set()
+        known = {
+            name: inspect.signature(options.source).parameters[name]
+            for options in (options_of(parameters[rest]) if rest else ())
+            for name in options.names
+        }
+        takes = {**parameters, **known}
+        read = [name for name, each in takes.items() if _takes_path(each.annotation) and name not in writes]
 
         @functools.wraps(function)
         def checked(*arguments: P.args, **options: P.kwargs) -> R:
             bound = inspect.signature(function).bind(*arguments, **options)
             bound.apply_defaults()
-            given = bound.arguments
-            more = given.pop(rest, {})
-            if known and (unknown := set(more) - known):
+            more = bound.arguments.pop(rest, {})
+            if known and (unknown := set(more) - set(known)):
                 raise ArgumentError(f"{unknown.pop()}= is no argument; there are {', '.join(sorted(known))}.")
-            require_numbers(given | more)
+            given = {**bound.arguments, **more}
+            require_numbers(given)
             sources = [given.get(name) for name in read]
             for source in sources:
                 require_there(source)

@@ -42,6 +42,21 @@ ITERATIONS = Parameter(name="--iterations")
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
+class Evaluation(dict[str, "stages.Assessment"]):
+    """Errors by force; a line each where it is shown."""
+
+    def __repr__(self) -> str:
+        lines = []
+        for force, one in self.items():
+            relative = "" if one.errors.rel_err is None else f"{one.errors.rel_err:.2%}, "
+            times = "" if one.ratio is None else f", {one.ratio:.2f} times the limit of the readings"
+            lines.append(f"{force}: {relative}RMSE {one.errors.rmse_n:.3g} N{times}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self!r}</pre>"
+
+
 @job(out=".safetensors")
 def train(
     data: SeveralSamples | None = None,
@@ -203,8 +218,8 @@ def evaluate(
     Returns
     -------
     dict of Assessment
-        By force: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and limit, and more; with
-        folds the errors alone, their mean over the folds.
+        By force, shown as a line each: ``errors`` (rel_err, rmse_n, full_scale_pct), ``limits``, ``ratio`` of error and
+        limit, and more; with folds the errors alone, their mean over the folds.
 
     Raises
     ------
@@ -237,7 +252,7 @@ def evaluate(
         return _cross_validated(samples_of(data), name, folds, asked.arguments)
     if training:
         given = ", ".join(f"{name}=" for name in training)
-        raise DesignError(f"a model has its own: leave {given} out, or cross-validate with folds=.")
+        raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
     assert model is not None  # there are no folds
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
@@ -248,7 +263,7 @@ def evaluate(
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
     solved = _response(samples, name, samples.design or decoupler.design, response) if limits else None
     stages.warn_of_test(decoupler, named, samples, name, solved)
-    assessed = stages.assess(decoupler, samples, solved)
+    assessed = Evaluation(stages.assess(decoupler, samples, solved))
     _mention_untrusted(decoupler)
     plain, table = stages.as_plain, stages.assessment_table
     caller.answer(lambda: plain(assessed), lambda: [table(assessed)])
@@ -271,7 +286,7 @@ def _cross_validated(
     current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
-    return {force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()}
+    return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
 def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
@@ -308,7 +323,7 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     """The samples of one source, or of several joined; at finite strain with their displacements."""
     several = [samples_of(each) for each in sources]
     for each in several:
-        stages.require_samples("samples", each)
+        stages.require_samples("samples", each, stages.AnySamples)
     if any(each.is_finite.any() for each in several):  # these learn from displacements, too
         several = [samples_of(each, labels_only=False) for each in sources]
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])

@@ -106,8 +106,9 @@ def test_many_steps_end_where_one_does_and_store_the_work():
     assert np.allclose(many.state.u, found.state.u, atol=1e-8)
 
 
-def test_a_load_without_equilibrium_is_refused_in_one_line():
+def test_a_load_without_equilibrium_is_refused_in_one_line(monkeypatch):
     """On few elements, as each that the load squeezes is brought to rest by itself."""
+    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
     line = LINE[[0, 1, 3, 4]]
     body = RubberBody.of(Boxes.between([line, line, np.array([0.0, 6.0, 10.0])]), [RUBBER])
     with pytest.raises(UnreachableLoadError, match=r"^no stable equilibrium above 0\.\d+ of the load.*stiff plate.*$"):
@@ -139,10 +140,11 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
     assert found.error_estimate < 1e-2
 
 
-def test_two_rubbers_that_lean_are_solved_on_tetrahedra():
+def test_two_rubbers_that_lean_are_solved_on_tetrahedra(monkeypatch):
     """On a coarse mesh, whose estimate says so."""
+    monkeypatch.setattr("fem.tetrahedra.scene_mesh.EDGES_ACROSS", 1.0)
     soft, hard = (neo_hookean(young, 0.3) for young in (6.1, 18.0))
-    leaning = Inclusion(base_mm=(1.5, 2.0, 0.0), top_mm=(2.5, 2.0, 2.0), section_mm=(1.5, 1.5), material=hard)
+    leaning = Inclusion(base_mm=(1.5, 2.0, 0.0), top_mm=(2.5, 2.0, 2.0), section_mm=(2.0, 2.0), material=hard)
     scene = pressed_block((4.0, 4.0, 2.0), soft, (0.1, 0.0, -0.5), inclusions=(leaning,), tolerance=0.2)
     found, plan = solve_scene(scene)
     assert plan.method == "finite on tetrahedra"
