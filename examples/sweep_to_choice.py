@@ -1,6 +1,6 @@
 """From a sweep to a choice: judge small arrays by their response alone, choose one, and see what a network makes of it.
 
-``python examples/sweep_to_choice.py`` takes some 20 seconds, less when the responses are in the cache already. For more
+``python examples/sweep_to_choice.py`` takes some 10 seconds, less when the responses are in the cache already. For more
 designs than these use ``tripillar sweep FILE``, which shares the work among processes and goes on where it was stopped.
 """
 
@@ -13,17 +13,17 @@ from tripillar.sweep.trade_offs import ranked
 
 NOISE, BITS = 0.001, 12  # of the readings
 
-# 1. Eight 3 × 3 arrays: units how far apart, how tall, under pads how large? The sensor must fit on 24 cm², and carry
+# 1. Eight 2 × 2 arrays: units how far apart, how tall, under pads how large? The sensor must fit on 11 cm², and carry
 #    450 N a pad before a pillar is strained by 30 %.
 sweep = sweep_from_dict({
-    "design": {"array": {"rows": 3, "cols": 3}},
+    "design": {"array": {"rows": 2, "cols": 2}},
     "sweep": {"sampling": "sobol", "samples": 8, "seed": 1, "noise": NOISE, "bits": BITS},
     "vary": [
         {"key": "array.pitch_mm", "low": 13.0, "high": 20.0},
         {"key": "unit.height_mm", "low": 6.0, "high": 12.0},
         {"key": "pad.size_mm", "of": "array.pitch_mm", "low": 0.5, "high": 1.0},
     ],
-    "bounds": {"area_cm2": {"most": 24.0}, "range_n": {"least": 450.0}},
+    "bounds": {"area_cm2": {"most": 11.0}, "range_n": {"least": 450.0}},
 })  # fmt: skip
 
 # 2. The metrics of each design, from its finite-element response: nothing is trained for them.

@@ -59,6 +59,7 @@ def test_a_twin_is_a_design_at_its_most_probable_values(folder, identified):
     for name in ("gain", "gain_deviation", "offset_ohm", "offset_deviation_ohm"):
         by_pillar = np.stack([told[name][pillar] for pillar in "zxy"], axis=-1)
         assert by_pillar.ravel() == pytest.approx(getattr(found, name), rel=1e-5)
+    assert (found.gain_deviation < found.expected.widths.gain).all()  # the pairs have told something
     c = found.gain * np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), 4)
     assert np.allclose(c, twin.read_decoder().inverse.forward.ohm_per_mm2, rtol=1e-3)  # volumes to first order
     write_design(DESIGN, folder / "design.toml")

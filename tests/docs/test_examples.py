@@ -31,7 +31,7 @@ def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     errors = [error_n for _, _, _, error_n, _, _ in rows]
     assert errors == sorted(errors)
     for pitch_mm, _, _, _, range_n, _ in rows:
-        assert (3 * pitch_mm / 10) ** 2 <= 24.0 + 0.2  # cm², of a pitch that is printed to 0.1 mm
+        assert (2 * pitch_mm / 10) ** 2 <= 11.0 + 0.2  # cm², of a pitch that is printed to 0.1 mm
         assert range_n >= 450
     ratios = [float(re.fullmatch(r"f[xyz]: error [\d.]+ N, ([\d.]+) times .*", line)[1]) for line in lines[within:]]
     assert len(ratios) == 3

@@ -11,7 +11,6 @@ from fem.array.solving import ResponseSettings, solve_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer.page.page import Subject
-from tripillar.viewer.page.scene import Superposition
 from tripillar.viewer.page.sensing import PressedSensor, inverse_forces
 from tripillar.viewer.page.server import Server, listening_on
 
@@ -37,7 +36,7 @@ def subject():
     """An array of two units with the response's own inverse."""
     response = solve_response(DESIGN, ResponseSettings(method="layer"))  # a closed form: any response will do
     sensor = PressedSensor(response, inverse_forces(response))
-    return Subject(loads=Superposition(solve_array_field(DESIGN)), sensor=sensor, decoupler="the response's inverse")
+    return Subject(field=solve_array_field(DESIGN).prepared(), sensor=sensor, decoupler="the response's inverse")
 
 
 @contextmanager

@@ -115,7 +115,7 @@ def test_the_suited_scale_is_round_and_makes_displacements_a_fifth_of_the_height
 
 def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels, subject):
     """One definition, |l − l₀|/l₀ between electrodes' mean places: as drawn, and by 25 points of each in the field."""
-    field, unit = subject.loads.field, DESIGN.unit
+    field, unit = subject.field, DESIGN.unit
     inside = np.linspace(-0.4, 0.4, 5) * unit.electrode_mm
     points = upper_electrodes(unit)[:, None] + np.array([[x, y, 0.0] for x in inside for y in inside])
     seen = field.observe(points.reshape(-1, 3)).displacement_mm(field.state(np.tile([0.0, 0.0, -3.0], (2, 1))))

@@ -68,7 +68,6 @@ def open_page(
     from tripillar.pipeline.run import respond
     from tripillar.terminal.entry import say
     from tripillar.viewer.page.page import Subject
-    from tripillar.viewer.page.scene import Superposition
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import listening_on, serve
 
@@ -87,10 +86,10 @@ def open_page(
         with bars:
             _, response = respond(with_model(design, "linear"), bars)
             advance = bars.begin("page", total=2)
-            field = solve_array_field(response.design, lambda step: advance(0, step))
+            field = solve_array_field(response.design, lambda step: advance(0, step)).prepared()
             advance(1, "decoupler")
             subject = Subject(
-                loads=Superposition(field),
+                field=field,
                 sensor=PressedSensor(response, inverse_forces(response) if decoder is None else net_forces(decoder)),
                 decoupler="the response's inverse" if decoder is None else f"the model {model}",
                 feed=feed,

@@ -14,7 +14,7 @@ import numpy as np
 from aiohttp import WSMsgType, web
 
 from dataset.protocols import FRICTION
-from fem.pictures.arrays import indenter_tractions
+from fem.pictures.arrays import ArrayField, indenter_tractions
 from fem.pictures.scenery import Bar
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -31,7 +31,7 @@ from tripillar.viewer.page.controls import (
     traction_of,
 )
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import ArrayScene, Superposition
+from tripillar.viewer.page.scene import ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, Reading, SensorFeed
 from tripillar.viewer.sights import beyond_linear
 
@@ -50,7 +50,7 @@ TURN_DEG, NEARER, MOVED = 360.0, (0.1, 10.0), 5.0  #: bounds of one gesture
 class Subject:
     """The array that all browsers look at; none changes it."""
 
-    loads: Superposition
+    field: ArrayField  #: prepared for many loads
     sensor: PressedSensor
     decoupler: str  #: name of what turns resistances into forces
     feed: SensorFeed | None = None  #: of a sensor that can load the array in place of the controls
@@ -71,7 +71,7 @@ class Page:
     """
 
     def __init__(self, subject: Subject) -> None:
-        self._subject, self._design = subject, subject.loads.field.design
+        self._subject, self._design = subject, subject.field.design
         self._traction = np.zeros((self._design.n_units, 3))
         self._generator = np.random.default_rng(0)
         self._kinds = controls_of(self._design, subject.feed is not None)
@@ -79,7 +79,7 @@ class Page:
         self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
         self._is_changed = asyncio.Event()
         self._is_changed.set()
-        self.scene = ArrayScene(subject.loads)
+        self.scene = ArrayScene(subject.field)
         camera, self.pictures = self.scene.camera, Pictures(self.scene.plotter, self.scene.fit)
         #: what a browser can have done, without further words
         self.calls: dict[str, Callable[[], None]] = {"reset": self._reset, "home": self.scene.look_from_the_start}

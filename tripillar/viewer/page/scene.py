@@ -1,6 +1,6 @@
 """The array in 3-D: pillars inside a translucent slab under its pads, moved in place as loads change.
 
-`Superposition` gives the field under any load; the scene moves a picture by it; `Camera` is turned by the mouse.
+The scene moves a picture by the field under any load; `Camera` is turned by the mouse.
 """
 
 import math
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pyvista as pv
 
-from fem.pictures.arrays import ArrayField, FieldState
+from fem.pictures.arrays import ArrayField
 from fem.pictures.deformation import PAD_LIFT_MM, DeformedPicture, place
 from fem.pictures.parts import COARSE, ArrayParts, Part
 from fem.pictures.scenery import QUANTITIES, Bar, Colour, Quantity, draw_scenery, unit_names
@@ -26,41 +26,16 @@ CHOSEN = "#ff8c00"
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 STEEPEST_DEG = 89.0  #: of the camera: straight from above there is no upright
 NEAREST, FARTHEST = 0.1, 5.0  #: of the distance from which all is seen
-MAX_UNITS = 150  #: whose answers to unit loads are kept, 240 MB; a larger array is solved for every load
-
-
-class Superposition:
-    """States of an array's field under any loads, as sums of its answers to unit loads.
-
-    Solving the coupled cells of a 6 × 6 array takes 9 ms of a processor's time, adding the answers to its 108 unit
-    loads 0.6 ms.
-    """
-
-    def __init__(self, field: ArrayField) -> None:
-        self.field = field
-        n = field.design.n_units
-        self._unit_ports: FloatArray | None = None
-        if n <= MAX_UNITS:
-            ports, _ = field.coupled.port_displacements(np.eye(3 * n).reshape(n, 3, 3 * n))
-            self._unit_ports = np.ascontiguousarray(ports.reshape(-1, 3 * n).T)
-
-    def state(self, traction_mpa: FloatArray) -> FieldState:
-        """As `ArrayField.state`: tractions (n_units, 3), z negative pushing down [MPa]."""
-        if self._unit_ports is None:
-            return self.field.state(traction_mpa)
-        force_n = traction_mpa * self.field.design.pad.size_mm**2
-        port_mm = (force_n.ravel() @ self._unit_ports).reshape(len(force_n), -1)
-        return FieldState(force_n=force_n, port_mm=port_mm)
 
 
 class ArrayScene:
     """A plotter with the array in it, seen under one load after the other; draws nothing by itself."""
 
-    def __init__(self, loads: Superposition) -> None:
-        self._loads, self._parts = loads, ArrayParts(loads.field, is_coarse=True)
-        design, self._pads = loads.field.design, "plates" if loads.field.has_plates else "pads"
+    def __init__(self, field: ArrayField) -> None:
+        self._field, self._parts = field, ArrayParts(field, is_coarse=True)
+        design, self._pads = field.design, "plates" if field.has_plates else "pads"
         down = np.tile([0.0, 0.0, -MAX_PRESSED_MPA], (design.n_units, 1))
-        rest, most = (self._parts.under(loads.state(share * down), stress=False) for share in (0.0, 1.0))
+        rest, most = (self._parts.under(field.state(share * down), stress=False) for share in (0.0, 1.0))
         self._picture = DeformedPicture({"": rest}, medium="live", over=[most])
         self.plotter, self.pads_bar = self._picture.plotter, self._picture.bars[-1]
         self.pillars = next(moving.mesh for moving in self._picture.moving if moving.name == "pillars")
@@ -98,7 +73,7 @@ class ArrayScene:
             return np.repeat(100.0 * change.ravel(), len(part.points_mm) // change.size)
 
         quantity = Quantity(TITLES[colour], of_resistance) if colour == RESISTANCE else QUANTITIES[colour]
-        parts = self._parts.under(self._loads.state(traction_mpa), quantity.of_stress)
+        parts = self._parts.under(self._field.state(traction_mpa), quantity.of_stress)
         bar = self._picture.recolour({"": parts}, quantity, scale)
         pads, first = parts[self._pads], chosen * (COARSE[2] + 1) ** 2
         own = first + self._border
