@@ -7,6 +7,7 @@ import xarray as xr
 
 from dataset import read_samples
 from fem.array.solving import ResponseSettings
+from geometry.errors import DesignError
 from hardware import Info
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
@@ -101,10 +102,12 @@ def test_response_and_mesh_and_design_and_cad(house):
 
 
 def test_an_interrupted_run_says_what_is_kept(house, monkeypatch):
-    said = []
-    monkeypatch.setattr("tripillar.pipeline.run.run_pipeline", lambda *_, **__: said.append(interrupts._last_words[-1]))
-    house.tripillar("run", "--design", "small.toml", "--out", "stopped")
-    assert said == ["interrupted; the files in stopped are kept: give the same command again to go on."]
+    def interrupted(*_, **__):
+        raise DesignError(interrupts._last_words[-1])
+
+    monkeypatch.setattr("tripillar.pipeline.run.run_pipeline", interrupted)
+    said = house.tripillar("run", "--design", "small.toml", "--out", "stopped").stderr
+    assert "interrupted; the files in stopped are kept: give the same command again to go on." in said
 
 
 def test_replay_gives_the_forces_behind_recorded_frames(house):
