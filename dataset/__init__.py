@@ -10,10 +10,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dataset.imperfections import OPEN_OHM, Imperfections
-from dataset.measurement import Readout, counts_from_resistance, measured, resistance_from_counts
+from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
 from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
 from dataset.samples import SampleError, Samples
-from dataset.stored import StoredSamples, in_memory, read_samples
+from dataset.stored import in_memory, read_samples
 
 if TYPE_CHECKING:
     from dataset.simulation import DatasetSettings, measured_again, simulate
@@ -22,10 +22,8 @@ __all__ = [
     "OPEN_OHM",
     "DatasetSettings",
     "Imperfections",
-    "Readout",
     "SampleError",
     "Samples",
-    "StoredSamples",
     "counts_from_resistance",
     "in_memory",
     "measured",

@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dataset.samples import SampleError
-from decoupler.data.columns import COMPONENTS, Component, component_named
-from decoupler.evaluation.assessment import Assessment, Limits, assess
-from decoupler.evaluation.crossval import Fold, cross_validate
-from decoupler.evaluation.metrics import ForceErrors, PcaFloor, component_errors, evaluate, force_errors, pca_floor
+from decoupler.data.columns import component_named
+from decoupler.evaluation.assessment import Assessment, assess
+from decoupler.evaluation.crossval import cross_validate
+from decoupler.evaluation.metrics import component_errors, evaluate, force_errors, pca_floor
 from decoupler.model.baseline import LeastSquares, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
@@ -24,16 +24,10 @@ if TYPE_CHECKING:
     from decoupler.training.trainer import train
 
 __all__ = [
-    "COMPONENTS",
     "Assessment",
-    "Component",
     "Decoupler",
-    "Fold",
-    "ForceErrors",
     "LeastSquares",
-    "Limits",
     "NetworkConfig",
-    "PcaFloor",
     "SampleError",
     "TrainingConfig",
     "TrainingError",

@@ -5,7 +5,7 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 
 import reprlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from html import escape
@@ -51,35 +51,40 @@ def require_sound(
     Numbers become floats, vectors tuples of them; None is taken where it is the default.
     """
     for spec in fields(values):
-        value, asked, said = getattr(values, spec.name), spec.metadata, ""
+        value, asked = getattr(values, spec.name), spec.metadata
+        if value is None and spec.default is None:
+            continue
         count = asked.get("count", 1)
-        kind = next((one for one in (int, float) if spec.type in (one, one | None)), None)
-        if (count == 1 and kind is None) or (value is None and spec.default is None):
-            if asked.get("of") and value not in asked["of"]:
-                said = f"one of {', '.join(asked['of'])}"
+        kind = next((one for one in (int, float) if spec.type in (one, one | None)), float if count > 1 else None)
+        if kind is None:
+            choices = asked.get("of") or (value,)
+            said = "" if value in choices else f"one of {', '.join(choices)}"
         else:
             is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
             given = [value] if count == 1 else list(value) if is_list else []
-            kinds = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
-            least, largest = limits_mm if spec.name.endswith("_mm") else LIMITS
-            if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
-                one = f"a {'whole' if kind is int else 'finite'} number"
-                said = one if count == 1 else f"{count} finite numbers"
-            elif asked.get("above 0") and not min(given) > 0:
-                said = "above 0"
-            elif asked.get("above 0") and not least <= min(given) <= max(given) <= largest:
-                said = f"from {least:g} to {largest:g}"
-            elif kind is not int and max(map(abs, given)) > largest:
-                said = f"at most {largest:g} in size"
-            elif (within := asked.get("within")) and not (
-                within[0] <= min(given) <= max(given) <= within[1] and not (asked["below"] and max(given) == within[1])
-            ):
-                said = f"from {within[0]:g} to {'below ' * asked['below']}{within[1]:g}"
-            else:
-                made = int if kind is int else float
-                object.__setattr__(values, spec.name, made(value) if count == 1 else tuple(map(made, given)))
+            said = _unsound(given, kind, asked, limits_mm if spec.name.endswith("_mm") else LIMITS)
+            if not said:
+                object.__setattr__(values, spec.name, kind(value) if count == 1 else tuple(map(kind, given)))
         if said:
             raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
+
+
+def _unsound(given: list[Any], kind: type, asked: Mapping[str, Any], limits: tuple[float, float]) -> str:
+    """In words what numbers must be and are not; empty if they are."""
+    kinds, count = (int, np.integer) if kind is int else (int, float, np.integer, np.floating), asked.get("count", 1)
+    if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
+        return f"{count} finite numbers" if count > 1 else f"a {'whole' if kind is int else 'finite'} number"
+    low, high = min(given), max(given)
+    if asked.get("above 0") and not low > 0:
+        return "above 0"
+    if asked.get("above 0") and not limits[0] <= low <= high <= limits[1]:
+        return f"from {limits[0]:g} to {limits[1]:g}"
+    if kind is not int and max(-low, high) > limits[1]:
+        return f"at most {limits[1]:g} in size"
+    least, most = asked.get("within") or (low, high)
+    if not least <= low <= high <= most or (asked.get("below") and high == most):
+        return f"from {least:g} to {'below ' * asked['below']}{most:g}"
+    return ""
 
 
 def is_finite(value: Any) -> bool:

@@ -236,10 +236,10 @@ def read_solid(path: Path) -> Solid:
         raise ShapeError(f"{path}: holds no triangles: give an STL file of a closed surface, in mm.")
     if not mesh.is_watertight:
         raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
-    return solid_of(triangles)
+    return _solid_of(triangles)
 
 
-def solid_of(triangles_mm: FloatArray) -> Solid:
+def _solid_of(triangles_mm: FloatArray) -> Solid:
     """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low

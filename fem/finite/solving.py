@@ -113,20 +113,18 @@ def finite_boxes(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Bo
         low = outline.base_mm[axis] - outline.section_mm[axis] / 2
         high = outline.base_mm[axis] + outline.section_mm[axis] / 2
         edges = np.unique(np.clip(rectangles[:, axis::2] - lean[axis] * height, low, high).round(9))
-        inner = [edge for edge in edges.tolist() if low < edge < high]
-        attractors = [Attractor(edge, length, EDGE) for edge in inner]
-        attractors += [Attractor(low, length, SIDE), Attractor(high, length, SIDE)]
+        weights = {edge: EDGE for edge in edges.tolist() if low < edge < high} | {low: SIDE, high: SIDE}
         if axis in planes:
             low = planes[axis]
-            inner = [edge for edge in inner if edge > low + scene.rounding_mm]
-            attractors = [attractor for attractor in attractors if attractor.position_mm > low + scene.rounding_mm]
+            weights = {place: weight for place, weight in weights.items() if place > low + scene.rounding_mm}
+        attractors = [Attractor(place, length, weight) for place, weight in weights.items()]
         sides = [
             prism.base_mm[axis] + side * prism.section_mm[axis] / 2
             for prism in other
             if prism.is_upright and scene.outline.is_upright
             for side in (-1, 1)
         ]
-        lines.append(graded_lines([low, high, *inner, *np.clip(sides, low, high)], attractors, level))
+        lines.append(graded_lines([low, *weights, *np.clip(sides, low, high)], attractors, level))
     ends = [place[2] for prism in other for place in (prism.base_mm, prism.top_mm)]
     attractors = [Attractor(height, length, TOP), Attractor(0.0, length, BASE)]
     z = graded_lines([0.0, height, *np.clip(ends, 0.0, height)], attractors, level)

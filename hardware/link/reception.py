@@ -22,8 +22,8 @@ _MIN_POINTS = 4  # for a drift: with fewer, one second without a quick frame wou
 class Scan:
     """A frame and its times.
 
-    Its stamp follows the fitted clock of the board, and waits where that steps back (`Stamps`). For the time between
-    two scans take the difference of their ``frame.device_us``, modulo 2³².
+    Its stamp follows the fitted clock of the board, and waits where that steps back (`DeviceClock.stamp_ns`). For the
+    time between two scans take the difference of their ``frame.device_us``, modulo 2³².
     """
 
     frame: Frame
@@ -81,7 +81,7 @@ class Reception:
         self.n_frames = 0  #: valid data frames received, delivered or not
         self.asks = True  #: the board is to be asked for INFO
         self._new_decoder, self._decoder = decoder, decoder()
-        self._clock, self._stamps = DeviceClock(), Stamps()
+        self._clock = DeviceClock()
         self._unix_s = 0.0  # to be added to time.perf_counter()
         self._previous: Frame | None = None
         self._scanned_s = 0.0  # when it was scanned, by the host's clock, at the latest
@@ -141,12 +141,12 @@ class Reception:
 
     def _timed(self, frames: list[Frame], received_s: float) -> list[Scan]:
         """Scans of frames of the newest run."""
-        restarts, run = self.counted["restarts"], self._run
-        times_s = (self._unix_s + self._clock.host_time(frame.device_us) for frame in frames)
-        return [
-            Scan(frame=frame, received_s=received_s, restarts=restarts, run=run, stamp_ns=self._stamps.after(time_s))
-            for frame, time_s in zip(frames, times_s, strict=True)
-        ]
+        found, clock = [], self._clock
+        for frame in frames:
+            stamp_ns = clock.stamp_ns(self._unix_s + clock.host_time(frame.device_us))
+            restarts = self.counted["restarts"]
+            found.append(Scan(frame=frame, received_s=received_s, restarts=restarts, run=self._run, stamp_ns=stamp_ns))
+        return found
 
     def _decoded(self) -> Counter[str]:
         """Counts of this connection's decoder that need no clock and no other connection."""
@@ -200,26 +200,6 @@ class Reception:
         return self._foreign is not None
 
 
-class Stamps:
-    """Times of scans [s] as nanoseconds that only grow.
-
-    The board's clock on the host's time may step back by the link's delays, when its fit improves or the board has
-    restarted. A stamp then waits `WAIT_NS` behind the one before, until the clock has caught up. A step back of more
-    than `MAX_HELD_NS` is one of the host's own clock, and is followed.
-    """
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-
-    def after(self, time_s: float) -> int:
-        """The stamp of the next scan."""
-        stamp_ns = round(time_s * 1e9)
-        if self._last_ns is not None and -WAIT_NS < self._last_ns - stamp_ns <= MAX_HELD_NS:
-            stamp_ns = self._last_ns + WAIT_NS
-        self._last_ns = stamp_ns
-        return stamp_ns
-
-
 class DeviceClock:
     """Puts the board's clock on the host's time: host time = board's time + offset + drift · board's time.
 
@@ -237,6 +217,7 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self._quickest: deque[tuple[float, float]] = deque(maxlen=_MAX_POINTS)
+        self._last_ns: int | None = None  # the last stamp
         self.restart()
 
     def restart(self) -> None:
@@ -272,6 +253,19 @@ class DeviceClock:
         """When the board's clock stood at `device_us` [s, host]; for times near that of the last frame added."""
         board_s = self._unwrapped(device_us) * 1e-6
         return board_s + self._offset_s + self.drift * board_s
+
+    def stamp_ns(self, time_s: float) -> int:
+        """A scan's time [s] as nanoseconds that only grow, also over restarts.
+
+        Times may step back by the link's delays, when the fit improves or the board has restarted. A stamp then waits
+        `WAIT_NS` behind the one before, until the clock has caught up. A step back of more than `MAX_HELD_NS` is one of
+        the host's own clock, and is followed.
+        """
+        stamp_ns = round(time_s * 1e9)
+        if self._last_ns is not None and -WAIT_NS < self._last_ns - stamp_ns <= MAX_HELD_NS:
+            stamp_ns = self._last_ns + WAIT_NS
+        self._last_ns = stamp_ns
+        return stamp_ns
 
     def _unwrapped(self, device_us: int) -> int:
         """The time nearest to the last one that is `device_us` modulo a turn."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
-from hardware.link.reception import DeviceClock, Stamps
+from hardware.link.reception import DeviceClock
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -93,16 +93,16 @@ class Recording(Header):
 
         The bytes of a board hold no times of arrival: then they are the board's clock.
         """
-        clock, stamps, found = DeviceClock(), Stamps(), []
+        clock, found = DeviceClock(), []
         if self.received_s is None:
-            return np.array([stamps.after(time_s) for time_s in self.time_s.tolist()])
+            return np.array([clock.stamp_ns(time_s) for time_s in self.time_s.tolist()])
         first_s = float(self.received_s[0])  # small numbers keep their nanoseconds
         begins = np.diff(self.run, prepend=self.run[:1]) != 0
         for device_us, received_s, is_new in zip(self.device_us.tolist(), self.received_s, begins, strict=True):
             if is_new:
                 clock.restart()
             clock.add(device_us, float(received_s) - first_s)
-            found.append(stamps.after(first_s + clock.host_time(device_us)))
+            found.append(clock.stamp_ns(first_s + clock.host_time(device_us)))
         return np.array(found)
 
     def columns(self) -> dict[str, NDArray[Any]]:

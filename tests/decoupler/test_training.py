@@ -107,17 +107,18 @@ def test_the_samples_that_judge_are_drawn_from_all_and_readings_of_one_load_stay
         return train_varpro(samples, hidden, ridge, held_out, *others)
 
     monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
-    factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *TRAIN.resistance_ohm.shape))
+    data = TRAIN[1:]  # of 897 readings a tenth is no whole number of loads
+    factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *data.resistance_ohm.shape))
     often = replace(
-        TRAIN,
-        resistance_ohm=np.concatenate(TRAIN.resistance_ohm * factor),
-        force_n=np.tile(TRAIN.force_n, (3, 1, 1, 1)),
+        data,
+        resistance_ohm=np.concatenate(data.resistance_ohm * factor),
+        force_n=np.tile(data.force_n, (3, 1, 1, 1)),
     )
     for seed in (1, 1, 2):
         scaling = trained(often, hidden=2, max_iterations=1, seed=seed).output_scaling
     last = {tuple(row) for row in scaling.scale(force_columns(TRAIN.force_n, FX)[-30:]).tolist()}
     (fitted, once), (_, again), (_, other) = sides
-    assert 0.08 * len(TRAIN) < len(once) <= 0.1 * len(TRAIN)
+    assert 0.08 * len(data) < len(once) <= 0.1 * len(data)
     assert not fitted & once
     assert once == again != other
     assert len(once & last) < 12  # 3 of 30 are expected; 12 or more have a chance of 1e-5

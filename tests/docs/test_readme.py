@@ -26,7 +26,7 @@ ELSEWHERE = {
         "tests/hardware/test_firmware_run.py::test_a_board_reads_every_crossing_on_time"
     ),
     "make -C hardware/firmware flash BOARD=atmega328p PORT=/dev/ttyACM0": (
-        "tests/hardware/test_firmware_flash.py::test_what_is_flashed_is_what_was_built"
+        "tests/hardware/test_firmware.py::test_what_is_flashed_is_what_was_built"
     ),
     "make docs": "tests/docs/test_site.py::test_the_pages_are_built_without_a_warning",
     "make paper": (

@@ -95,10 +95,12 @@ DEADLY = {
 }
 
 
-@pytest.mark.parametrize(("bad", "limit_s"), [(("killed", "exits", "grows"), 60.0), (("hangs",), 1.0)])
-def test_tasks_that_end_every_worker_fail_and_the_others_go_on(monkeypatch, bad, limit_s):
+@pytest.mark.parametrize(
+    ("bad", "limit_s", "tries"), [(("killed", "exits", "grows"), 60.0, 2), (("hangs",), 1.0, 1), (("exits",), 60.0, 1)]
+)
+def test_tasks_that_end_every_worker_fail_and_the_others_go_on(monkeypatch, bad, limit_s, tries):
     """Each is blamed for what it does alone, though they are at work together."""
-    for name, value in {"TRIES": 2, "LIMIT_S": limit_s, "MEMORY_BYTES": int(0.4 * 2**30)}.items():
+    for name, value in {"TRIES": tries, "LIMIT_S": limit_s, "MEMORY_BYTES": int(0.4 * 2**30)}.items():
         monkeypatch.setattr(pools, name, value)
     numbered = dict(zip((3, 5, 6), bad, strict=False))
     with open_pool(2) as pool:
@@ -106,7 +108,7 @@ def test_tasks_that_end_every_worker_fail_and_the_others_go_on(monkeypatch, bad,
     for number, deed in numbered.items():
         lost = found.pop(number)
         assert isinstance(lost, WorkerLost)
-        assert str(lost) == f"its worker {DEADLY[deed]}, the last of 2"
+        assert str(lost) == f"its worker {DEADLY[deed]}, the last of {tries}"
     assert found == {number: number**2 for number in range(8) if number not in numbered}
 
 

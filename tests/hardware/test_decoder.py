@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hardware.link.frames import Errors, Frame, FrameDecoder, Info, ScanMode, Statistics, encode
 
-fuzzed = settings(max_examples=300, derandomize=True, deadline=None)
+fuzzed = settings(max_examples=100, derandomize=True, deadline=None)
 U8, U16, U32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 
 

@@ -1,4 +1,4 @@
-"""Known forces, all the way round: solved array, crossbar, firmware on a simulated chip, port, correction, model."""
+"""Known forces, all the way round: array, crossbar, firmware on a simulated chip, port, correction, model."""
 
 import time
 
@@ -9,7 +9,7 @@ from dataset import DatasetSettings, measured_again, simulate
 from dataset.imperfections import Imperfections
 from decoupler import train
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from fem.array.solving import array_response
+from fem.array.closed_forms import layer_response
 from geometry.design import SensorDesign
 from hardware.boards.simavr_board import MCUS, find_tools
 from hardware.boards.simulated import STEP_S, counts_over_time, run_board
@@ -29,7 +29,7 @@ INFO = Info(scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, bits=10)
 @pytest.fixture
 def sensor():
     """The paper's sensor, a joint net for its loads, and loads that the net has not seen."""
-    response, _, _ = array_response(SensorDesign())
+    response = layer_response(SensorDesign())
     loads = {
         split: simulate(response, DatasetSettings(protocol="contact", samples=n, seed=seed))
         for split, n, seed in (("train", 800, 1), ("test", N_LOADS, 2))

@@ -105,23 +105,10 @@ def test_rates(board):
         assert running.stop()["min_settle_us"] >= SETTLE_US  # commands do not hold the converter up
 
 
-def test_a_talkative_host_costs_neither_counts_nor_settling(board):
-    """Commands at full speed while frames go out: the serial port's interrupts then want all of the CPU."""
-    said = (b"?", b"???", b"R150\n", b"R100\n", b"nonsense?\n", b"R176\n")
-    with heard(board, MCUS[1]) as (running, listener):
-        for k in range(100):
-            listener.port.write(said[k % len(said)])
-            listener.take_frames(1)
-        assert running.stop()["min_settle_us"] >= SETTLE_US
-    assert len(listener.infos) > 33
-    assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in listener.frames)
-    assert listener.decoder.statistics.lost == listener.decoder.statistics.bad_crc == 0
-
-
 @pytest.mark.parametrize("flood", [b"?", b"R150\n", b"R" + 4095 * b"1"], ids=["?", "R150", "R1111"])
-def test_a_flood_of_commands_silences_nothing(board, flood):
+def test_a_flood_of_commands_costs_neither_scans_nor_counts_nor_settling(board, flood):
     """At 1 Mbaud without a pause, for 1 s: every scan is sent, at its time, and none at a rate nobody asked for."""
-    with heard(board) as (running, listener):
+    with heard(board, MCUS[1]) as (running, listener):
         listener.ask(b"?")
         os.set_blocking(listener.port.fd, False)
         start = len(listener.frames)
@@ -129,8 +116,10 @@ def test_a_flood_of_commands_silences_nothing(board, flood):
             with contextlib.suppress(BlockingIOError):
                 os.write(listener.port.fd, flood * (4096 // len(flood)))
             listener.take_frames(1)
-        lost = running.stop()["bytes_overrun"]
-    assert lost > 1000  # no more could come in
+        statistics = running.stop()
+    assert statistics["bytes_overrun"] > 1000  # no more could come in
+    assert statistics["min_settle_us"] >= SETTLE_US
+    assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in listener.frames)
     assert is_gapless(listener.frames)
     assert listener.frames[-1].overruns == 0
     assert set(np.diff(starts_us(listener.frames))) <= {6666, 6667}
@@ -247,17 +236,13 @@ def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):
     write_table(table, DISTINCT, 1000)
     good = ["--elf", elf, "--mcu", MCUS[0], "--table", table]
     (tmp_path / "short").write_bytes(table.read_bytes()[:-1])
-    (tmp_path / "other").write_bytes(b"RIFF" + table.read_bytes()[4:])
     cases = [
         (good[:4], "--table is missing"),
         ([*good, "--elf", tmp_path / "none.elf"], "none.elf: No such file or directory: build"),
         ([*good, "--elf", table], "no AVR program in ELF form"),
         ([*good, "--mcu", MCUS[1]], "built for the family avr5, but atmega2560 is of avr6"),
-        ([*good, "--mcu", "attiny85"], "--mcu attiny85 is unknown, expected atmega328p or atmega2560"),
         ([*good, "--table", tmp_path / "short"], "319 bytes, its header announces 320"),
-        ([*good, "--table", tmp_path / "other"], "does not start with TPTB"),
         ([*good, "--seconds", "-1"], "--seconds is '-1', expected a number above 0"),
-        ([*good, "--quick"], "unknown option '--quick'"),
         ([*good, "--link", tmp_path / "no" / "link"], "link: No such file or directory"),
     ]
     for arguments, message in cases:

@@ -117,6 +117,9 @@ def test_a_board_is_left_alone_at_first_and_asked_four_times_a_second_until_it_a
     n = len(bench.asked)
     bench.run(1.0)
     assert len(bench.asked) == n  # it is known
+    bench.is_stalled = True
+    bench.run(1.5)
+    assert len(bench.asked) > n  # after a stall anybody may be there
     speaks = Bench()
     speaks.run(0.02)
     assert speaks.asked

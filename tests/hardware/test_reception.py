@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hardware.link.frames import encode
-from hardware.link.reception import DeviceClock, Reception, Stamps
+from hardware.link.reception import DeviceClock, Reception
 from tests.hardware.boards import INFO, a_wire
 
 LASTS_S = 2
@@ -89,6 +89,8 @@ def test_frames_of_another_board_are_counted_and_spoil_no_other_number(reception
     assert [scan.frame.sequence for scan in scans] == list(range(513, 518))
     met = reception.statistics
     assert (met.foreign, met.repeated, met.restarts, met.lost) == (4, 1, 0, 3)
+    reception.take(encode(replace(INFO, serial=7)), NOW_S + 1)
+    assert reception.statistics.foreign == 5
 
 
 # the clock, by simulated boards whose true time is known
@@ -149,8 +151,8 @@ def test_a_restart_forgets_and_times_around_the_last_frame_may_be_asked():
 
 
 def test_stamps_wait_for_a_small_step_back_and_follow_a_large_one():
-    stamps = Stamps()
-    found_ns = [stamps.after(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
+    clock = DeviceClock()
+    found_ns = [clock.stamp_ns(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
     assert found_ns == [5_000_000_000, 5_000_001_000, 5_250_000_000, 1_000_000_000]
 
 

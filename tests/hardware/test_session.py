@@ -96,38 +96,28 @@ def test_overruns_are_said_with_what_the_counter_cannot_hold():
         assert reception.statistics.overruns_said == f"{said} overruns"
 
 
-class Arrivals:
+def arrivals(*arrivals_s):
     """A scanner of which scans made at 150 Hz arrive so late; the board's clock wraps after half of them."""
-
-    trouble = None
-
-    def __init__(self, *arrivals_s):
-        first_us = 2**32 - 1e6 * len(arrivals_s) / 2 / 150
-        self.stats = LinkStatistics(ok=len(arrivals_s))
-        self.scans = deque(
-            SimpleNamespace(frame=SimpleNamespace(device_us=round(first_us + 1e6 * k / 150) % 2**32), received_s=at_s)
-            for k, at_s in enumerate(arrivals_s)
-        )
-
-    @property
-    def ended(self):
-        return not self.scans
-
-    def get(self, timeout):
-        return self.scans.popleft() if self.scans else None
+    first_us = 2**32 - 1e6 * len(arrivals_s) / 2 / 150
+    scans = deque(
+        SimpleNamespace(frame=SimpleNamespace(device_us=round(first_us + 1e6 * k / 150) % 2**32), received_s=at_s)
+        for k, at_s in enumerate(arrivals_s)
+    )
+    take = lambda timeout: scans.popleft() if scans else None  # noqa: E731
+    return SimpleNamespace(stats=LinkStatistics(ok=len(scans)), trouble=None, ended=True, get=take)
 
 
 def test_the_rates_of_a_link_are_by_the_hosts_and_the_boards_clock():
     """The host's clock runs 1 % faster than the board's, and every other scan is 2 ms late."""
     k = np.arange(301)
-    found = measure_link(Arrivals(*(7.0 + 1.01 * k / 150 + 2e-3 * (k % 2))), None, 60.0)
+    found = measure_link(arrivals(*(7.0 + 1.01 * k / 150 + 2e-3 * (k % 2))), None, 60.0)
     assert (found["scans"], found["statistics"]["ok"], found["latency_ms"]) == (301, 301, None)
     assert found["seconds"] == pytest.approx(2.02)
     assert found["rate_hz"] == pytest.approx(150 / 1.01)
     assert found["device_rate_hz"] == pytest.approx(150, rel=1e-5)  # whole microseconds
     assert found["jitter_us"] == pytest.approx(2000 / np.sqrt(2), rel=1e-2)  # steps scatter by √2 of what arrivals do
     with pytest.raises(ScannerError, match="2 scans within 60 s are too few"):
-        measure_link(Arrivals(0.0, 0.1), None, 60.0)
+        measure_link(arrivals(0.0, 0.1), None, 60.0)
 
 
 def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
@@ -154,7 +144,7 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
 def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     """And no other: not a recording's name, not a server's; nor for longer than said but where a board begins."""
     link, looked = tmp_path / "board", []
-    monkeypatch.setattr(session, "APPEARS_S", 0.01)
+    monkeypatch.setattr(session, "APPEARS_S", 0.0)
     monkeypatch.setattr(session, "is_beginning", lambda port: port == str(link))
     with VirtualBoard(COUNTS, INFO) as board:
 

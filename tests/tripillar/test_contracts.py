@@ -2,12 +2,15 @@
 
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import pytest
 
 import tripillar as tp
+from tests.docs.terminal import ROOT
 from tests.fem.scenes import BLOCK
 from tests.house import House
 from tests.tripillar.made_files import a_dataset, a_model
@@ -94,6 +97,18 @@ def test_a_mistake_is_refused_alike_in_python_and_as_typed(house, name, key, val
         called(name, given)
     flags = {each: flag_of(each) for each in PARAMETERS[name]}
     assert said == f"tripillar: {spelled(str(refused.value), flags)}"
+
+
+@pytest.mark.parametrize("words", ["train --data missing.nc -o m.safetensors", "evaluate --data missing.nc --folds 2"])
+def test_a_missing_file_is_refused_before_any_stage_is_loaded(house, words):
+    """Those take seconds."""
+    code = f"import sys\nsys.argv[1:] = {words.split()!r}\nfrom tripillar.cli.app import main\n"
+    code += "try: main()\nexcept SystemExit: print('scipy' in sys.modules)"
+    environment = house.environment | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=house.folder, env=environment, capture_output=True, text=True
+    )
+    assert (done.stdout, "missing.nc: no such file" in done.stderr) == ("False\n", True), done.stderr
 
 
 @pytest.mark.parametrize("name", NAMES)
