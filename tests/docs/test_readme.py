@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 import tripillar as tp
 from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, indented_commands
+from tests.studies.one_process import one_after_another
 
 README = ROOT / "README.md"
 TYPED = indented_commands(README, "tripillar", "make", "kill")
@@ -38,34 +40,42 @@ ELSEWHERE = {
     "make hardware-test": "",  # these tests are among the others
     "make check": "",  # what CI runs
     "make format": "",
+    "tripillar doctor": "tests/tripillar/test_doctor.py::test_a_sound_machine_is_found_sound",
+    "tripillar cad --design sensor.toml --out cad": (
+        "tests/docs/test_tutorial.py::test_the_tutorial_does_what_it_promises"
+    ),
 }
 #: typed otherwise, for time: a sensor of two units instead of 36, and a board that is watched for one second
 FIRST, FIRST_TYPED = "tripillar design --out sensor.toml", "tripillar design --rows 1 --cols 2 --out sensor.toml"
 MADE = {
-    "sensor.toml", "cad", "response.nc", "train.nc", "test.nc", "measured.nc", "model.safetensors", "own.safetensors",
+    "sensor.toml", "response.nc", "train.nc", "test.nc", "measured.nc", "model.safetensors", "own.safetensors",
     "model.onnx", "deformed.png",
 }  # fmt: skip
 WITH_A_BOARD = {"own.json", "press.frames", "press.nc", "forces.nc"}
 
 
-def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache):
-    """In their order, in an empty folder, but for what is elsewhere; those with a board pasted at once into a shell."""
-    boards = next(k for k, line in enumerate(TYPED) if line.startswith("tripillar board"))
-    with Terminal(tmp_path / "empty") as terminal:
-        for line in (line for line in TYPED[:boards] if line not in ELSEWHERE):
-            terminal.type(Command(FIRST_TYPED if line == FIRST else line))
-    typed = "\n".join(line for line in TYPED[boards:] if line not in ELSEWHERE)
-    first = "set -em\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT"
-    pasted = "\n".join([first, re.sub("--seconds [0-9]+", "--seconds 1", typed), "wait"])
+def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache, monkeypatch):
+    """In their order, in an empty folder, but for what is elsewhere; boards, and what waits for them, in a shell."""
+    monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
+    here = [re.sub("--seconds [0-9]+", "--seconds 1", line) for line in TYPED if line not in ELSEWHERE]
+    first = next(k for k, line in enumerate(here) if line.startswith("tripillar board"))
+    then = next(k for k, line in enumerate(here) if line.startswith("tripillar live"))
+    begin = ["set -em", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
+    pasted = "\n".join([*begin, *here[first:then], "echo ready", "read", here[-1], "wait"])
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "tripillar").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tripillar "$@"\n')
     (tmp_path / "bin" / "tripillar").chmod(0o755)
     environment = os.environ | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        ["bash", "-c", pasted],
-        cwd=tmp_path / "empty", env=environment, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with Terminal(tmp_path / "empty") as terminal:
+        for line in here[:first]:
+            terminal.type(Command(FIRST_TYPED if line == FIRST else line))
+        with subprocess.Popen(["bash", "-c", pasted], cwd=terminal.folder, env=environment, **pipes) as shell:
+            said = list(takewhile("ready\n".__ne__, shell.stdout))
+            for line in here[then:-1]:
+                terminal.type(Command(line))
+            shell.communicate("\n", timeout=60)
+    assert shell.returncode == 0, said
     made = {path.name for path in (tmp_path / "empty").iterdir() if not path.name.startswith(".")}
     assert made == MADE | WITH_A_BOARD
 

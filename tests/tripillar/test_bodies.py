@@ -40,21 +40,15 @@ def test_people_get_a_table_the_plan_and_a_field_and_programs_one_json_object(ho
     assert np.isclose(found["energy_mj"], 0.5 * -0.04 * uz, rtol=1e-6)  # the load's work, ½ f·u
 
 
-def test_finite_strain_says_what_it_did_and_draws(house):
+def test_finite_strain_says_what_it_did_and_what_is_beyond_linear_strain_or_the_tolerance_is_a_warning(
+    house, monkeypatch
+):
     text = PILLAR.replace("poisson = 0.49", 'poisson = 0.49\nmodel = "neo-hookean"')
     (house.folder / "finite.toml").write_text(text)
-    found = house.result("solve", "finite.toml", "--tolerance", "0.5", "--vtu", "finite.vtu")
+    found = house.result("solve", "finite.toml", "--tolerance", "0.5")
     assert set(found) == KEYS | FINITE
     assert abs(found["energy_imbalance"]) < 0.01
-    field = pv.read(house.folder / "finite.vtu")
-    top = field.points[:, 2] == field.points[:, 2].max()
-    assert field["displacement_mm"][top].mean(axis=0)[2] == pytest.approx(found["probes"]["top"][2], rel=0.05)
-
-
-def test_what_is_beyond_linear_strain_or_the_tolerance_is_a_warning(house, monkeypatch):
     (house.folder / "far.toml").write_text(PILLAR.replace("-0.01]", "-1e6]"))
-    needle = ("press", "--shape", "sphere", "--radius", "0.01", "--depth", "0.5", "--design", "small.toml")
-    assert "linear strain ends near 0.5; press less deep" in house.tripillar(*needle).stderr
     monkeypatch.setattr("fem.methods.box_refinement.MAX_BOXES", 10)
     monkeypatch.setattr("fem.methods.box_refinement.SplitBoxes.error", lambda _: 0.3)
     done = house.tripillar("solve", "far.toml", "--json")

@@ -1,7 +1,8 @@
-"""Contracts that every job keeps, walked over the table of jobs: help, JSON, and the same refusals from Python."""
+"""Contracts that every job keeps, walked over the table of jobs; and a table of what else is refused."""
 
 import inspect
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 import tripillar as tp
 from tests.docs.terminal import ROOT
 from tests.fem.scenes import BLOCK
-from tests.house import House
+from tests.house import SMALL, House
 from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.cli.app import COMMANDS, GONE, app_of, job_of
 from tripillar.cli.door import command_of, flag_of, spelled
@@ -36,15 +37,35 @@ NEEDED = {
     "tare": {"port": "text.txt", "out": "x.json"}, "info": {"port": "text.txt"}, "board": {"chip": "python"},
 }  # fmt: skip
 WRITTEN = {"out", "twin", "vtu", "picture", "save", "mcap", "rrd", "keep", "link", "truth"}
+FILES = {
+    "unknown.toml": "[array]\nrowz = 3\n",
+    "sphere.toml": "[body]\nkind = 'sphere'\n",
+    "idle.toml": "[body]\nkind = 'block'\nsize_mm = [9, 9, 9]\n[material]\nyoung_mpa = 1\npoisson = 0.3\n",
+    "block.toml": BLOCK,
+    "vary.toml": "[vary]\nkey = 'array.pitch_mm'\n",
+    "small.toml": SMALL,
+    "stiff.toml": SMALL + "[pad]\nkind = 'stiff'\n",
+    "square.toml": SMALL.replace("rows = 1", "rows = 3").replace("cols = 2", "cols = 3"),
+    "semi.csv": "fz_n_0_0;r_0_0\n1,5;2\n",
+    "text.txt": "hello\n",
+    "text.json": "hello\n",
+}
 
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory):
+    """A folder with files of every kind, most of them bad."""
     house = House(tmp_path_factory.mktemp("contracts"))
-    (house.folder / "block.toml").write_text(BLOCK)
-    (house.folder / "text.txt").write_text("hello\n")
-    a_dataset(house.folder / "data.nc")
-    a_model(house.folder / "model.safetensors")
+    folder = house.folder
+    (folder / "dir").mkdir()
+    for name, text in FILES.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    a_dataset(folder / "data.nc")
+    a_dataset(folder / "few.nc", samples=3)
+    a_dataset(folder / "wide.nc", pitch_mm=17)
+    whole = (folder / "data.nc").read_bytes()
+    (folder / "cut.nc").write_bytes(whole[: len(whole) * 2 // 3])
+    a_model(folder / "model.safetensors")
     return house
 
 
@@ -99,15 +120,12 @@ def test_a_mistake_is_refused_alike_in_python_and_as_typed(house, name, key, val
     assert said == f"tripillar: {spelled(str(refused.value), flags)}"
 
 
-@pytest.mark.parametrize("words", ["train --data missing.nc -o m.safetensors", "evaluate --data missing.nc --folds 2"])
-def test_a_missing_file_is_refused_before_any_stage_is_loaded(house, words):
+def test_a_missing_file_is_refused_before_any_stage_is_loaded(house):
     """Those take seconds."""
-    code = f"import sys\nsys.argv[1:] = {words.split()!r}\nfrom tripillar.cli.app import main\n"
-    code += "try: main()\nexcept SystemExit: print('scipy' in sys.modules)"
-    environment = house.environment | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=house.folder, env=environment, capture_output=True, text=True
-    )
+    code = "import sys\nsys.argv[1:] = 'evaluate --data missing.nc --folds 2'.split()\n"
+    code += "from tripillar.cli.app import main\ntry: main()\nexcept SystemExit: print('scipy' in sys.modules)"
+    settings = {"cwd": house.folder, "env": house.environment | {"PYTHONPATH": str(ROOT)}}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, **settings)
     assert (done.stdout, "missing.nc: no such file" in done.stderr) == ("False\n", True), done.stderr
 
 
@@ -130,15 +148,14 @@ def test_what_is_missing_unknown_no_choice_or_no_number_is_refused_and_every_par
         assert f" {wrong} {must}. See 'tripillar {name} --help'." in said
 
 
-@pytest.mark.parametrize("width", [80, 120])
-def test_help_prints_every_word_as_written(house, monkeypatch, width):
+def test_help_prints_every_word_as_written(house, monkeypatch):
     """A unit in brackets, such as [s], is no markup; an option's help begins with a noun or a verb, not with "Of"."""
-    monkeypatch.setitem(house.environment, "COLUMNS", str(width))
+    monkeypatch.setitem(house.environment, "COLUMNS", "80")
     overview = "".join(house.tripillar("--help").stdout.split())
     for name in NAMES:
         done = house.tripillar(name, "--help")
         assert done.returncode == 0
-        assert all(len(line) <= width for line in done.stdout.splitlines()), name
+        assert all(len(line) <= 80 for line in done.stdout.splitlines()), name
         summary = APP[name].help.strip().partition("\n")[0]
         assert re.match(r"[A-Z].*\.$", summary), name
         shown = "".join(done.stdout.split())
@@ -167,3 +184,67 @@ def test_a_command_that_is_gone_says_the_new_one(house, name):
     line = house.refusal(*name.split(), "--whatever")
     assert line.startswith(f"tripillar: {name} is gone: write tripillar ")
     assert line.split("write tripillar ")[1].split()[0].rstrip(".;") in NAMES
+
+
+#: a command as it is typed and, after ``->``, words of the line that it must end in
+REFUSED = """
+--nonsense -> Unknown command '--nonsense'
+design extra -> unexpected extra argument: extra. See 'tripillar design --help'
+design --out dir -> dir is a folder: give the name of a file in it
+design --out small.toml/under/a/file.toml -> small.toml
+design --rows 0 -> --rows 0 must be from 1 to 255
+cad --out cad --design unknown.toml -> unknown key 'rowz' in [array]; known are rows, cols, pitch_mm
+cad --out cad --design data.nc -> data.nc: not a text file
+solve small.toml -> the table [body] is missing
+solve idle.toml --json --vtu never.vtu -> add a [[probe]]
+response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
+press --depth 0.5 --design small.toml --shape sphere -> needs --radius
+press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
+dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
+dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
+dataset --protocol contact --samples 5 -o x.txt -> --out x.txt must be a file that ends in .nc or .zarr
+dataset --protocol contact --samples 5 -o x.zarr --only force,ohm -> no variable 'ohm'; there are traction, force,
+dataset --protocol contact --samples 5 -o x.nc --workers 2 -> belong to --strain finite and to directories
+dataset --protocol contact --samples 1000000000 -o x.nc -> end the file's name in .zarr, or keep less of them by --only
+dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,9,q -> --dead-pillar 9,9,q names no pillar
+dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
+train --touch --design stiff.toml -o m.safetensors -> contact by shape presses on bare rubber, these pads are stiff
+train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
+train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
+identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
+evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
+evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, data 17
+evaluate --folds 10 --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
+identify --data data.nc --port p -o x.safetensors -> give --data or --port, not both
+identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 4: there are no more
+identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
+identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
+export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
+export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
+view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
+view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
+view block.toml --save x.png --pressure 3 -> has its own loads
+view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
+view --serve --host 192.0.2.1 -> cannot listen on 192.0.2.1
+sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
+sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leave --trials out
+info missing -> missing: no such port; there are
+info data.nc -> data.nc: an export for other programs
+live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at: leave --rate out
+live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
+replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
+replay text.txt --model model.safetensors --ros2 -> add --out FILE.mcap, or leave --ros2 out
+tare missing -o text.json -> the file exists: build on it by --calibration
+board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
+board --period 0 -> --period 0 must be from 0.1 to 600 s
+"""
+CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
+
+
+@pytest.mark.parametrize(("words", "said"), CASES, ids=[words for words, _ in CASES])
+def test_a_mistake_is_one_line_and_exit_code_2(house, words, said, monkeypatch):
+    monkeypatch.setattr("hardware.session.APPEARS_S", 0.0)
+    line = house.refusal(*shlex.split(words))
+    assert line.startswith("tripillar: ")
+    assert said in line
+    assert not any(word in line for word in ("Errno", "Traceback", "codec", "Value error"))

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from decoupler.data.columns import COMPONENTS
+from geometry.layout import AXES
 from hardware.link.frames import Frame, Info
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.readout.calibration import SensorCalibration
@@ -18,7 +19,6 @@ from tripillar.terminal import force_view
 from tripillar.terminal.force_view import force_table, live_view
 
 PLACES = np.array([[[5.0, 3.0, 0.0], [15.0, 3.0, 0.0]]])  #: of two pads [mm]
-XYZ = ("x", "y", "z")
 RATE_HZ = 150
 
 
@@ -35,12 +35,12 @@ def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear_and_what_is_wro
     assert [line.split() for line in lines] == [["3.0", "4.0", "5.0"], ["0.0", "1.0", "2.0"]]
     arrows = {(1, 0): "→", (0, 1): "↑", (-1, 0): "←", (0, -1): "↓", (1, 1): "↗", (-1, -1): "↙", (0.1, 0.0): " "}
     for (fx, fy), arrow in arrows.items():
-        assert f"5.0 {arrow}" in drawn(force_table(np.array([[[fx, fy, 5.0]]]), XYZ, 10.0))
+        assert f"5.0 {arrow}" in drawn(force_table(np.array([[[fx, fy, 5.0]]]), AXES, 10.0))
     assert "3.0 ←" in drawn(force_table(np.array([[[-3.0]]]), ("x",), 10.0))
     force_n = np.ones((1, 2, 3))
-    wrench = net_wrench(force_n, wrench_weights(PLACES, XYZ))
+    wrench = net_wrench(force_n, wrench_weights(PLACES, AXES))
     scan = SimpleNamespace(force_n=force_n, deviation_n=force_n, wrench=wrench, contacts=None)
-    text = drawn(live_view(scan, XYZ, 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"]))
+    text = drawn(live_view(scan, AXES, 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"
     for said in ("150.0 frames/s", "7 ok", "2 lost", "no frames for 2 s", "ΣFz      2.0 N", "± 1.0 N", pressed):
         assert said in text
@@ -71,13 +71,10 @@ def scan(k, us=0, run=0):
     return Scan(frame=frame, received_s=100 + k / RATE_HZ, stamp_ns=stamp_ns, restarts=0, run=run)
 
 
-@pytest.mark.parametrize("knows_uncertainty", [True, False])
-def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(
-    knows_uncertainty, monkeypatch, capsys
-):
+def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(monkeypatch, capsys):
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: map(scan, range(RATE_HZ)))
     scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
-    model.knows_uncertainty = knows_uncertainty
+    model.knows_uncertainty = True
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
     sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}
     sensor._reader._weights = wrench_weights(PLACES, ("z",))
@@ -86,21 +83,17 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert [line["sequence"] for line in lines] == list(range(RATE_HZ))
     times = [line["time_s"] for line in lines]
     assert (times, len(set(times))) == (sorted(times), RATE_HZ)
-    chi2 = 1.235 if knows_uncertainty else None
     for k, line in enumerate(lines):
         assert line["force_n"] == [[[round(k + 1 / 3, 4)]] * 2]
         told = (line["dropped"], line["chi2"], line["explained"], *line["faults"], *line["net_force_n"][:2])
-        assert told == (3, chi2, True, "row wire 3 stuck", None, None)  # the model knows Fz alone
+        assert told == (3, 1.235, True, "row wire 3 stuck", None, None)  # the model knows Fz alone
         assert line["net_force_n"][2] == pytest.approx(2 * k + 2 / 3, rel=1e-5)
         assert line["centre_of_pressure_mm"] == ([10.0, 3.0] if k > 4 else line["centre_of_pressure_mm"])
     assert lines[0]["centre_of_pressure_mm"] == []  # 0.67 N are no touch
-    assert bool(lines[0]["net_force_deviation_n"]) == knows_uncertainty
+    assert lines[0]["net_force_deviation_n"]
     assert model.calculated <= 11
-    if knows_uncertainty:
-        ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]
-        assert max(ages) / RATE_HZ < 0.1 + 0.01
-    else:
-        assert {line["deviation_n"] for line in lines} == {None}
+    ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]
+    assert max(ages) / RATE_HZ < 0.1 + 0.01
 
 
 def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():

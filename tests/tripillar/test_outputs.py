@@ -8,27 +8,23 @@ import pytest
 
 from geometry import FileFormatError
 from geometry.storage import unfinished
-from geometry.storage.files import replacing, require_folder
-from geometry.storage.unfinished import MARK, remove_leftovers, remove_unfinished
+from geometry.storage.files import replacing
+from geometry.storage.unfinished import MARK, remove_leftovers
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes with names are POSIX's")
 def test_what_is_no_file_is_refused_and_left_alone_and_a_link_is_followed(tmp_path):
-    pipe = tmp_path / "pipe.nc"
+    pipe, link, real = (tmp_path / name for name in ("pipe.nc", "link.txt", "real.txt"))
     os.mkfifo(pipe)
     for path, kind in ((pipe, "a pipe"), (tmp_path, "a folder"), (pipe / "a.nc", "is not a folder")):
         with pytest.raises(FileFormatError, match=kind), replacing(path):
             raise AssertionError("must not begin")
     assert pipe.is_fifo()
-    with pytest.raises(FileFormatError, match="is not a folder"):
-        require_folder(pipe)
-    (tmp_path / "there").mkdir()
-    (tmp_path / "link.txt").symlink_to(tmp_path / "there" / "real.txt")
+    link.symlink_to(real)
     for text in ("made", "made again"):
-        with replacing(tmp_path / "link.txt") as temporary:
+        with replacing(link) as temporary:
             temporary.write_text(text)
-        assert (tmp_path / "there" / "real.txt").read_text() == text
-    assert (tmp_path / "link.txt").is_symlink()
+        assert (real.read_text(), link.is_symlink()) == (text, True)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no locks")
@@ -50,18 +46,3 @@ def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_holds_is_
             pass
         unfinished._looked_through.clear()
     assert sorted(path.name for path in tmp_path.iterdir()) == [".mine", "other.txt"]
-
-
-def test_an_interrupt_as_soon_as_the_folder_is_there_removes_it(tmp_path, monkeypatch):
-    make = os.mkdir
-
-    def make_and_be_interrupted(*where, **settings):
-        make(*where, **settings)
-        remove_unfinished()
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("geometry.storage.unfinished._of_this_process", set())  # not those of other tests
-    monkeypatch.setattr(os, "mkdir", make_and_be_interrupted)
-    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "data.txt"):
-        pass
-    assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""The whole way on a small sensor: the pipeline, its stages one by one, real files."""
+"""The whole way on a small sensor: the pipeline, its stages one by one, and samples that are doubted."""
 
 import netCDF4
 import numpy as np
@@ -6,20 +6,27 @@ import pytest
 import xarray as xr
 
 from dataset import read_samples
+from decoupler.model.model_file import read_model
 from fem.array.solving import ResponseSettings
 from geometry.errors import DesignError
-from hardware import Info
-from tests.hardware.boards import recording_from_resistances
+from geometry.mesh import MeshSettings
+from geometry.storage.netcdf import write_netcdf
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 from tripillar.pipeline.manufactured import READ, SPECIMEN
 from tripillar.terminal import interrupts
 
 RUN = ("run", "--design", "small.toml", "--quiet")
-MODEL = "out/models/contact-fz-skip17-inverse.safetensors"
 TEST = "out/data/contact-fz-test.nc"
-OURS = "skip net from the response (ours)"
-MADE = ("dataset", "--design", "small.toml", "--quiet")
+MADE = ("dataset", "--design", "small.toml", "--quiet", "--protocol")
+SHUFFLED = np.random.default_rng(0).permutation(40)
+#: mistakes in pairs, as another program might write them: resistances and forces
+MISTAKES = {
+    "shuffled.nc": lambda ohm, force_n: (ohm[SHUFFLED], force_n),
+    "kilohm.nc": lambda ohm, force_n: (ohm / 1000, force_n),
+    "unloaded.nc": lambda ohm, force_n: (ohm, 0 * force_n),
+    "twice.nc": lambda ohm, force_n: tuple(np.concatenate([each[:20]] * 2) for each in (ohm, force_n)),
+}
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +36,7 @@ def house(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tripillar.pipeline.run.SPLITS", {"train": (400, 1), "test": (100, 2)})
         patch.setattr("tripillar.pipeline.run.SETTINGS", {"soft": ResponseSettings(tolerance=2e-2)})
+        patch.setattr("fem.array.unit_check.suited_settings", lambda design: MeshSettings().finer(0.5))
         house.outcome = house.result(*RUN)
         yield house
 
@@ -44,7 +52,7 @@ def test_the_pipeline_beats_the_paper_and_the_marks(house):
     }  # fmt: skip
     for comparison in house.outcome["comparisons"]:
         entries = {entry["decoupler"]: entry for entry in comparison["entries"]}
-        ours = entries[OURS]
+        ours = entries["skip net from the response (ours)"]
         others = (entries[name]["errors"]["rel_err"] for name in ("least squares on √R", "eq. 8, each pillar alone"))
         assert ours["errors"]["rel_err"] < min(comparison["paper_rel_err"], *others)
         assert ours["identified"]["rel_err"] < ours["as_made"]["rel_err"] / 3
@@ -64,17 +72,20 @@ def test_a_second_run_makes_only_what_was_changed_by_hand_and_another_resistivit
     assert made_anew(again) == ["CAD", "datasets", "table"]
     assert again["comparisons"] == house.outcome["comparisons"]
     assert broken.read_bytes() == whole
+    assert house.result("response", "--out", "response.nc", "--design", "small.toml", "--quiet")["reused"]
     (house.folder / "ohms.toml").write_text("resistivity_ohm_mm = 8000\n" + SMALL)
-    other = house.result("run", "--design", "ohms.toml", "--out", "ohms", "--until", "dataset", "--quiet")
-    assert made_anew(other) == ["CAD", "datasets"]
-    ours, theirs = (read_samples(house.folder / out / "data/contact-fz-test.nc") for out in ("out", "ohms"))
+    asked = ("--protocol", "contact-fz", "--samples", "100", "--seed", "2", "--out", "ohms.nc", "--quiet")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fem.array.solving.solve_response", lambda *_, **__: pytest.fail("solved"))
+        house.result("dataset", "--design", "ohms.toml", *asked)
+    ours, theirs = (read_samples(house.folder / path) for path in (TEST, "ohms.nc"))
     assert np.allclose(theirs.resistance_ohm, 2 * ours.resistance_ohm, rtol=1e-12)
 
 
 def test_dataset_train_evaluate_one_by_one_and_cross_validated(house, monkeypatch):
     monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
-    protocol = ("--protocol", "three-axis", "--samples", "300", "--seed", "5", "--cap", "0.3")
-    assert house.result(*MADE, *protocol, "--noise", "0.001", "--bits", "12", "--out", "three.nc")["samples"] == 300
+    asked = ("three-axis", "--samples", "300", "--seed", "5", "--cap", "0.3", "--noise", "0.001", "--bits", "12")
+    assert house.result(*MADE, *asked, "--out", "three.nc")["samples"] == 300
     network = ("--component", "all", "--net", "skip", "--hidden", "8", "--trainer", "varpro", "--seed", "1")
     trained = house.result("train", "--data", "three.nc", *network, "--out", "all.safetensors", "--quiet")
     found = house.result("evaluate", "--model", "all.safetensors", "--data", "three.nc", "--quiet")
@@ -89,18 +100,6 @@ def test_dataset_train_evaluate_one_by_one_and_cross_validated(house, monkeypatc
     assert tested["mean_rel_err"] == pytest.approx(sum(fold["rel_err"] for fold in tested["folds"]) / 4)
 
 
-def test_response_and_mesh_and_design_and_cad(house):
-    assert house.result("response", "--out", "response.nc", "--design", "small.toml", "--quiet")["reused"]
-    with xr.open_dataset(house.folder / "response.nc") as opened:
-        assert list(opened["load_axis"].values) == ["x", "y", "z"]
-    meshing = ("cad", "--mesh", "--design", "small.toml", "--out", "solids", "--quiet")
-    first, second = (house.result(*meshing) for _ in range(2))
-    assert (second["mesh"]["reused"], len(first["files"])) == (True, 21)
-    printed = house.tripillar("design").stdout
-    assert house.tripillar("design", "--out", "paper.toml").returncode == 0
-    assert (house.folder / "paper.toml").read_text() == printed
-
-
 def test_an_interrupted_run_says_what_is_kept(house, monkeypatch):
     def interrupted(*_, **__):
         raise DesignError(interrupts._last_words[-1])
@@ -110,30 +109,62 @@ def test_an_interrupted_run_says_what_is_kept(house, monkeypatch):
     assert "interrupted; the files in stopped are kept: give the same command again to go on." in said
 
 
-def test_replay_gives_the_forces_behind_recorded_frames(house):
-    """Frames made from a dataset's resistances: forces as the model gives them, but for the converter's steps."""
-    data = read_samples(house.folder / TEST)
-    stream = recording_from_resistances(data.resistance_ohm, Info(rows=1, cols=2, bits=16))
-    (house.folder / "press.frames").write_bytes(stream)
-    replayed = house.result("replay", "press.frames", "--model", MODEL)
-    assert (replayed["frames"], replayed["saturated_frames"], replayed["axes"]) == (100, 0, ["z"])
-    found, known = np.array(replayed["force_n"])[..., 0], data.force_n[..., 2]
-    assert np.abs(found - known).max() < 0.02 * known.max()  # 16 bits and the model's own error, well below 1 %
-    assert house.tripillar("replay", "press.frames", "--model", MODEL, "--out", "forces.nc").returncode == 0
-    with xr.open_dataset(house.folder / "forces.nc") as opened:
-        assert np.array_equal(opened["force_n"].values[..., 0], found)
-    turned = recording_from_resistances(data.resistance_ohm.swapaxes(1, 2), Info(rows=2, cols=1, bits=16))
-    (house.folder / "turned.frames").write_bytes(turned)
-    assert "2 × 1" in house.refusal("replay", "turned.frames", "--model", MODEL)
+@pytest.fixture(scope="module")
+def doubtful(house):
+    """A model of all axes, and 40 pairs of one specimen; the pairs with mistakes."""
+    made = (*MADE, "three-axis", "--noise", "0.001")
+    house.result(*made, "--samples", "80", "--seed", "1", "--out", "train.nc")
+    specimen = ("--gain-spread", "0.1", "--offset", "100", "--dead-pillar", "0,1,y", "--specimen", "2")
+    pairs = house.result(*made, "--samples", "40", "--seed", "2", *specimen, "--out", "pairs.nc")
+    assert pairs["samples"] == 40
+    trained = ("--component", "all", "--hidden", "4", "--out", "model.safetensors", "-q")
+    house.result("train", "--data", "train.nc", *trained)
+    with xr.open_dataset(house.folder / "pairs.nc", engine="netcdf4") as opened:
+        pairs = opened.load()
+    pairs.attrs.pop("content_hash")
+    for name, change in MISTAKES.items():
+        data = pairs.copy(deep=True)
+        ohm, force_n = data["resistance_ohm"].values, data["force_n"].values
+        data["resistance_ohm"][:], data["force_n"][:] = change(ohm.copy(), force_n.copy())
+        write_netcdf(data, house.folder / name)
+    return house
 
 
-def test_a_dataset_of_a_real_specimen(house):
-    flags = ("--noise", "0.001", "--gain-spread", "0.2", "--offset", "20", "--dead-pillar", "0,1,y", "--dead-col", "1")
-    asked = (*MADE, "--protocol", "contact-fz", "--samples", "10", *flags, "--dead-pillar", "0,0,z")
-    for specimen in ("1", "2"):
-        house.result(*asked, "--specimen", specimen, "--out", f"specimen-{specimen}.nc")
-    first, second = (read_samples(house.folder / f"specimen-{specimen}.nc") for specimen in ("1", "2"))
-    assert first.dead.tolist() == second.dead.tolist() == [[[True, True, False], [False, False, True]]]  # z, x, y
-    assert np.array_equal(first.force_n, second.force_n)
-    assert (first.resistance_ohm != second.resistance_ohm)[:, ~first.dead].all()
-    assert first.noise == 0.001
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        *((wrong, ("identify", "--design", "small.toml")) for wrong in ("shuffled.nc", "kilohm.nc", "unloaded.nc")),
+        ("shuffled.nc", ("train", "--net", "plain", "--feature", "root")),
+    ],
+)
+def test_nothing_is_written_of_what_looks_wrong(doubtful, wrong, words):
+    line = doubtful.refusal(*words, "--data", wrong, "--out", "o.safetensors", "-q")
+    assert line.startswith(f"tripillar: {wrong}: ")
+    assert line.endswith(". Nothing was done; --force goes on all the same.")
+
+
+def test_force_writes_and_the_model_remembers_and_right_pairs_are_taken_without_a_word(doubtful):
+    words = ("identify", "--data", "shuffled.nc", "--out", "forced.safetensors", "--force", "-q")
+    warning = "warning: shuffled.nc: the readings fit the forces worse than if nothing linked them"
+    assert doubtful.tripillar(*words).stderr.startswith(warning)
+    assert "nothing linked them" in read_model(doubtful.folder / "forced.safetensors").made_from["forced"]
+    tested = doubtful.tripillar("evaluate", "--model", "forced.safetensors", "--data", "train.nc", "-q")
+    assert "warning: forced.safetensors was made by force of doubtful samples: the readings fit" in tested.stderr
+    told = doubtful.tripillar("identify", "--data", "pairs.nc", "--out", "own.safetensors", "-q")
+    assert (told.returncode, told.stderr) == (0, "own.safetensors\n")
+    assert "forced" not in read_model(doubtful.folder / "own.safetensors").made_from
+
+
+def test_what_costs_accuracy_or_misleads_is_a_line_and_no_mistake(doubtful, monkeypatch):
+    """Forces left out that act, samples given twice, tests on training samples and on wrong ones."""
+    tested = ("evaluate", "--model", "model.safetensors", "--data")
+    alone = ("--data", "train.nc", "--component", "fz", "--hidden", "2", "--out", "fz.safetensors")
+    for words, said in (
+        (("train", *alone), "train.nc: forces along x and y act as well and move the same pillars"),
+        (("identify", "--data", "twice.nc", "--out", "o.safetensors"), "20 of 40 samples repeat an earlier one"),
+        ((*tested, "train.nc"), "warning: train.nc: model.safetensors was trained on these samples: its errors on"),
+        ((*tested, "kilohm.nc"), "times the design's: give them in Ω"),
+    ):
+        done = doubtful.tripillar(*words, "-q")
+        assert (done.returncode, said in done.stderr) == (0, True), done.stderr
+    assert doubtful.tripillar(*tested, TEST, "-q").stderr == ""
