@@ -37,7 +37,6 @@ ELSEWHERE = {
     "make robustness": "tests/studies/test_robustness.py::test_table_json_and_pictures_are_written",
     "make hardware-test": "",  # these tests are among the others
     "make check": "",  # what CI runs
-    "make format": "",
 }
 #: typed otherwise, for time: a sensor of two units instead of 36, and a board that is watched for one second
 FIRST, FIRST_TYPED = "tripillar design --out sensor.toml", "tripillar design --rows 1 --cols 2 --out sensor.toml"
