@@ -14,7 +14,6 @@ from fem.system import System
 from geometry.design import Material
 
 LINES = np.array([0.0, 1.0, 2.0, 3.5]), np.array([0.0, 0.7, 2.0]), np.array([0.0, 0.4, 1.0])
-LEAN = (0.3, -0.2)
 
 
 def field(points: np.ndarray) -> np.ndarray:
@@ -23,10 +22,9 @@ def field(points: np.ndarray) -> np.ndarray:
     return x**2 * y + z**2
 
 
-@pytest.fixture(params=[(2, (0.0, 0.0)), (3, LEAN), (4, LEAN)], ids=["order 2", "order 3, leaning", "order 4, leaning"])
+@pytest.fixture(params=[(2, (0.0, 0.0)), (4, (0.3, -0.2))], ids=["order 2", "order 4, leaning"])
 def boxes(request) -> Boxes:
-    order, lean = request.param
-    return Boxes.between(LINES, order, lean)
+    return Boxes.between(LINES, *request.param)
 
 
 def test_values_and_slopes_at_points_are_exact(boxes):
@@ -34,13 +32,11 @@ def test_values_and_slopes_at_points_are_exact(boxes):
     at = rng.random((30, 3)) * [3.5, 2.0, 1.0]
     at[0], at[1] = (0.0, 0.0, 0.0), (1.0, 0.7, 0.4)  # a corner, and where eight boxes meet
     at = at @ boxes.shear.T
-    # leaning makes of x² y a polynomial of degree 3 along z
-    values = (lambda p: p @ [1.0, 2.0, 3.0]) if boxes.order == 3 and boxes.lean == LEAN else field
-    nodal = values(boxes.points_mm)
-    assert np.allclose(boxes.at(at) @ nodal, values(at), atol=1e-12)
+    nodal = field(boxes.points_mm)
+    assert np.allclose(boxes.at(at) @ nodal, field(at), atol=1e-12)
     slopes = (boxes.slopes(at) @ nodal).reshape(3, -1)
     step = 1e-6 * np.eye(3)
-    expected = [(values(at + d) - values(at - d)) / 2e-6 for d in step]
+    expected = [(field(at + d) - field(at - d)) / 2e-6 for d in step]
     assert np.allclose(slopes, expected, atol=1e-8)  # of the difference quotient
 
 
@@ -54,7 +50,7 @@ def test_integrals_over_rectangles_are_exact_wherever_their_edges_lie(boxes):
     assert np.isclose((rows @ field(boxes.points_mm))[0], exact, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("parities", "order"), [((1, 1), 2), ((1, -1), 4), ((-1, 1), 2), ((-1, -1), 4)])
+@pytest.mark.parametrize(("parities", "order"), [((1, -1), 4), ((-1, 1), 2)])
 def test_a_quarter_with_its_parity_is_the_whole(parities, order):
     """Loads of a parity, one on a plate across both planes, around an inclusion: seen beyond the planes, and energy."""
     line, z = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, 2.0])

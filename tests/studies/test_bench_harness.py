@@ -3,11 +3,9 @@
 import json
 from dataclasses import replace
 
-import pytest
-
 from studies.bench.harness import Record, Settings, draw_records, goal_rows, named, run_contenders
 from studies.bench.solving import CONTENDERS, LOADED, WORST
-from studies.tables import report, shown
+from studies.tables import report
 
 BLOCK = "block-normal-0.49"
 MODULE = "studies.bench.solving"
@@ -35,14 +33,11 @@ def test_tables_picture_and_json_hold_what_was_measured(tmp_path, capsys):
         {"family": "traced", "to 0.01 [s]": 1.0, "to 0.0007 [s]": None},
     ]
     report({"run time [s]": [one.cells for one in found]}, tmp_path / "a.json", {"threads": 2, "nan": float("nan")})
-    said = capsys.readouterr()
-    assert "over 20 s" in said.out
-    assert "a.json" in said.err
+    assert "over 20 s" in capsys.readouterr().out
     stored = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert stored["about"] == {"threads": 2, "nan": None}
     rows = stored["tables"]["run time [s]"]
     assert (rows[0]["seconds"], rows[3]["failure"], rows[4]["stopped by"]) == (2.0, "over 20 s", "goal")
-    assert [shown(value) for value in (None, 1.23456, "x", (0.5, 2.0))] == ["–", "1.23", "x", "0.5 / 2"]
     draw_records("scene", found, LOADED, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
@@ -63,5 +58,3 @@ def test_what_fails_or_takes_too_long_says_so_and_is_not_refined():
     assert "none" in broken.failure
     hasty = run_contenders(MODULE, BLOCK, BLOCK, CONTENDERS[:1], replace(settings, patience_s=0.01))
     assert [one.failure for one in hasty] == ["over 0.01 s"]
-    with pytest.raises(KeyError, match="no contender 'x'; there are TriPillar"):
-        named(CONTENDERS, "x")

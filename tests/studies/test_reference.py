@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
-from studies.bench.arrays import column_errors
+from fem.scene.scene import Block, Inclusion, Probe, Scene
 from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.reference import coarser, make_references, solved_together, stored_references
 from studies.bench.scenes import RUBBER, all_scenes, loaded
-from tests.fem.scenes import assert_follows_bernoulli, slender_oblique_pillar
 
 LIMP = replace(RUBBER, poisson=0.0)
 MIN_CERTAIN = 2e-3  #: relative uncertainty of any probe
@@ -50,19 +48,6 @@ def test_an_oblique_inclusion_takes_up_its_volume():
     assert 1 - stiffer / plain == pytest.approx(1e-5 * 1.5 * 2.0 * 4.0 / 256.0, rel=1e-4)
 
 
-def test_work_of_the_load_is_twice_the_energy():
-    """Holds the probe's integral to the load's, in a body that leans and is loaded in part."""
-    pillar = Pillar(section_mm=(2.0, 1.5), base_mm=(2.0, 0.3, 0.0), top_mm=(0.0, 0.3, 3.0))
-    scene = loaded(pillar, RUBBER, (0.2, 0.4), (1.0, 0.9), (0.1, 0.2, -1.0))
-    answer = solved(scene, replace(COARSE, edge_mm=0.5))
-    work = 0.9 * answer.probes["patch"] @ scene.loads[0].traction_mpa
-    assert work == pytest.approx(2 * answer.energy_mj, rel=1e-8)
-
-
-def test_slender_oblique_pillar_follows_bernoulli():
-    assert_follows_bernoulli(solved(slender_oblique_pillar(), replace(COARSE, order=4)).probes["patch"])
-
-
 def test_scenes_of_one_body_are_solved_together():
     pytest.importorskip("ngsolve")
     scenes = [patch_scene(RUBBER, size_mm=4.0), patch_scene(RUBBER, size_mm=4.0, traction=(1.0, 0.0, 0.0))]
@@ -100,8 +85,3 @@ def test_every_stored_reference_has_converged_in_two_orders_and_two_meshes():
         assert coarse["elements"] != finest["elements"], name  # netgen's mesh is another one, if not always a coarser
         assert lower["elements"] == finest["elements"], name
         assert lower["order"] < finest["order"] == coarse["order"], name
-
-
-def test_errors_of_columns_are_relative_to_the_references():
-    """Nothing moves: every stored block is missed by all of it. (`tests/fem` holds the real response to them.)"""
-    assert column_errors(np.zeros((6, 6, 2, 3, 6, 6, 3))) == {"inner self": 1.0, "inner first": 1.0}

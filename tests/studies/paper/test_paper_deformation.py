@@ -6,7 +6,7 @@ import pytest
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
-from studies.paper.deformation import CAP, LOADED, Deformation, middle_unit, one_pad, pressed, study_deformation
+from studies.paper.deformation import CAP, LOADED, Deformation, middle_unit, pressed, study_deformation
 
 DESIGN = SensorDesign(array=Array(rows=3, cols=4))
 
@@ -19,13 +19,6 @@ def response() -> ArrayResponse:
 @pytest.fixture(scope="module")
 def found(response) -> Deformation:
     return study_deformation(response)
-
-
-def test_one_pad_is_pressed_in_the_middle_and_nowhere_else():
-    traction = one_pad(DESIGN, 3.0)
-    assert np.argwhere(traction).tolist() == [[5, 2]]  # row 1 of 0..2, column 1 of 0..3
-    assert traction[5, 2] == -3.0
-    assert middle_unit(SensorDesign()) == 14
 
 
 def test_displacement_is_in_proportion_and_compression_shortens(found):
