@@ -66,19 +66,17 @@ def test_a_file_comes_back_to_the_last_bit_and_is_refused_where_it_is_damaged(tm
     assert capfd.readouterr().out == ""
 
 
-@pytest.mark.parametrize(
-    ("data", "says"),
-    [
+def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path):
+    path = tmp_path / "a.nc"
+    for data, says in (
         (DATA.drop_vars("reply"), r"has no variable 'reply', only \['load'\]"),
         (DATA.expand_dims(sample=1), r"'load' has the dims .*, expected \('row', 'col'\)"),
-    ],
-)
-def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path, data, says):
-    write_netcdf(data, tmp_path / "a.nc")
-    with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
-        read_data(tmp_path / "a.nc")
-    write_netcdf(DATA.transpose("axis", "col", "row"), tmp_path / "a.nc")
-    assert read_data(tmp_path / "a.nc").identical(DATA)
+    ):
+        write_netcdf(data, path)
+        with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
+            read_data(path)
+    write_netcdf(DATA.transpose("axis", "col", "row"), path)
+    assert read_data(path).identical(DATA)
 
 
 @pytest.mark.parametrize("last", [LAST_LINE, b""], ids=["last line", "header"])

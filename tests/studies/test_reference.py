@@ -48,13 +48,6 @@ def test_an_oblique_inclusion_takes_up_its_volume():
     assert 1 - stiffer / plain == pytest.approx(1e-5 * 1.5 * 2.0 * 4.0 / 256.0, rel=1e-4)
 
 
-def test_scenes_of_one_body_are_solved_together():
-    pytest.importorskip("ngsolve")
-    scenes = [patch_scene(RUBBER, size_mm=4.0), patch_scene(RUBBER, size_mm=4.0, traction=(1.0, 0.0, 0.0))]
-    for together, scene in zip(solve_references(scenes, COARSE), scenes, strict=True):
-        assert together.probes["patch"] == pytest.approx(solved(scene).probes["patch"], rel=1e-7)
-    with pytest.raises(ValueError, match="the same body and materials"):
-        solve_references([scenes[0], replace(scenes[1], material=LIMP)], COARSE)
 
 
 def test_an_entry_is_its_finest_answer_and_knows_its_neighbours():
