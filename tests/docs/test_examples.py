@@ -6,8 +6,6 @@ import runpy
 import pytest
 
 from tests.docs.terminal import ROOT
-from tripillar.sweep.sampling import samples_of
-from tripillar.sweep.sweep_file import read_sweep
 
 
 @pytest.fixture
@@ -34,11 +32,6 @@ def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     ratios = [float(re.fullmatch(r"f[xyz]: error [\d.]+ N, ([\d.]+) times .*", line)[1]) for line in lines[within:]]
     assert len(ratios) == 3
     assert max(ratios) < 1.15
-
-
-@pytest.mark.parametrize("name", ["sweep.toml", "optimize.toml"])
-def test_sweep_files_make_sense(name):
-    assert samples_of(read_sweep(ROOT / "examples" / name))
 
 
 def test_a_design_gives_forces_near_their_limit(printed_by):

@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import tomllib
 
 import pytest
 
@@ -46,6 +47,18 @@ def test_the_reference_of_commands_is_what_they_say():
     shown = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert shown == made["reference"](), "run docs/site-parts/command_reference.py"
     assert re.findall(r"^### (.*)$", shown, re.MULTILINE) == NAMES
+
+
+def test_the_contribution_guide_names_what_is_there():
+    guide = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    paths = re.findall(r"\]\(([^)#]+)", guide) + re.findall(r"`((?:\w+/)+[\w.-]*)`", guide)
+    assert len(paths) > 12
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_the_citation_is_of_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_the_design_file_shown_is_the_one_written():

@@ -56,7 +56,7 @@ def designs(draw) -> SensorDesign:
 @settings(max_examples=30, deadline=None, derandomize=True, database=None)
 @given(designs())
 def test_every_design_comes_back_to_the_last_bit(design):
-    """(That a file holds every key with its meaning, the page that shows one is held to.)"""
+
     text = design_to_toml(design)
     assert design_from_toml(text) == whole_design(text, "a file") == design
 
@@ -102,7 +102,6 @@ def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path):
 
 
 def test_what_a_file_leaves_out_is_the_papers_if_it_says_so():
-    assert design_from_toml("[array]\nrows = 2\n") == SensorDesign(array=Array(rows=2))
     assert whole_design('extends = "paper"\n[array]\nrows = 3\n', "my.toml") == SensorDesign(array=Array(rows=3))
     with pytest.raises(DesignError, match="extends = 'mine' is unknown"):
         whole_design("extends = 'mine'\n", "my.toml")
