@@ -49,7 +49,6 @@ def test_nothing_is_loaded_from_elsewhere(site):
 
 
 def test_public_names_are_on_their_pages(site):
-
     for package in (geometry, fem, dataset, decoupler, hardware):
         text = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
         for name in package.__all__:

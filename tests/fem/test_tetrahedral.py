@@ -11,7 +11,7 @@ from fem.scene.loads import StiffLoad
 from fem.scene.scene import Inclusion, Prism, Probe, Scene
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.adapted import residuals, with_edges_across
+from fem.tetrahedra.adapted import residuals
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
 from geometry.design import Material
@@ -105,16 +105,6 @@ def test_every_face_is_where_it_belongs():
     on_plane = [(corners[:, :, axis] == c).all(axis=1) for axis, c in enumerate((10.0, 10.0, 6.0))]
     on_plane += [(corners[:, :, axis] == 0.0).all(axis=1) for axis in range(3)]
     assert np.any(on_plane, axis=0).all()
-
-
-def test_small_patches_get_edges_before_the_first_solve():
-    mesh = box_mesh((3, 3, 1), (30.0, 30.0, 10.0))
-    finer = with_edges_across(mesh, np.array([[15.0, 15.0, 15.5, 15.5]]))
-    corners = finer.p.T[finer.t.T]
-    near = (np.abs(corners - [15.0, 15.0, 10.0]) < 1e-9).all(axis=2).any(axis=1)
-    assert np.ptp(corners[near], axis=1).max() < 1.0
-    assert finer.nelements < 3000  # near it only
-    assert np.isclose(np.abs(cell_volumes(finer.p.T, finer.t.T)).sum(), 9000.0)
 
 
 def test_an_exact_answer_leaves_no_residual(disordered_cube):

@@ -54,7 +54,6 @@ REFUSED = [
     (Material, {"poisson": 0.5}, "poisson=0.5 must be from 0 to below 0.5.*write 0.49"),
     (Electrics, {"elastoresistance_across": 1.0}, "eq. 1 has no elastoresistance"),
     (Unit, {"span_mm": 2.02}, MERGED.format("2.02")),
-
     (Unit, {"electrode_mm": 10.0}, MERGED.format(10)),
     (MeshSettings, {"edge_top_mm": 1.0, "envelope_mm": 0.11}, r"envelope_mm=0.11 must be .* the edges \(1 and 5 mm\)"),
     (SensorDesign, {"array": Array(pitch_mm=12.8)}, "pitch_mm=12.8 is smaller than the unit.*to at least 12.83"),
@@ -74,7 +73,6 @@ def test_nonsense_is_refused_in_one_line_that_names_it(kind, values, says):
 
 
 def test_what_just_fits_is_taken_and_checked_again_on_a_changed_copy():
-
     least = Unit().footprint_mm  # pillars of two units may touch
     for fits in ({"array": Array(pitch_mm=least)}, {"pad": Pad(size_mm=15.0)}, {"pad": Pad(offset_x_mm=-1.5)}):
         SensorDesign(**fits)

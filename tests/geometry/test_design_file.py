@@ -56,7 +56,6 @@ def designs(draw) -> SensorDesign:
 @settings(max_examples=30, deadline=None, derandomize=True, database=None)
 @given(designs())
 def test_every_design_comes_back_to_the_last_bit(design):
-
     text = design_to_toml(design)
     assert design_from_toml(text) == whole_design(text, "a file") == design
 

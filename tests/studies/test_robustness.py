@@ -3,13 +3,8 @@
 import json
 from dataclasses import asdict, replace
 
-import numpy as np
 import pytest
 
-from dataset import Imperfections
-from decoupler.data.columns import component_named, force_columns
-from decoupler.inverse.limits import bayes, cramer_rao
-from decoupler.inverse.sensor_model import SensorModel
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
 from studies.robustness import identified, study
@@ -41,24 +36,6 @@ def test_nets_are_near_the_limit(found):
     ratios = [row.ratio for row in found if (row.part, row.net) == ("noise", "inverse")]
     assert min(ratios) > 0.8
     assert max(ratios) < 1.15
-
-
-def test_a_dead_pillar_hurts_its_own_force_most_and_its_own_unit(found):
-    for pillar, force in {"z": "fz", "x": "fx", "y": "fy"}.items():
-        rows = [row for row in found if (row.part, row.net) == (f"dead {pillar} pillar", "inverse")]
-        own, others = ({row.force: row.error_pct for row in rows if row.case.startswith(c)} for c in ("its", "others"))
-        assert own[force] > 3 * others[force]
-
-
-def test_limits_of_units_add_up_to_those_of_the_array(sensor):
-    data = sensor.measured(Imperfections(noise=0.01), "test")
-    parts = component_named("all")
-    usual_n = sensor.loads["train"].force_n
-    by_unit = study.unit_bayes(sensor.response, data, usual_n)
-    forward, forces = SensorModel.of(sensor.response, parts), force_columns(data.force_n, parts)
-    whole = bayes(forward, forces, 0.01, None, None, force_columns(usual_n, parts))
-    np.testing.assert_allclose((by_unit**2).mean(), (whole**2).mean(), rtol=1e-12)  # the same sums in another order
-    assert (by_unit**2).mean() < (cramer_rao(forward, forces, 0.01, None) ** 2).mean()
 
 
 def test_table_json_and_pictures_are_written(found, tmp_path):
