@@ -27,7 +27,7 @@ WITH_A_BOARD = {"own.json", "press.frames", "press.nc", "forces.nc"}
 
 
 def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache):
-    """In their order, in an empty folder, but for what is elsewhere; those with a board pasted at once into a shell."""
+    """In their order, in an empty folder; those with a board pasted at once into a shell."""
     boards = next(k for k, line in enumerate(TYPED) if line.startswith("tripillar board"))
     with Terminal(tmp_path / "empty") as terminal:
         for line in TYPED[:boards]:

@@ -49,15 +49,11 @@ SWAPS = [
     ("[30.0, 30.0, 10.0]", "[30.0, 30.0]", "must be 3 finite numbers"),
     ("[30.0, 30.0, 10.0]", "[30.0, nan, 10.0]", "must be 3 finite numbers"),
     ("[30.0, 30.0, 10.0]", "[1e300, 30.0, 10.0]", "from 1e-06 to 1e+06"),
-
     ("[material]\nyoung_mpa = 6.1\npoisson = 0.49", "", "the table [material] is missing"),
     ("[[load]]", "[load]", "'load' must be an array of tables, each written [[load]]"),
-
     ("traction_mpa", "pressure_mpa", "unknown key 'pressure_mpa' in [[load]] 1; known are center_mm, size_mm"),
     ("traction_mpa = [0", "kind = 'rigid'\ntraction_mpa = [0", "[[load]] 1: kind='rigid' is unknown; it must be one"),
-
     ("traction_mpa = [0.0, 0.0, -1.0]", "kind = 'follower'", "the key 'pressure_mpa' is missing in [[load]] 1 of kind"),
-
     ("[[load]]", "[[load]]\nkind = 'stiff'\ncenter_mm = [9, 9]\nsize_mm = [4, 4]\nforce_n = [0, 0, -1]\n[[load]]",
      "loads 1 and 2 share a stiff plate's rectangle"),
     ("size_mm = [10.0, 10.0]", "size_mm = [10.0, 0.0]", "[[load]] 1: size_mm=[10.0, 0.0] must be above 0"),
@@ -66,14 +62,11 @@ SWAPS = [
     ("position_mm = [15.0, 15.0, 5.0]", "position_mm = [15.0, 15.0, 10.1]", "probe 'point' at [15, 15, 10.1] mm is in"),
     ("position_mm = [15.0, 15.0, 5.0]", "center_mm = [1.0, 1.0]", "[[probe]] 2: a probe of kind 'point' takes"),
     ('name = "point"', 'name = "patch"', "two probes have the name 'patch'"),
-
     ('kind = "mean"', 'kind = "median"', "kind='median' must be 'mean' or 'point'"),
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [29.5, 15.0, 10.0]", "inclusion 1 reaches from [9, 13.5, 0] to [30.5"),
-
     ("top_mm = [20.0, 15.0, 10.0]", "top_mm = [20.0, 15.0, 0.0]", "top_mm=[20.0, 15.0, 0.0] must lie above base"),
     ("[[load]]", BLOCK[BLOCK.index("[[inclusion]]") : BLOCK.index("[[load]]") + 8], "inclusions 1 and 2 overlap"),
     ("tolerance = 2e-3", "tolerance = 0", "tolerance=0 must be a number above 0 and below 1"),
-
     ("[body]", "[body", "not valid TOML"),
     ('kind = "block"', 'kind = "array"', "unknown key 'inclusion' in a scene of kind array; known are body"),
 ]  # fmt: skip
