@@ -20,6 +20,7 @@ def printed_by(tmp_path, shared_cache, monkeypatch, capsys):
     return printed_by
 
 
+@pytest.mark.long  # in short: tests/tripillar/sweep
 def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     """Designs are listed by their error; the net of the first errs by what the readings allow, or less."""
     first, _, *lines = printed_by("sweep_to_choice.py").splitlines()
