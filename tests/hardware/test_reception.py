@@ -89,6 +89,8 @@ def test_frames_of_another_board_are_counted_and_spoil_no_other_number(reception
     assert [scan.frame.sequence for scan in scans] == list(range(513, 518))
     met = reception.statistics
     assert (met.foreign, met.repeated, met.restarts, met.lost) == (4, 1, 0, 3)
+    reception.take(encode(replace(INFO, serial=7)), NOW_S + 1)
+    assert reception.statistics.foreign == 5
 
 
 # the clock, by simulated boards whose true time is known

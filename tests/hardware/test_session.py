@@ -144,7 +144,7 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
 def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     """And no other: not a recording's name, not a server's; nor for longer than said but where a board begins."""
     link, looked = tmp_path / "board", []
-    monkeypatch.setattr(session, "APPEARS_S", 0.01)
+    monkeypatch.setattr(session, "APPEARS_S", 0.0)
     monkeypatch.setattr(session, "is_beginning", lambda port: port == str(link))
     with VirtualBoard(COUNTS, INFO) as board:
 
