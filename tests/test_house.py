@@ -175,7 +175,9 @@ def test_help_is_printed_at_once():
 
 def test_training_and_replay_load_no_cad_and_no_mesher():
     code = (
-        "import sys, decoupler.training, hardware\n"
+        "import sys, hardware\n"
+        "print(*[name for name in ('fem', 'torch', 'xarray') if name in sys.modules])\n"
+        "import decoupler.training\n"
         "print(*[name for name in ('build123d', 'skfem', 'pyvista') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
