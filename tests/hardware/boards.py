@@ -182,8 +182,7 @@ class Listener:
 
     def take(self, enough):
         """Listen until `enough` holds of self."""
-        before = self.clock()
-        end = before + PATIENT_S
+        end = (before := self.clock()) + PATIENT_S
         while not enough(self):
             now = self.clock()
             self.longest_pause_s, before = max(self.longest_pause_s, now - before), now

@@ -161,20 +161,12 @@ def test_ros_finds_the_sensor_latched_and_every_force_at_the_boards_clock(record
     convert(own, tmp_path / "own.mcap")
 
 
-def walk(schema):
-    yield schema
-    for inner in [*schema.get("properties", {}).values(), *([schema["items"]] if "items" in schema else [])]:
-        yield from walk(inner)
-
-
 def test_schemas_keep_to_what_viewers_know(forces):
     """Foxglove refuses a topic whose schema has arrays of arrays, and knows its picture by name."""
     known = schemas()
     assert set(known) == {INFO, SCAN, SENSOR, *CONTENTS}
     assert {known[SCENE]["title"], known[FORCES]["title"]} == {"foxglove.SceneUpdate", "tripillar.Forces"}
-    for schema in known.values():
-        assert schema["type"] == "object"
-        assert not any(each.get("items", {}).get("type") == "array" for each in walk(schema))
+    assert '"items": {"type": "array"' not in json.dumps(known)
     found = TouchContact(**{name: np.zeros(3 if "force" in name else 2) for name in CONTACT})
     for topic, content in CONTENTS.items():
         check(json.loads(json_bytes(content(replace(forces[0], stamp_ns=0, contacts=[found])))), known[topic])

@@ -60,9 +60,7 @@ def test_a_reader_made_from_the_page_reads_the_firmware(board):
 NONSENSE = [
     (a_frame, {"device_us": -1}, "device_us=-1 must be a whole number from 0 to 4294967295"),
     (a_frame, {"counts": [0, 1024]}, "counts run from 0 to 1024, but 10 bits hold 0 to 1023"),
-    (a_frame, {"counts": [-1, 5]}, "counts run from -1 to 5"),
     (a_frame, {"counts": [[1]]}, r"shape \(1, 1\)"),
-    (Info, {"protocol": 2}, "protocol=2 must be"),
     (Info, {"rows": 200, "cols": 200}, "rows=200, cols=200 make 120000 crossings; a frame holds 65535"),
     (Info, {"firmware": (1, 2, 256)}, "each from 0 to 255"),
 ]

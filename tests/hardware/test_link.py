@@ -83,17 +83,6 @@ def test_each_fault_is_told_and_counted_and_mended(bench, faults, told, cure, ex
     assert all(found[name] == n for name, n in expected.items() if n is not None)
 
 
-def test_times_are_the_boards_and_overruns_of_a_stall_are_counted(bench):
-    scans = bench.run(2.0)
-    assert len(scans) == pytest.approx(2.0 * INFO.rate_hz, abs=1)
-    assert np.diff([scan.time_s for scan in scans]) == pytest.approx(1 / INFO.rate_hz, abs=3e-6)  # whole microseconds
-    bench.is_stalled = True
-    bench.run(0.5)
-    bench.is_stalled = False
-    assert_resumes(bench)
-    assert bench.link.reception.statistics.overruns == pytest.approx(0.5 * INFO.rate_hz, abs=2)
-
-
 def test_a_board_is_left_alone_at_first_and_asked_four_times_a_second_until_it_answers():
     """A boot loader is to hear nothing odd, and swallows questions; a board that has spoken is asked at once."""
     bench = Bench()
@@ -115,23 +104,6 @@ def test_a_board_is_left_alone_at_first_and_asked_four_times_a_second_until_it_a
     speaks = Bench()
     speaks.run(0.02)
     assert speaks.asked
-
-
-@pytest.mark.parametrize(
-    ("garbage", "kind"),
-    [
-        (b"\xff" * 400, {"bad_form", "bad_crc", "bad_cobs"}),
-        (bytes(400), set()),
-        (b"", set()),
-    ],
-)
-def test_bursts_of_garbage_cost_the_frames_they_replace(bench, garbage, kind):
-    bench.garbage = [garbage] * 10
-    assert_resumes(bench)
-    found = counted(bench)
-    assert found.pop("lost") in (10, 11)  # garbage without an end takes the next frame along
-    assert found.keys() <= kind
-    assert bool(found) == bool(kind)
 
 
 @pytest.mark.parametrize("is_unplugged", [False, True])
