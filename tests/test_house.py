@@ -120,7 +120,8 @@ def test_help_loads_nothing_heavy_and_is_printed_at_once():
     assert after.children_user + after.children_system - before.children_user - before.children_system < HELP_S
 
 
-def test_training_and_replay_load_no_cad_and_no_mesher():
+def test_replay_loads_no_torch_and_training_no_cad_and_no_mesher():
+    assert loaded_by("import hardware", ["fem", "torch", "xarray"]).stderr.strip() == ""
     assert loaded_by("import decoupler.training, hardware", ["build123d", "skfem", "pyvista"]).stderr.strip() == ""
 
 
