@@ -81,18 +81,20 @@ def test_sides_that_all_move_by_ports_are_the_condensed_cell():
     assert_same(found, condense(whole(), PortModes(HALF, HEIGHT, 4, 4), RECTANGLES).of_degree(3))
 
 
-def test_only_sides_that_cells_share_are_held_to_ports():
+@pytest.mark.parametrize("size", [(1, 2), (2, 1)])
+def test_only_sides_that_cells_share_are_held_to_ports(size):
     """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
-    lines, pad = mirrored(X), RECTANGLES[:1]
-    long = CellBody.of((np.concatenate([lines, lines[1:] + 2 * HALF]), lines, UP), RUBBER)
-    both = per_area(long, np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])]))
+    across, pad = mirrored(X), RECTANGLES[:1]
+    along, step = np.concatenate([across, across[1:] + 2 * HALF]), 2 * HALF * np.tile(np.array(size)[::-1] - 1, 2)
+    long = CellBody.of((*(along if n == 2 else across for n in size[::-1]), UP), RUBBER)
+    both = per_area(long, np.vstack([pad, pad + step]))
     rhs = long.gathered(np.einsum("kn,ij->kinj", both, np.eye(3)).reshape(6, -1, 3), (0, 0))
     u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
     energies, sides = np.diag(rhs.T @ u), CellSides.of(whole(), pad)
     missing = []
     for degree in (3, 5, 7):
-        own = {free: sides.cell(degree, free) for free in places(1, 2)}
-        found = (CoupledArray(cells, 1, 2).influence(range(3), range(3))[0] for cells in (own, sides.cell(degree)))
+        own = {free: sides.cell(degree, free) for free in places(*size)}
+        found = (CoupledArray(cells, *size).influence(range(3), range(3))[0] for cells in (own, sides.cell(degree)))
         missing.append([1 - np.diag(one.reshape(6, 6)) / energies for one in found])
     free, held = np.moveaxis(missing, 1, 0)
     assert (free > -1e-12).all()
