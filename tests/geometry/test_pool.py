@@ -121,7 +121,7 @@ def test_workers_of_a_scheduler_are_killed_and_a_bad_task_is_given_up(monkeypatc
     dask = pytest.importorskip("dask")
     from distributed import LocalCluster
 
-    monkeypatch.setattr(pools, "TRIES", 2)
+    monkeypatch.setattr(pools, "TRIES", 1)
     monkeypatch.setattr(pools, "CONNECT_S", 1)
     with (
         pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"),
@@ -136,5 +136,5 @@ def test_workers_of_a_scheduler_are_killed_and_a_bad_task_is_given_up(monkeypatc
     ):
         found = dict(pool.done(square, range(30), {3: "exits"}))
     assert isinstance(failed := found.pop(3), WorkerLost)
-    assert str(failed).endswith("the last of 2")
+    assert str(failed).endswith("the last of 1")
     assert found == {number: number**2 for number in range(30) if number != 3}

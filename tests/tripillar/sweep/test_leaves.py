@@ -9,7 +9,7 @@ import pytest
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.simulation import LoadError
-from geometry import Array, DesignError, SensorDesign
+from geometry import Array, SensorDesign
 from geometry.errors import NotWrittenError
 from geometry.storage.journal import Journal
 from tests.dataset.conftest import made_up_response
@@ -93,10 +93,7 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
     assert make_directory(job(2 * LEAF), out, count=1).kept == LEAF
 
 
-def test_nothing_is_left_of_what_cannot_begin(tmp_path, monkeypatch):
-    monkeypatch.setattr("geometry.pool.CONNECT_S", 1)
-    with pytest.raises(DesignError, match="no scheduler at"):
-        make_directory(job(9), tmp_path / "data.zarr", None, "tcp://127.0.0.1:9")
+def test_nothing_is_left_of_what_cannot_begin(tmp_path):
     small = LeafJob(response=RESPONSE, settings=DatasetSettings(protocol="three-axis", samples=9, cap=0.01))
     with pytest.raises(LoadError, match=r"beyond cap=0\.01"):
         make_directory(small, tmp_path / "data.zarr", count=1)
