@@ -16,6 +16,7 @@ gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402 (from here on: needs mujoco and gymnasium)
 
 import tripillar as tp  # noqa: E402
+from tripillar.simulators.observations import TactileObservation  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0], dtype=np.float32)
 
@@ -73,7 +74,7 @@ def test_a_vector_reads_all_sensors_at_once_and_draws_those_anew_that_begin_agai
     assert vector.observation_space.contains(vector.step(still)[0])
 
 
-def test_one_of_a_vector_is_as_one_alone_and_newtons_need_a_model(settings, press_env):
+def test_one_of_a_vector_is_as_one_alone(settings, press_env):
     vector, alone = gymnasium.make_vec(press_env.ID, num_envs=2, **settings), gymnasium.make(press_env.ID, **settings)
     vector.reset(seed=[8, 3])
     alone.reset(seed=3)
@@ -82,5 +83,10 @@ def test_one_of_a_vector_is_as_one_alone_and_newtons_need_a_model(settings, pres
     assert both[0]["tactile"][1] == pytest.approx(one[0]["tactile"], abs=1e-4)
     assert both[4]["tactile"][1] == pytest.approx(one[4]["tactile"], rel=1e-12)
     assert one[4]["tactile"][2] > 2
+
+
+def test_newtons_need_a_model(settings, press_env):
+    sensor = tp.VirtualSensor(settings["design"], response=settings["response"])
+    env = press_env.PressEnv(settings["design"], settings["response"])
     with pytest.raises(ArgumentError, match="no model to decode with"):
-        gymnasium.make(press_env.ID, **settings | {"model": None}, observe="newtons")
+        TactileObservation(env, sensor, observe="newtons", site="sensor", geom="slab")

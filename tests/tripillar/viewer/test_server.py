@@ -171,7 +171,7 @@ async def test_each_browser_has_a_state_of_its_own_and_each_pad_its_load(visitor
         assert {"controls": again.controls, "traction_mpa": again.shown["traction_mpa"]} == kept
 
 
-@on_page(HEARTBEAT_S=0.5, MAX_BROWSERS=1)
+@on_page(HEARTBEAT_S=1.0, MAX_BROWSERS=1)
 async def test_one_browser_too_many_is_told_so_and_a_silent_one_leaves_its_place(visitor):
     assert MAX_BROWSERS == 8
     async with visitor.browser(), visitor.browser(is_served=False) as refused:
