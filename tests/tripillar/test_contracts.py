@@ -164,6 +164,6 @@ def test_flags_are_the_same_everywhere():
 
 @pytest.mark.parametrize("name", GONE)
 def test_a_command_that_is_gone_says_the_new_one(house, name):
-    line = house.refusal(name, "--whatever")
+    line = house.refusal(*name.split(), "--whatever")
     assert line.startswith(f"tripillar: {name} is gone: write tripillar ")
     assert line.split("write tripillar ")[1].split()[0].rstrip(".;") in NAMES
