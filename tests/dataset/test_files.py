@@ -151,9 +151,8 @@ def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dea
 @pytest.mark.parametrize(
     "attributes",
     [
-        {"noise": "low"}, {"noise": -1.0}, {"noise": [0.1, 0.2]}, {"bits": 99}, {"bits": "twelve"}, {"bits": [12, 12]},
-        {"dead_pillars": ["0,0,z", "5,0,z"], "dead_rows": [0, 99], "dead_cols": "first"},
-        {"dead_pillars": "0,0,w", "dead_rows": 0.5, "dead_cols": 6}, {"design": "a 6 × 6 array"}, {"design": 5},
+        {"noise": "low"}, {"noise": [0.1, 0.2]}, {"bits": 99}, {"bits": "twelve"}, {"design": "a 6 × 6 array"},
+        {"dead_pillars": ["0,0,w", "5,0,z"], "dead_rows": 0.5, "dead_cols": "first"},
     ],
     ids=str,
 )  # fmt: skip
@@ -173,10 +172,8 @@ OTHERS = {
     "needed only": lambda d: d[["force_n", "resistance_ohm"]].drop_attrs(),
     "more": lambda d: d.assign(extra=("row", [1.0, 2.0])).assign_coords(sample=np.arange(5) + 100),
     "unnamed": lambda d: xr.Dataset({name: (list("abcd"), d[name].values) for name in LABELS}),
-    **{
-        f"of type {dtype}": lambda d, dtype=dtype: d.assign({name: d[name].astype(dtype) for name in LABELS})
-        for dtype in ("float32", "int32", ">f8")
-    },
+    "of type float32": lambda d: d.assign({name: d[name].astype("float32") for name in LABELS}),
+    "of type >f8": lambda d: d.assign({name: d[name].astype(">f8") for name in LABELS}),
 }
 
 
@@ -210,8 +207,12 @@ def test_zarr_is_read_lazily_and_whatever_its_chunks(data, many, leaves, tmp_pat
 
 
 def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data, tmp_path):
-    """In any order, others between them; a semicolon goes with a decimal comma. Of whatever file, by the command."""
+    """In any order, others between them; a semicolon goes with a decimal comma. Of whatever file, also of float32."""
     data.only("length_mm").write(tmp_path / "a.zarr", dtype="float32")
+    single = read_samples(tmp_path / "a.zarr")
+    assert (single.dtype, single[:].displacement_mm) == (np.float32, None)
+    assert np.array_equal(single[:].length_mm, data.length_mm.astype(np.float32))
+    assert single.content_hash != data.content_hash
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
     assert told == {"file": "own.csv", "samples": 5, "columns": 54}
     names, *lines = (tmp_path / "own.csv").read_text().splitlines()
@@ -227,16 +228,18 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
         assert all(np.array_equal(getattr(back, name), getattr(data, name)) for name in LABELS)
     with pytest.raises(FileFormatError, match=r"end the name in \.csv"):
         write_table(data, tmp_path / "a.xlsx")
+    with pytest.raises(DesignError, match=r"end .* in \.zarr"):
+        data.write(tmp_path / "a.nc", dtype="float32")
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        *(("resistance_ohm", value, "pillar x; it must be finite, 1e-09 to 1e+15 ohm") for value in (np.nan, -5.0)),
-        *(("force_n", value, "axis y; it must be finite, -1e+06 to 1e+06 N") for value in (np.nan, -np.inf, 1e300)),
+        ("resistance_ohm", -5.0, "pillar x; it must be finite, 1e-09 to 1e+15 ohm"),
+        ("force_n", np.nan, "axis y; it must be finite, -1e+06 to 1e+06 N"),
     ],
-)  # fmt: skip
+)
 def test_senseless_values_are_named_with_their_place(data, tmp_path, name, value, said, form):
     values = getattr(data, name).copy()
     values[3, 1, 2, 1] = value
@@ -245,20 +248,11 @@ def test_senseless_values_are_named_with_their_place(data, tmp_path, name, value
     assert refusal(path) == f"{path}: {expected}"
 
 
-def test_places_are_counted_over_all_leaves_of_what_is_read(many, tmp_path):
-    moved = many.displacement_mm.copy()
-    moved[LEAF + 7, 1, 0, 1, 2] = np.nan
-    path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
-    assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
-    assert len(read_samples(path, labels_only=True)[:]) == len(many)
-
-
 BROKEN = [
     (lambda d: d.drop_vars("force_n"), ["has no variable 'force_n'", "give a file made by 'tripillar dataset'"]),
     (lambda d: d.drop_vars("axis").isel(axis=[0, 1]), ["dimension 'axis' is of size 2, expected ['x', 'y', 'z']"]),
     (lambda d: d.rename(pillar="channel"), ["'resistance_ohm' has the dims ('sample', 'row', 'col', 'channel')"]),
     (lambda d: d.assign_coords(pillar=["z", "x", "x"]), ["'pillar' is ['z', 'x', 'x'], expected ['z', 'x', 'y']"]),
-    (lambda d: d.assign_coords(pillar=[0, 1, 2]), ["'pillar' is ['0', '1', '2'], expected ['z', 'x', 'y']"]),
     (lambda d: d.assign(force_n=d.force_n.astype(str)), ["force_n is of type", "expected numbers"]),
     (lambda d: d.isel(sample=[]), ["is empty, expected at least one sample"]),
     (lambda d: d.isel(row=[0]), ["holds 1 × 3 units, its attribute 'design' says 2 × 3"]),
@@ -276,10 +270,8 @@ def test_a_file_that_breaks_the_contract_is_refused_with_the_reason(data, tmp_pa
     ("text", "said"),
     [
         ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
-        ("force_1_0_x_n\n1\n", "has no column force_0_0_x_n of 2 × 1 units"),
         ("{}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),
         ("{}\n1,2,3,4,5,\n", "resistance_ohm is nan at sample 0, row 0, col 0, pillar y"),
-        ("{}\n", "at least one sample"),
     ],
 )
 def test_a_table_that_is_none_of_samples_is_refused(tmp_path, text, said):
@@ -329,7 +321,6 @@ def test_a_damaged_leaf_is_refused_when_it_is_read(copy, change, said):
     ("header", "change"),
     [
         (".zarray", '"filters": [{"id": "pick\\u006ce", "name": "zlib"}], "dtype": "|O"'),
-        (".zarray", '"compressor": {"id": "json2"}'),
         ("zarr.json", '"codecs": ["bytes", {"name": "numcodecs.pickle"}]'),
         ("zarr.json", '"codecs": [{"name": "sharding_indexed", "configuration": {"codecs": ["own"]}}]'),
     ],
@@ -342,21 +333,21 @@ def test_a_codec_that_could_run_programs_is_not_read(copy, monkeypatch, header, 
     assert "which is no codec of numbers" in refusal(copy)
 
 
-@pytest.fixture(scope="module", params=LABELLED)
-def small(request, response, tmp_path_factory):
-    """A file of few samples, and what is read of it."""
+@pytest.fixture(scope="module")
+def small(response, tmp_path_factory):
+    """A directory of few samples, and what is read of it."""
     asked = DatasetSettings(protocol="contact", samples=3, noise=1e-3, bits=12, dead_pillars=((1, 2, "y"),))
-    path = tmp_path_factory.mktemp("small") / f"small.{request.param}"
+    path = tmp_path_factory.mktemp("small") / "small.zarr"
     simulate(response, asked).only("length_mm").write(path)
     return path, read_samples(path)
 
 
 @given(place=st.integers(0, 2**20), bit=st.integers(0, 7))
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 def test_a_flipped_bit_is_refused_in_one_line_or_changes_nothing(small, place, bit):
     """Wherever it is: in numbers, labels, headers, attributes, hashes."""
     path, before = small
-    files = sorted(file for file in path.rglob("*") if file.is_file()) or [path]
+    files = sorted(file for file in path.rglob("*") if file.is_file())
     place, number = divmod(place, len(files))
     content = files[number].read_bytes()
     byte = place % len(content)
@@ -421,8 +412,11 @@ def test_failed_write_leaves_the_old_file_and_no_litter_and_only_a_data_set_is_r
         data.write(tmp_path / "mine.zarr")
 
 
-def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all(many, leaves, monkeypatch):
-    """Over leaves' borders, out of order, twice, none, by a mask, from the end; in blocks, all in order."""
+def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all(many, leaves, tmp_path, monkeypatch):
+    """Over leaves' borders, out of order, twice, none, by a mask, from the end; in blocks, all in order.
+
+    Faults are counted over all leaves of what is read.
+    """
     stored = read_samples(leaves, labels_only=True)
     mask = np.zeros(len(many), dtype=bool)
     mask[LEAF - 2 : LEAF + 2] = True
@@ -439,30 +433,24 @@ def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all
         for size in (1000, 2 * LEAF):
             assert np.array_equal(np.concatenate([block.force_n for block in samples.blocks(size)]), many.force_n)
     assert isinstance(in_memory(stored), Samples)
+    moved = many.displacement_mm.copy()
+    moved[LEAF + 7, 1, 0, 1, 2] = np.nan
+    path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
+    assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
+    assert len(read_samples(path, labels_only=True)[:]) == len(many)
     monkeypatch.setattr("dataset.stored.IN_MEMORY", 0.0)
     with pytest.raises(ValueError, match=r"8492 samples take 0.0 GB of memory here, .* give fewer"):
         in_memory(stored)
 
 
-def test_float32_is_the_nearest_number_and_keeps_its_own_hash(data, tmp_path):
-    data.only("length_mm").write(tmp_path / "a.zarr", dtype="float32")
-    stored = read_samples(tmp_path / "a.zarr")
-    assert stored.dtype == np.float32
-    assert np.array_equal(stored[:].length_mm, data.length_mm.astype(np.float32))
-    assert stored[:].displacement_mm is None
-    assert stored.content_hash != data.content_hash
-    with pytest.raises(DesignError, match=r"end .* in \.zarr"):
-        data.write(tmp_path / "a.nc", dtype="float32")
-
-
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("name", "shape", "said"),
     [
-        ({"force_n": np.ones((5, 2, 3))}, r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
-        ({"displacement_mm": np.ones((5, 2, 3, 3))}, r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
-        ({"dead": np.zeros((2, 3), dtype=bool)}, r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
+        ("force_n", (5, 2, 3), r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
+        ("displacement_mm", (5, 2, 3, 3), r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
+        ("dead", (2, 3), r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(data, changed, said):
+def test_arrays_that_do_not_fit_are_refused(data, name, shape, said):
     with pytest.raises(ValueError, match=said):
-        replace(data, **changed)
+        replace(data, **{name: np.ones(shape)})

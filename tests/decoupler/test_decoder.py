@@ -9,7 +9,6 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, SampleError, TrainingConfig, train
-from decoupler.data.columns import Resting
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -45,13 +44,6 @@ def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(mo
     read_ohm = measured(rest_ohm, 0.0, 12, RNG)
     assert np.abs(read_ohm - rest_ohm).min() > 4.8
     assert np.abs(model.forces(read_ohm)).max() < 0.2 * np.abs(replace(model, resting=None).forces(read_ohm)).max()
-
-
-def test_only_where_most_of_a_scan_may_be_at_rest():
-    resting = Resting.read_with(np.full(5, 1e4), 12)
-    readings = 1e4 + np.array([[4.0, -4.0, 4.0, 500.0, 7.0], [4.0, -4.0, 500.0, 500.0, 7.0]])
-    np.testing.assert_array_equal(resting.settled(readings)[0], [1e4, 1e4, 1e4, 10500.0, 10007.0])
-    np.testing.assert_array_equal(resting.settled(readings)[1], readings[1])
 
 
 def test_using_a_model_loads_no_torch():

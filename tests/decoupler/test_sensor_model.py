@@ -72,29 +72,20 @@ def test_derivatives_of_lengths_lead_back_to_the_forces(given):
         np.testing.assert_allclose(by_dataset, forward.lengths(FORCES), rtol=1e-12)
 
 
-def test_corrections_come_near_the_forces():
-    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that."""
-    inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise=0.0)
-    others, columns = FORCES[200:], COLUMNS[200:]
-    linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
-    assert np.std(linear - others) > 0.01 * others.std()
-    assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
-
-
 @pytest.mark.parametrize("noise", [0.0, 1e-2])
-def test_at_rest_and_under_a_light_touch_forces_are_right(noise):
-    """Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best."""
+def test_corrections_come_near_the_forces_and_are_right_at_rest(noise):
+    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that.
+
+    Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best.
+    """
     inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise)
     touches = np.vstack([np.zeros(FORWARD.n_forces), 10.0 * np.eye(FORWARD.n_forces)])
     assert np.abs(inverse.forces(FORWARD.resistances(touches)) - touches).max() < 0.05
-
-
-def test_an_unreadable_pillar_is_not_looked_at():
-    readable = np.arange(FORWARD.n_pillars) != 4
-    inverse = ModelInverse.about(FORWARD, FORCES, readable, noise=0.0)
-    once, other = (inverse.forces(np.where(readable, COLUMNS, ohm)) for ohm in (1e4, 7.0))
-    np.testing.assert_array_equal(once, other)
-    assert np.std(once - FORCES) < 0.5 * FORCES.std()
+    if noise == 0.0:
+        others, columns = FORCES[200:], COLUMNS[200:]
+        linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
+        assert np.std(linear - others) > 0.01 * others.std()
+        assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
 
 
 def test_the_feature_needs_a_response_that_explains_the_data():
@@ -110,12 +101,8 @@ def test_the_feature_needs_a_response_that_explains_the_data():
         with pytest.raises(SampleError, match=said):
             explaining(given, data)
     assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
-    for data, net, given in (
-        (DATA, "plain", RESPONSE),
-        (DATA, "skip", None),
-        (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE),
-    ):
-        assert suited_feature(data, ALL, net, given) == "root"
+    others = (DATA, "plain", RESPONSE), (DATA, "skip", None), (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE)
+    assert [suited_feature(data, ALL, net, given) for data, net, given in others] == ["root"] * 3
     gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, (2, 3, 3))
     network, other = (
         NetworkConfig(hidden=4, feature="inverse"),
