@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from decoupler import NetworkConfig, SampleError, TrainingConfig, cross_validate, evaluate, train
-from decoupler.evaluation.crossval import jobs_of, over_folds, split_folds, summary
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from decoupler.evaluation.crossval import jobs_of, split_folds, summary
+from tests.decoupler.synthetic_sensor import labelled, sensor
 
 SENSOR = sensor(2, 3)
 DATA = labelled(SENSOR, "x", n_samples=53, seed=0)
@@ -69,10 +69,3 @@ def test_copies_and_readings_of_one_load_come_into_one_fold():
         assert sorted([*trained_on, *tested_on]) == list(range(73))
         tested += [*tested_on]
     assert sorted(tested) == list(range(73))
-
-
-def test_joint_summary_holds_every_force():
-    data, network = labelled(SENSOR, "xyz", n_samples=60, seed=0), NetworkConfig(hidden=3, feature="inverse")
-    found = summary(tested := cross_validate(data, "all", network, FEW, folds=2, response=response(SENSOR)))
-    assert set(found["mean"]) == {"fx", "fy", "fz"}
-    assert found["mean"]["fz"]["rmse_n"] == over_folds(tested, np.mean)["fz"].rmse_n

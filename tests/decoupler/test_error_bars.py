@@ -76,11 +76,10 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
 
 @pytest.mark.parametrize("trainer", ["varpro", "lm"])
 @pytest.mark.parametrize("net", ["plain", "skip"])
-@pytest.mark.parametrize("n", [10, 60])
-def test_few_samples_are_not_called_sure(trainer, net, n):
-    """With more weights than samples, or nearly: the size of errors is known to its order, and none is absurd."""
+def test_few_samples_are_not_called_sure(trainer, net):
+    """With more weights than samples the size of errors is known to its order, and none is absurd."""
     training, test = split(EXACT, 600)
-    model = train(training[:n], "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
+    model = train(training[:10], "all", NetworkConfig(hidden=8, net=net), TrainingConfig(trainer=trainer))
     missed = np.sqrt(np.mean((model.forces(test.resistance_ohm) - test.force_n) ** 2, axis=(0, 1, 2)))
     deviation = np.sqrt(np.mean(model.half_widths(test.resistance_ohm)[0] ** 2, axis=(0, 1, 2)))
     assert (missed < 10 * deviation).all()

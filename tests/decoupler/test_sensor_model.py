@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dataset.resistance import conducted_lengths
-from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
+from decoupler import SampleError, component_named
 from decoupler.data.columns import COMPONENTS, Columns, force_columns, pillar_columns
 from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
@@ -89,7 +89,7 @@ def test_corrections_come_near_the_forces_and_are_right_at_rest(noise):
 
 
 def test_the_feature_needs_a_response_that_explains_the_data():
-    """Ohms ten times as many say the same of the forces, and so do gains; a body half as stiff does not."""
+    """A body half as stiff is another, and so are resistances of other loads."""
     softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)
     unpaired = replace(TRAINING, force_n=SHUFFLED.reshape(FORCES.shape))
     for given, data, said in (
@@ -103,11 +103,3 @@ def test_the_feature_needs_a_response_that_explains_the_data():
     assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
     others = (DATA, "plain", RESPONSE), (DATA, "skip", None), (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE)
     assert [suited_feature(data, ALL, net, given) for data, net, given in others] == ["root"] * 3
-    gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, (2, 3, 3))
-    network, other = (
-        NetworkConfig(hidden=4, feature="inverse"),
-        replace(DATA, resistance_ohm=DATA.resistance_ohm * gains),
-    )
-    model, own = (train(data, "all", network, TrainingConfig(), response=RESPONSE) for data in (other, DATA))
-    for name, errors in evaluate(model, other).items():
-        assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs

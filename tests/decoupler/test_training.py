@@ -118,25 +118,6 @@ def test_reported_error_is_that_of_the_model_and_a_seed_fixes_the_bits(trainer, 
 
 
 @EVERY
-def test_what_stands_for_the_unreadable_a_scale_and_single_precision_change_no_bit(trainer):
-    """NaN and 1 Ω at a dead wire; forces by a power of two, which rounds alike; float32 as float64 of those values."""
-    dead = np.zeros((2, 3, 3), dtype=bool)
-    dead[:, 2] = True
-    small, single = 2.0**-20, {name: getattr(REAL, name).astype("f4") for name in ("resistance_ohm", "force_n")}
-    stated = [replace(REAL, dead=dead, resistance_ohm=np.where(dead, ohm, REAL.resistance_ohm)) for ohm in (np.nan, 1)]
-    double = {name: values.astype(float) for name, values in single.items()}
-    for one, other, times in (
-        (*stated, 1.0),
-        (REAL, replace(REAL, force_n=small * REAL.force_n), small),
-        (replace(REAL, **single), replace(REAL, **double), 1.0),
-    ):
-        forces = [
-            trained(each, trainer=trainer, max_iterations=20).forces(REAL.resistance_ohm) for each in (one, other)
-        ]
-        assert np.array_equal(times * forces[0], forces[1])
-
-
-@EVERY
 def test_a_net_on_the_response_starts_from_its_inverse(trainer):
     """Before the first step it gives the forces of the inverse itself (rounding), and then no worse ones.
 
@@ -219,9 +200,3 @@ def test_a_training_leaves_torch_alone_says_where_it_runs_away_and_that_one_samp
     ):
         with pytest.raises(error, match=said):
             trained(data, **config)
-
-
-def test_iterations_are_each_trainers_own_unless_asked():
-    own, lm = TrainingConfig(trainer="momentum"), TrainingConfig(trainer="lm")
-    assert own.max_iterations > lm.max_iterations
-    assert TrainingConfig(trainer="momentum", max_iterations=7).max_iterations == 7
