@@ -19,13 +19,13 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-STARTS, KEPT = 16, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
+STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
 STEPS = 4
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 CONSIDERED = 400  #: nearest rows among which starts are sought
 #: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
 #: 1.3, where no press of the library explains the scan
-SHARES, AT_CHI2 = (0.9, 0.5), (1.0, 1.3)
+SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS = 4

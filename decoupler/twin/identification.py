@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import stdtrit
 
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
@@ -13,14 +14,16 @@ from decoupler.data.columns import component_named
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.posterior import Posterior
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.uncertainty import WITHIN
 from decoupler.training.finite_strain import DRAWS
 from decoupler.twin.decoder import decoder_at_strain, decoder_of
-from decoupler.twin.expectation import Expectation
+from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
-from decoupler.twin.posterior import Specimen, infer
+from decoupler.twin.posterior import Specimen, infer, predicted, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, PILLARS, FloatArray
 from geometry.threads import one_blas_thread
@@ -29,6 +32,9 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
 
+CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
+UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
+MAX_TESTED = 200  #: pairs that are then left out in turn, spread over all
 LOADS = 3000  #: usual loads that a decoder of linear rubber is fitted to
 DRAWN = 32, 128  #: sensors that are drawn from a posterior, of linear rubber and at finite strain
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
@@ -129,7 +135,48 @@ def identify(
             progress(0.2)
         else:
             decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)
+            if n > 1 and response is not None and _contradicted(found, expected.widths):
+                decoder = _widened(decoder, found, readings)
     return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
+
+
+def _contradicted(found: Specimen, stated: Widths) -> bool:
+    """Say whether pairs contradict what was stated: by parameters or corrections far off, or loads that do not fit."""
+    if np.abs(found.expected.parts(found.state.shared)[0]).max(initial=0.0) > CONTRADICTED:
+        return True
+    led_to = found.expected.widths
+    too_large = max(led_to.shared - CONTRADICTED * stated.shared, led_to.own - CONTRADICTED * stated.own) > 0
+    return bool(too_large or np.sqrt(np.mean(found.scale**2)) > UNFIT)
+
+
+def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupler:
+    """The decoder with deviations that hold on pairs left out, where the pairs contradict the design.
+
+    It is given readings of the most probable sensor that err as each pair would have, had it been left out. Few pairs
+    do not tell well how far the errors of others reach: by Student's t of as many degrees of freedom.
+    """
+    whole = np.flatnonzero((readings.read | ~readings.read.any(axis=0)).all(axis=1))
+    tested = whole[np.linspace(0, len(whole) - 1, min(MAX_TESTED, len(whole))).astype(int)]
+    uncertainty = decoder.uncertainty
+    assert uncertainty is not None
+    if not len(tested):
+        return decoder
+    error_ohm, covariance = without_each(found, readings, tested)
+    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
+    A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
+    force_n = decoder.outputs(as_left_out)
+    variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
+    variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
+    noise = uncertainty.errors.deviation(as_left_out)
+    variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)
+    ratio = np.abs(force_n - readings.force_n[tested]) / np.sqrt(variance)
+    n_axes = uncertainty.widths.shape[1]
+    scale = [
+        np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0) * stdtrit(len(tested), 0.5 + share / 2) / k
+        for k, share, width in zip((1, 2), WITHIN, within, strict=True)
+    ]
+    widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
+    return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
 
 
 def acting(pairs: Pairs, loads_n: FloatArray | None = None) -> str:

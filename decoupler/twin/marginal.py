@@ -58,6 +58,12 @@ class Marginal:
             return np.asarray((self.half**2).sum(axis=0))
         return np.full(n, 1.0 - (m - (self.half**2).sum()) / n)
 
+    def left_of(self, which: np.ndarray) -> FloatArray:
+        """Diagonal of S⁻¹ of some readings."""
+        if self.dual:
+            return self.left()[which]
+        return np.asarray(1.0 - ((self.half @ self.J[which].T) ** 2).sum(axis=0))
+
     def known(self, alone: int) -> FloatArray:
         """Diagonal of Jᵀ S⁻¹ J: its first `alone` entries, then the sum of the others."""
         n, m = self.J.shape

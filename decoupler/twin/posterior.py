@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from dataset.samples import SampleError
@@ -40,6 +41,7 @@ class Specimen:
     gain_deviation: FloatArray  #: (P,)
     offset_deviation_ohm: FloatArray  #: (P,)
     ensemble: Ensemble
+    scale: FloatArray  #: (n,): of all deviations of each pair, above 1 if it was not as stated or as modelled
     excess: float  #: χ² of the readings over their number, each predicted from all others: 1 if all is as modelled
 
     @cached_property
@@ -103,6 +105,11 @@ def infer(
         if max(change, evidence.moved) < CONVERGED:
             break
     return _drawn(expected, readings, state, draws)
+
+
+def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
+    """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
+    return Shown(found.expected, found.state, force_n).resistance_ohm
 
 
 @dataclass(kw_only=True)
@@ -196,8 +203,46 @@ def _drawn(expected: Expectation, readings: Readings, state: State, draws: int) 
         gain_deviation=widths.gain * deviations[:, 0],
         offset_deviation_ohm=widths.offset * expected.rest_ohm * deviations[:, 1],
         ensemble=_ensemble(expected, state, own_draws, shared_draws),
+        scale=readings.scale,
         excess=float((noise**2 / linear.left)[linear.read].mean()),
     )
+
+
+def without_each(found: Specimen, readings: Readings, which: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Errors of some pairs' readings as foretold by all other pairs, and how sure these are.
+
+    Returns
+    -------
+    array, shape (len(which), P)
+        Readings less what the other pairs foretell [Ω]; 0 where not read.
+    array, shape (len(which), P, P)
+        Covariance of what they foretell, without the reading's own error [Ω²].
+
+    Notes
+    -----
+    The PRESS residual of linear regression, a pair at a time, about the most probable sensor: [C⁻¹]ₙₙ⁻¹ [C⁻¹ r]ₙ with
+    C = 1 + J Jᵀ + A Aᵀ of all whitened readings r. Widths stay as all pairs led to them.
+    """
+    linear = Linear(found.expected, replace(readings, scale=found.scale), found.state)
+    half = np.linalg.inv(np.linalg.cholesky(linear.N))
+    step = half.T @ (half @ linear.rhs)
+    shape = len(which), found.expected.n_pillars
+    noise, left, by_shared = np.empty(shape), np.empty(shape), np.empty((*shape, len(half)))
+    for p, pillar, marginal in linear.pillars():
+        A = np.concatenate([pillar.D, pillar.J[:, pillar.rows] * pillar.factors], axis=1)
+        r = pillar.misfit + pillar.J @ found.state.own[p] - A @ step[pillar.places]
+        X = marginal.solved(np.column_stack([A, r]))[0][which]
+        by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
+        left[:, p] = marginal.left_of(which)
+    C = -by_shared @ by_shared.swapaxes(1, 2)
+    diagonal = np.arange(shape[1])
+    C[:, diagonal, diagonal] += left
+    covariance: FloatArray = np.linalg.inv(C).astype(np.float64, copy=False)
+    error = (covariance @ noise[..., None])[..., 0]
+    covariance[:, diagonal, diagonal] -= 1.0
+    weight = linear.weight[which]
+    deviation = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+    return error * deviation, covariance * deviation[:, None] * deviation[..., None]
 
 
 def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: FloatArray) -> Ensemble:

@@ -11,6 +11,8 @@ from dataset.measurement import ReadingError
 from decoupler import train
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
+from decoupler.twin.identification import readings_of
+from decoupler.twin.posterior import predicted, without_each
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign
 from geometry.tolerances import usual_deviations, with_values
@@ -84,6 +86,19 @@ def test_deviations_hold_on_a_sensor_unlike_the_design(name, n, most):
     one, two = model.half_widths(test.resistance_ohm)
     assert 0.6 < (off < one).mean() < most
     assert (off < two).mean() > 0.9
+
+
+def test_a_pair_left_out_errs_as_if_the_others_alone_were_measured():
+    """The formula of one fit beside fits to all other pairs; widths alone, which those estimate anew, may differ."""
+    pairs = Pairs.of(measured("made", 10, 3))
+    whole = readings_of(pairs, [0, 1, 2], [0, 1, 2])
+    error_ohm, covariance = without_each(twin_of("made", 10).posterior, whole, np.arange(2))
+    for k in range(2):
+        others = identified(pairs[np.delete(np.arange(10), k)]).posterior
+        refitted = whole.resistance_ohm[k] - predicted(others, whole.force_n[[k]])[0]
+        assert np.linalg.norm(error_ohm[k] - refitted) < 0.2 * np.linalg.norm(refitted)
+        deviation = np.sqrt(covariance[k].diagonal() + (NOISE * whole.resistance_ohm[k]) ** 2)
+        assert 0.5 < np.sqrt(np.mean((error_ohm[k] / deviation) ** 2)) < 2.0
 
 
 def test_draws_read_as_the_pairs_do_whatever_the_offsets():

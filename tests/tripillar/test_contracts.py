@@ -2,12 +2,15 @@
 
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import pytest
 
 import tripillar as tp
+from tests.docs.terminal import ROOT
 from tests.fem.scenes import BLOCK
 from tests.house import House
 from tests.tripillar.made_files import a_dataset, a_model
@@ -96,6 +99,18 @@ def test_a_mistake_is_refused_alike_in_python_and_as_typed(house, name, key, val
     assert said == f"tripillar: {spelled(str(refused.value), flags)}"
 
 
+@pytest.mark.parametrize("words", ["train --data missing.nc -o m.safetensors", "evaluate --data missing.nc --folds 2"])
+def test_a_missing_file_is_refused_before_any_stage_is_loaded(house, words):
+    """Those take seconds."""
+    code = f"import sys\nsys.argv[1:] = {words.split()!r}\nfrom tripillar.cli.app import main\n"
+    code += "try: main()\nexcept SystemExit: print('scipy' in sys.modules)"
+    environment = house.environment | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=house.folder, env=environment, capture_output=True, text=True
+    )
+    assert (done.stdout, "missing.nc: no such file" in done.stderr) == ("False\n", True), done.stderr
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_missing_unknown_no_choice_or_no_number_is_refused_and_every_parameter_is_told(house, name):
     said = house.refusal(name, "--no-such-flag")
@@ -149,6 +164,6 @@ def test_flags_are_the_same_everywhere():
 
 @pytest.mark.parametrize("name", GONE)
 def test_a_command_that_is_gone_says_the_new_one(house, name):
-    line = house.refusal(name, "--whatever")
+    line = house.refusal(*name.split(), "--whatever")
     assert line.startswith(f"tripillar: {name} is gone: write tripillar ")
     assert line.split("write tripillar ")[1].split()[0].rstrip(".;") in NAMES

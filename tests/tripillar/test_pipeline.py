@@ -7,11 +7,13 @@ import xarray as xr
 
 from dataset import read_samples
 from fem.array.solving import ResponseSettings
+from geometry.errors import DesignError
 from hardware import Info
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 from tripillar.pipeline.manufactured import READ, SPECIMEN
+from tripillar.terminal import interrupts
 
 RUN = ("run", "--design", "small.toml", "--quiet")
 MODEL = "out/models/contact-fz-skip17-inverse.safetensors"
@@ -99,6 +101,15 @@ def test_response_and_mesh_and_design_and_cad(house):
     assert (house.folder / "paper.toml").read_text() == printed
 
 
+def test_an_interrupted_run_says_what_is_kept(house, monkeypatch):
+    def interrupted(*_, **__):
+        raise DesignError(interrupts._last_words[-1])
+
+    monkeypatch.setattr("tripillar.pipeline.run.run_pipeline", interrupted)
+    said = house.tripillar("run", "--design", "small.toml", "--out", "stopped").stderr
+    assert "interrupted; the files in stopped are kept: give the same command again to go on." in said
+
+
 def test_replay_gives_the_forces_behind_recorded_frames(house):
     """Frames made from a dataset's resistances: forces as the model gives them, but for the converter's steps."""
     data = read_samples(house.folder / TEST)
@@ -111,6 +122,9 @@ def test_replay_gives_the_forces_behind_recorded_frames(house):
     assert house.tripillar("replay", "press.frames", "--model", MODEL, "--out", "forces.nc").returncode == 0
     with xr.open_dataset(house.folder / "forces.nc") as opened:
         assert np.array_equal(opened["force_n"].values[..., 0], found)
+    turned = recording_from_resistances(data.resistance_ohm.swapaxes(1, 2), Info(rows=2, cols=1, bits=16))
+    (house.folder / "turned.frames").write_bytes(turned)
+    assert "2 × 1" in house.refusal("replay", "turned.frames", "--model", MODEL)
 
 
 def test_a_dataset_of_a_real_specimen(house):

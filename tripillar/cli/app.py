@@ -32,7 +32,7 @@ COMMANDS = {
         "board": "simulating",
     },
 }  # fmt: skip
-#: commands that are gone, and what to write instead
+#: commands and options that are gone, and what to write instead
 GONE = {
     "mesh": "cad --mesh --out DIR",
     "crossval": "evaluate --folds 10 --data FILE",
@@ -43,6 +43,10 @@ GONE = {
     "calibrate": "identify --as-designed --port PORT --out FILE.json",
     "simulate": "board",
     "fine-tune": "identify --data PAIRS.nc --design sensor.toml --out own.safetensors; it needs no model",
+    "identify --model": "identify --finite MODEL",
+    "export --to": "export FILE --out OUT, whose ending says what is written",
+    "sweep --train": "train on samples of the designs that it has found",
+    "board --scene": "board --pressure MPA",
 }
 ABOUT = """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
 
@@ -84,8 +88,9 @@ def job_of(name: str) -> Job:
 def called() -> int:
     """Run what was typed; its exit code."""
     words = sys.argv[1:]
-    if words and words[0] in GONE:
-        raise DesignError(f"{words[0]} is gone: write tripillar {GONE[words[0]]}.")
+    for gone in (words[0], *(f"{words[0]} {word}" for word in words[1:])) if words else ():
+        if gone in GONE:
+            raise DesignError(f"{gone} is gone: write tripillar {GONE[gone]}.")
     known = {name for commands in COMMANDS.values() for name in commands}
     app = app_of(*({words[0]} & known if words else ()))
     if not words:

@@ -2,19 +2,10 @@
 
 from collections.abc import Callable
 from time import perf_counter
-from types import TracebackType
 from typing import Self
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    SpinnerColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 Advance = Callable[[float, str], None]  #: how much of the total is done since the last call, and a word on it
 
@@ -32,15 +23,15 @@ class Bars:
         self._verbose = verbose
         self.is_quiet = quiet  #: whether nothing is to be shown
         self._start_s = self._begun_s = perf_counter()
-        self._progress = Progress(
-            SpinnerColumn(finished_text="✓"),
-            TextColumn("{task.description:24}"),
-            BarColumn(bar_width=28),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", style="dim"),
+        self._progress = progress.Progress(
+            progress.SpinnerColumn(finished_text="✓"),
+            progress.TextColumn("{task.description:24}"),
+            progress.BarColumn(bar_width=28),
+            progress.TaskProgressColumn(),
+            progress.TimeElapsedColumn(),
+            progress.TextColumn("left"),
+            progress.TimeRemainingColumn(),
+            progress.TextColumn("{task.fields[note]}", style="dim"),
             console=self._console,
             disable=quiet or verbose,
         )
@@ -48,9 +39,7 @@ class Bars:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:  # whatever ended before its limit, such as a training, is done as well
             for task in self._progress.tasks:
                 self._progress.update(task.id, completed=task.total)
