@@ -75,8 +75,8 @@ def samples(model: SensorModel, noise: float = 0.0) -> Samples:
 def learned():
     """Trained on samples of the made-up law, linear ones among them."""
     linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
-    with mock.patch.multiple(finite_strain, DRAWS=1500, HIDDEN=10):  # enough for two units
-        return train(joined([linear, samples(law(1.0), noise=1e-3)[:150]]), response=response(SENSOR))
+    with mock.patch.multiple(finite_strain, DRAWS=3000, HIDDEN=15):  # enough for two units
+        return train(joined([linear, samples(law(1.0), noise=1e-3)[:300]]), response=response(SENSOR))
 
 
 @pytest.fixture(scope="module")
