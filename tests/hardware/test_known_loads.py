@@ -84,12 +84,3 @@ def test_what_cannot_be_is_refused_unless_forced(told, acting, times, says):
     assert str(refused.value).endswith("Or write it as it is with force=True.")
     assert "\n" not in str(refused.value)
     fitted(pairs, force=True)
-
-
-@pytest.mark.parametrize("text", ["1, 2, 1000", "", "a b c", "1 2 3 4", "1 2 nan"])
-def test_a_weight_is_a_force_by_gravity(text):
-    if "1000" in text:
-        assert weight(text, 2, 3, PAD_MM2).force_n[1, 2].tolist() == [0, 0, 9.80665]
-        return
-    with pytest.raises(FileFormatError, match="is no weight: type row, column and grams"):
-        weight(text, 2, 3, PAD_MM2)

@@ -25,9 +25,10 @@ from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import DesignError, FileFormatError
 from geometry.layout import electrode_squares, unit_centres
+from geometry.mesh import TetMesh
 from studies.pads import error_rows, map_row, with_pad
 from studies.paper.spacing import design_at
-from tests.fem.test_unit_check import structured
+from tests.fem.scenes import box_mesh
 from tripillar.face.caller import Caller, called_by
 from tripillar.face.checks import mention_another_sensor
 from tripillar.pipeline.manufactured import as_made
@@ -104,9 +105,12 @@ def test_a_scene_with_every_plate_is_the_response(responses):
 def test_a_unit_of_other_tools_has_rigid_plates():
     """Scikit-fem's forms: U1 and U2 under one plate keep their distance, and sink less where it holds the rubber."""
     design = replace(PAIR, unit=Unit(span_mm=6.0), pad=Pad(size_mm=10.0, kind="stiff"))
-    own = {}
+    x, y, h = design.slab_mm
+    box, own = box_mesh((12, 6, 3), (x, y, h)), {}
+    points_mm = box.p.T - np.array([x / 2, y / 2, 0.0])
+    mesh = TetMesh(points_mm, box.t.T.astype(np.int64), np.zeros(box.nelements, dtype=np.int64))
     for kind in PAD_KINDS:
-        found = meshed_response(with_pad(design, kind), structured(design, (12, 6, 3)))
+        found = meshed_response(with_pad(design, kind), mesh)
         assert found.residual < 1e-12
         own[kind] = found.influence_mm_per_n[0, 0, :, :, 0, 0]  # electrode, axis, load axis
     stretch = {kind: np.abs(u[1, 1] - u[0, 1]).max() for kind, u in own.items()}  # they are apart along y
