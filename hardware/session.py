@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,7 +187,7 @@ def record_scans(
 
     Calibration and hashes of the model (`hashes_of`) are kept with the counts; `append` continues a recording of the
     same. `advance` is called every second with the seconds, the scans so far and the scanner's trouble. Returns the
-    scans recorded and what was met, `lost` and `restarts` from the file's first scan to its last; raises as `Recorder`.
+    scans recorded and what the scanner met; raises as `Recorder`.
     """
     unix_s = time.time() - time.perf_counter()
     start = told = time.monotonic()
@@ -204,7 +204,7 @@ def record_scans(
             if advance and now - told > TOLD_S:
                 told = now
                 advance(now - start, recorder.frames, scanner.trouble)
-        statistics = replace(scanner.stats, lost=recorder.lost, restarts=recorder.restarts)
+        statistics = scanner.stats
         recorder.close(Statistics(**{each.name: getattr(statistics, each.name) for each in fields(Statistics)}))
     return recorder.frames, statistics
 

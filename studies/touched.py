@@ -163,15 +163,21 @@ def at_rest_and_lightly(decoder: TouchDecoder, scans: int, seed: int) -> dict[st
     return found
 
 
+def read_touch(path: Path) -> TouchDecoder:
+    """Read a decoder of touch; `DesignError` if it is one of pads."""
+    decoder = read_model(path)
+    if not isinstance(decoder, TouchDecoder):
+        raise DesignError(f"{path} is no decoder of touch: make one by 'tripillar train --touch'.")
+    return decoder
+
+
 def assess_unknown(
     model: Annotated[Path, Parameter(help="File of `tripillar train --touch`.")],
     contacts: Annotated[int, Parameter(help="Contacts of unknown shapes.")] = 120,
     seed: Annotated[int, Parameter(help="Seed of the contacts and of the noise.")] = 77,
 ) -> None:
     """Print the errors of touch on shapes that its library has not, at rest and under touches of 1 N."""
-    decoder = read_model(model)
-    if not isinstance(decoder, TouchDecoder):
-        raise DesignError(f"{model} is no decoder of touch: make one by 'tripillar train --touch'.")
+    decoder = read_touch(model)
     data = samples_of(unknown_contacts(surface_compliance(decoder.design)[0], contacts, seed))
     read = decoder.errors.read(data.resistance_ohm, np.random.default_rng(seed))
     with Bars() as bars:

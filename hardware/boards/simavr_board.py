@@ -25,6 +25,7 @@ from geometry.storage import files
 FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
 PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
 MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
+PACKAGES = "make gcc gcc-avr binutils-avr libsimavr-dev libelf-dev avr-libc"
 CHIP_BITS = 10  #: of their converter
 FULL_SCALE = 2**CHIP_BITS - 1
 
@@ -37,19 +38,15 @@ class SimavrError(TriPillarError, RuntimeError):
 
 
 def find_tools() -> str | None:
-    """Name the tools that are missing for a simulated board, in one line with their packages; None if all are there."""
+    """Name the tools that are missing for a simulated board, in one line with all packages; None if all are there."""
     if sys.platform == "win32":
         return "the simulated board runs on Linux and macOS, not on Windows."
-    programs = {"make": "make", "cc": "gcc", "avr-gcc": "gcc-avr", "avr-size": "binutils-avr"}
-    headers = {"libsimavr-dev": ("cc", "simavr/sim_avr.h"), "libelf-dev": ("cc", "libelf.h")}
-    headers["avr-libc"] = ("avr-gcc", "avr/io.h")
-    missing = {program: package for program, package in programs.items() if not shutil.which(program)}
-    packages = [*missing.values()]
-    packages += [package for package, needed in headers.items() if needed[0] in missing or not _compiles(*needed)]
-    if not packages:
+    missing = [program for program in ("make", "cc", "avr-gcc", "avr-size") if not shutil.which(program)]
+    headers = {"simavr/sim_avr.h": "cc", "libelf.h": "cc", "avr/io.h": "avr-gcc"}
+    missing += [header for header, cc in headers.items() if cc in missing or not _compiles(cc, header)]
+    if not missing:
         return None
-    what = ", ".join([*missing, *(headers[package][1] for package in packages if package in headers)])
-    return f"no {what} for the simulated board: on Debian or Ubuntu, apt install {' '.join(packages)}."
+    return f"no {', '.join(missing)} for the simulated board: on Debian or Ubuntu, apt install {PACKAGES}."
 
 
 def _compiles(compiler: str, header: str) -> bool:

@@ -217,7 +217,7 @@ def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) 
 
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """Counts of what a decoder received."""
+    """Counts of what was received; what is missing and foreign is for who follows the board, not for its decoder."""
 
     ok: int = 0  #: data frames
     info: int = 0  #: INFO frames
@@ -242,8 +242,7 @@ class FrameDecoder:
         self._pending = bytearray()  # since the last delimiter
         self._counted: Counter[str] = Counter()
         self._has_met_delimiter = False
-        self._previous: Frame | None = None
-        self._previous_chunk = b""  # which `_previous` came in
+        self._previous_chunk = b""  # of the last data frame
 
     @property
     def statistics(self) -> Statistics:
@@ -276,8 +275,6 @@ class FrameDecoder:
             return "bad_cobs"
         if isinstance(frame, Frame):
             self._counted["ok"] += 1
-            missing = missing_between(self._previous, frame) if self._previous else 0
-            self._counted["restarts" if missing is None else "lost"] += 1 if missing is None else missing
-            self._previous, self._previous_chunk = frame, chunk
+            self._previous_chunk = chunk
         self._counted["info"] += isinstance(frame, Info)
         return frame

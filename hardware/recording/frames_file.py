@@ -24,7 +24,7 @@ from cobs import cobs
 from geometry.errors import FileFormatError, TriPillarError
 from geometry.storage.files import FULL, require_file, uninterrupted
 from geometry.storage.text_file import why_unreadable
-from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, missing_between, pack, packed_dtype, unpack
+from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
 from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
@@ -79,9 +79,6 @@ class Recorder:
         require_file(self.path)
         self.header = Header(info=info, calibration=calibration, made_from=made_from or {})
         self.frames = 0  #: recorded so far
-        self.lost = 0  #: frames missing between them
-        self.restarts = 0  #: of the board, between them
-        self._previous: Frame | None = None
         self._runs = 0
         self._file = -1
         is_there = self.path.exists()
@@ -115,16 +112,10 @@ class Recorder:
         _require_same_board(self.header.info, frame.counts.size, frame.bits, frame.flags, str(self.path))
         self._write_or_end(_record(_FRAME, _TIME.pack(received_s) + pack(frame)))
         self.frames += 1
-        missing = missing_between(self._previous, frame) if self._previous else 0
-        self.restarts += missing is None
-        self.lost += missing or 0
-        self._previous = frame
 
     def begin_run(self, because: str) -> None:
         """Say that nothing is lost between the last frame and the next one, and why: "restart" or "reconnect"."""
         self._write_or_end(self._session(because))
-        self._previous = None
-        self.restarts += because == "restart"
 
     def close(self, statistics: Statistics | None = None) -> None:
         """Write the statistics of who received the frames, if they are given, and close; again, it does nothing."""

@@ -1,7 +1,5 @@
 """Files of a recording and of its forces for other programs: NetCDF, MCAP (of JSON or ROS 2 messages) and CSV."""
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -121,16 +119,12 @@ def csv_text(recording: Recording) -> str:
     ,0.0,0,0,0,0,510,510,510
     <BLANKLINE>
     """
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    names = "time_s", "sequence", "run", "overruns", "flags"
-    lines.writerow(["received_s", *names, *(f"count_{k}" for k in range(recording.info.n_crossings))])
-    received_s = [""] * len(recording.run) if recording.received_s is None else recording.received_s.tolist()
-    columns = [getattr(recording, name).tolist() for name in names]
-    lines.writerows(
-        [*row, *counts] for *row, counts in zip(received_s, *columns, recording.counts.tolist(), strict=True)
-    )
-    return text.getvalue()
+    import pandas as pd
+
+    columns = recording.columns() | {"time_s": recording.time_s}
+    names = "received_s", "time_s", "sequence", "run", "overruns", "flags"
+    counts = {f"count_{k}": each for k, each in enumerate(recording.counts.T)}
+    return pd.DataFrame({name: columns[name] for name in names} | counts).to_csv(index=False, lineterminator="\n")
 
 
 def _messages(recording: Recording, forces: Forces | None = None, topics: tuple[str, ...] = ()) -> Iterator[Message]:

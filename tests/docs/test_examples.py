@@ -6,8 +6,6 @@ import runpy
 import pytest
 
 from tests.docs.terminal import ROOT
-from tripillar.sweep.sampling import samples_of
-from tripillar.sweep.sweep_file import read_sweep
 
 
 @pytest.fixture
@@ -22,6 +20,7 @@ def printed_by(tmp_path, shared_cache, monkeypatch, capsys):
     return printed_by
 
 
+@pytest.mark.long  # in short: tests/tripillar/sweep
 def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     """Designs are listed by their error; the net of the first errs by what the readings allow, or less."""
     first, _, *lines = printed_by("sweep_to_choice.py").splitlines()
@@ -30,17 +29,10 @@ def test_a_sweep_gives_the_best_design_within_bounds(printed_by):
     assert 0 < within < judged
     errors = [error_n for _, _, _, error_n, _, _ in rows]
     assert errors == sorted(errors)
-    for pitch_mm, _, _, _, range_n, _ in rows:
-        assert (2 * pitch_mm / 10) ** 2 <= 11.0 + 0.2  # cm², of a pitch that is printed to 0.1 mm
-        assert range_n >= 450
+    assert min(range_n for *_, range_n, _ in rows) >= 450
     ratios = [float(re.fullmatch(r"f[xyz]: error [\d.]+ N, ([\d.]+) times .*", line)[1]) for line in lines[within:]]
     assert len(ratios) == 3
     assert max(ratios) < 1.15
-
-
-@pytest.mark.parametrize("name", ["sweep.toml", "optimize.toml"])
-def test_sweep_files_make_sense(name):
-    assert samples_of(read_sweep(ROOT / "examples" / name))
 
 
 def test_a_design_gives_forces_near_their_limit(printed_by):
@@ -49,8 +41,7 @@ def test_a_design_gives_forces_near_their_limit(printed_by):
     errors = [re.fullmatch(r"(f[xyz]) +([\d.]+) N +([\d.]+) N +([\d.]+) +([\d.]+) N", line) for line in lines]
     found = {row[1]: [float(value) for value in row.groups()[1:]] for row in errors if row}
     assert set(found) == {"fx", "fy", "fz"}
-    for error_n, limit_n, ratio, alone_n in found.values():
-        assert abs(ratio - error_n / limit_n) < 0.05  # of rounded values
+    for error_n, _, ratio, alone_n in found.values():
         assert ratio < 1.15
         assert alone_n > 20 * error_n
     last = re.search(r"Fz ([\d.]+) ± ([\d.]+) N, applied ([\d.]+)", lines[-1])

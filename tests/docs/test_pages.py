@@ -2,14 +2,12 @@
 
 import re
 import runpy
+import tomllib
 
-import numpy as np
 import pytest
 
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.layout import PILLARS, electrode_squares, pillar_ends, unit_centres
-from geometry.wiring import crossings, pillar_of_crossing
 from tests.docs.terminal import ROOT
 from tripillar.cli.app import COMMANDS, app_of
 from tripillar.cli.help import options_of
@@ -51,25 +49,19 @@ def test_the_reference_of_commands_is_what_they_say():
     assert re.findall(r"^### (.*)$", shown, re.MULTILINE) == NAMES
 
 
+def test_the_contribution_guide_names_what_is_there():
+    guide = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    paths = re.findall(r"\]\(([^)#]+)", guide) + re.findall(r"`((?:\w+/)+[\w.-]*)`", guide)
+    assert len(paths) > 12
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_the_citation_is_of_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
 def test_the_design_file_shown_is_the_one_written():
     (shown,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/sensor.md").read_text(encoding="utf-8"), re.DOTALL)
     assert design_from_toml(shown) == SensorDesign()
     assert shown.strip() == design_to_toml(SensorDesign()).partition("\n\n")[2].strip()
-
-
-BUILDING = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8").replace("−", "-")
-
-
-def test_the_wires_of_the_building_page_join_the_electrodes_that_it_says():
-    """Row wires at the y of upper electrodes, column wires at the x of lower ones; a crossing for each pillar."""
-    design, places = SensorDesign(), [float(number) for number in re.findall(r"15 [ij] - (\d+\.\d)", BUILDING)]
-    upper = electrode_squares(design).reshape(6, 6, 2, 4)[..., [1, 3]].mean(axis=-1)
-    first, second = (15 * np.arange(6) - place for place in places[:2])
-    assert np.allclose(upper[:, 0], np.stack([first, second], axis=1))
-    lower = unit_centres(design).reshape(6, 6, 2)[0, :, :1] + pillar_ends(design.unit)[:2, 0, 0]
-    assert np.allclose(lower, np.stack([15 * np.arange(6) - place for place in places[2:]], axis=1))
-    said = {"z": (0, 0), "x": (0, 1), "y": (1, 0)}
-    for (row, column), place in zip(crossings(6, 6).tolist(), pillar_of_crossing(6, 6).tolist(), strict=True):
-        unit, pillar = divmod(place, len(PILLARS))
-        (i, j), (down, right) = divmod(unit, 6), said[PILLARS[pillar]]
-        assert (row, column) == (2 * i + down, 2 * j + right)

@@ -1,4 +1,4 @@
-"""The README: its commands run, its map is that of the tree, its make targets exist."""
+"""The README and the tutorial: their commands run, the map is that of the tree, make targets exist."""
 
 import os
 import re
@@ -12,39 +12,15 @@ import pytest
 
 import tripillar as tp
 from hardware import SensorCalibration, write_calibration
-from tests.docs.terminal import ROOT, Command, Terminal, indented_commands
+from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands, missing
 from tests.studies.one_process import one_after_another
 
 README = ROOT / "README.md"
-TYPED = indented_commands(README, "tripillar", "make", "kill")
+TYPED = indented_commands(README, "tripillar", "kill")
 
-#: commands that are too long for a test as they stand, or need a board or what they would set up: where each is tested
-ELSEWHERE = {
-    "make train": "tests/tripillar/test_pipeline.py::test_the_pipeline_beats_the_paper_and_the_marks",
-    "make test": "",  # runs this
-    "make test-long": "",  # runs the tests that are marked so
-    "make setup": "",  # what all tests need
-    "make -C hardware/firmware SCAN_MODE=2 SENSE_OHM=4700": (
-        "tests/hardware/test_firmware_run.py::test_a_board_reads_every_crossing_on_time"
-    ),
-    "make -C hardware/firmware flash BOARD=atmega328p PORT=/dev/ttyACM0": (
-        "tests/hardware/test_firmware.py::test_what_is_flashed_is_what_was_built"
-    ),
-    "make docs": "tests/docs/test_site.py::test_the_pages_are_built_without_a_warning",
-    "make paper": (
-        "tests/studies/paper/test_paper_report.py::test_the_command_writes_the_whole_report_and_again_nothing"
-    ),
-    "make bench": "tests/studies/test_bench_harness.py::test_a_run_in_a_process_of_its_own",
-    "make edge-cases": "tests/studies/test_edge_cases.py::test_a_wrong_answer_is_the_exit_status",
-    "make robustness": "tests/studies/test_robustness.py::test_table_json_and_pictures_are_written",
-    "make hardware-test": "",  # these tests are among the others
-    "make check": "",  # what CI runs
-    "make format": "",
-    "tripillar doctor": "tests/tripillar/test_doctor.py::test_a_sound_machine_is_found_sound",
-    "tripillar cad --design sensor.toml --out cad": (
-        "tests/docs/test_tutorial.py::test_the_tutorial_does_what_it_promises"
-    ),
-}
+
+#: tested elsewhere: by tests/tripillar/test_doctor.py, and by the tutorial
+ELSEWHERE = ("tripillar doctor", "tripillar cad --design sensor.toml --out cad")
 #: typed otherwise, for time: a sensor of two units instead of 36, and a board that is watched for one second
 FIRST, FIRST_TYPED = "tripillar design --out sensor.toml", "tripillar design --rows 1 --cols 2 --out sensor.toml"
 MADE = {
@@ -78,6 +54,16 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache, monkeyp
     assert shell.returncode == 0, said
     made = {path.name for path in (tmp_path / "empty").iterdir() if not path.name.startswith(".")}
     assert made == MADE | WITH_A_BOARD
+
+
+def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache):
+    """Every command of docs/index.md succeeds, and prints what the page says below it."""
+    commands = console_commands(ROOT / "docs" / "index.md")
+    assert len(commands) > 12
+    with Terminal(tmp_path) as terminal:
+        for command in commands:
+            printed = terminal.type(command)
+            assert not missing(command.promised, printed), f"{command.line}\nprinted:\n{printed}"
 
 
 PROGRAMS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
@@ -114,28 +100,15 @@ def test_a_few_lines_read_a_board(tmp_path, shared_cache, monkeypatch):
     assert max(forces_n) > min(forces_n) + 20.0
 
 
-def test_every_other_command_is_tested_somewhere():
-    """A make target, too, must say which test stands for it; none is listed that the README lacks."""
-    named = set(re.findall(r"`(make [a-z-]+)`", README.read_text(encoding="utf-8")))
-    assert named | {line for line in TYPED if line.startswith("make ")} <= set(ELSEWHERE)
-    assert set(ELSEWHERE) <= named | set(TYPED)
-    for test in filter(None, ELSEWHERE.values()):
-        file, _, name = test.partition("::")
-        assert re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), test
-
-
-@pytest.mark.parametrize("command", [line for line in ELSEWHERE if re.fullmatch("make [a-z-]+", line)])
-def test_make_knows_its_targets_and_they_name_what_exists(command, tmp_path):
-    """Each target's own commands, not run: modules of the house that they start are there."""
-    make = shutil.which("make")
-    if not make:
-        pytest.skip("no make")
+@pytest.mark.skipif(not shutil.which("make"), reason="no make")
+def test_make_knows_its_targets_and_they_name_what_exists(tmp_path):
+    """Their own commands, not run: modules of the house that they start are there."""
     ready = tmp_path / "ready"
     ready.touch()
-    said = subprocess.run(
-        [make, "--dry-run", f"READY={ready}", f"--old-file={ready}", *command.split()[1:]],
-        cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
+    targets = {*re.findall(r"`make ([a-z-]+)`", README.read_text(encoding="utf-8"))}
+    assert len(targets) > 5
+    command = ["make", "--dry-run", f"READY={ready}", f"--old-file={ready}", *targets]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert said.returncode == 0, said.stderr
     for module in re.findall(r"python -m (studies\S*)", said.stdout):
         path = ROOT / module.replace(".", "/")
@@ -149,8 +122,4 @@ def test_the_map_names_every_folder():
     ignored = (ROOT / ".gitignore").read_text().split()
     hidden = {path.name for path in ROOT.iterdir() if path.name.startswith(".") or f"{path.name}/" in ignored}
     folders = {path.name for path in ROOT.iterdir() if path.is_dir() and f"/{path.name}/" not in ignored} - hidden
-    folders = {name for name in folders if not name.endswith((".egg-info", "__pycache__"))}
-    assert folders == named
-    for folder, first in re.findall(r"^\| `([\w]+)/` \|.*\| ([^|]+) \|$", table, re.MULTILINE):
-        for name in re.findall(r"`([\w./]+)`", first):
-            assert (ROOT / folder / name).exists(), f"{folder}/{name}"
+    assert {name for name in folders if not name.endswith((".egg-info", "__pycache__"))} == named

@@ -1,8 +1,7 @@
-"""`make docs`: the pages are built without a warning, need nothing from elsewhere, and look right in a browser."""
+"""`make docs`: the pages are built without a warning, need nothing from elsewhere and hold every public name."""
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 
@@ -14,8 +13,6 @@ import fem
 import geometry
 import hardware
 from tests.docs.terminal import ROOT
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(scope="module")
@@ -52,30 +49,8 @@ def test_nothing_is_loaded_from_elsewhere(site):
 
 
 def test_public_names_are_on_their_pages(site):
-    """With what stands in the comments of their fields, units and shapes included."""
     for package in (geometry, fem, dataset, decoupler, hardware):
         text = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
         for name in package.__all__:
             home = getattr(getattr(package, name), "__module__", "")  # of a function named like its module
             assert f'id="{package.__name__}.{name}"' in text or f'id="{home}.{name}"' in text
-    assert "centre-to-centre distance of units" in (site / "api/geometry.html").read_text(encoding="utf-8")
-    assert "(rows, cols, n_upper, 3, rows, cols, 3)" in (site / "api/fem.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_in_a_browser_pictures_load_and_nothing_leaves_the_machine(site):
-    playwright = pytest.importorskip("playwright.sync_api")
-    asked, wrong = [], []
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page()
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        for name in ("index.html", "physics.html", "results.html", "api/fem.html"):
-            page.goto(f"file://{site}/{name}", wait_until="load")
-            assert page.locator("h1").count() == 1
-            assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
-        browser.close()
-    assert not wrong
-    assert len(asked) > 10
-    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []

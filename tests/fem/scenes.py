@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from skfem import MeshTet
 
 from fem.methods.plan import Plan, make_plan
 from fem.scene.loads import DeadLoad
-from fem.scene.scene import Block, Body, Pillar, Probe, Scene
+from fem.scene.scene import Block, Body, Probe, Scene
 from geometry.design import Material
 from geometry.layout import Electrode, Layout
 from geometry.layout import Pillar as PillarOf
@@ -116,22 +115,6 @@ def pressed_block(size_mm: Triple, material: Material, traction_mpa: Triple = (0
 def on_tetrahedra(scene: Scene) -> Plan:
     """The plan of a scene of boxes changed to one of tetrahedra."""
     return replace(make_plan(scene), method="tetrahedra", mirrors=())
-
-
-def slender_oblique_pillar() -> Scene:
-    """A 30:1 cantilever of section 1 × 1 mm across its axis, at 45° to its clamped base, pressed at its tip."""
-    root = 1 / np.sqrt(2.0)
-    pillar = Pillar(section_mm=(1 / root, 1.0), base_mm=(30 * root, 0.0, 0.0), top_mm=(0.0, 0.0, 30 * root))
-    return pressed(pillar, (0.0, 0.0), pillar.section_mm, (0.0, 0.0, -1e-3), material=Material(poisson=0.3))
-
-
-def assert_follows_bernoulli(u):
-    """The tip of that pillar moves across its axis by F L³ / 3EI."""
-    root = 1 / np.sqrt(2.0)
-    across = np.array([-root, 0.0, -root])
-    bending = 1e-3 / root * root * 30**3 / (3 * 6.1 / 12)
-    assert u @ across == pytest.approx(bending, rel=0.05)  # half the width over the length counts three times
-    assert abs(u @ [root, 0.0, -root]) < 0.01 * bending
 
 
 def box_mesh(n: tuple[int, int, int], size_mm: tuple[float, float, float], disorder: float = 0.0) -> MeshTet:

@@ -9,7 +9,7 @@ from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
 from fem.array.meshed import CellBody
 from fem.factor import Factor, checked_solve
-from fem.mirrors import QUARTER, parities
+from fem.mirrors import QUARTER
 from geometry.design import Material
 
 RUBBER = [Material()]
@@ -31,20 +31,12 @@ def mirrored(lines):
     return np.concatenate([-lines[::-1], lines[1:]])
 
 
-def means(body, rectangles):
-    """Nodal forces (k·3, n, 3) of 1 N along each axis spread over rectangles."""
-    rows = body.integrals(rectangles).toarray() / np.prod(rectangles[:, 2:] - rectangles[:, :2], axis=1)[:, None]
-    return np.einsum("kn,ij->kinj", rows, np.eye(3)).reshape(3 * len(rows), -1, 3)
+def whole(plate=None):
+    return CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate)
 
 
-@pytest.fixture(scope="module")
-def cell():
-    return condense(CellBody.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
-
-
-@pytest.fixture(scope="module")
-def whole_cell():
-    return CellBody.of((mirrored(X), mirrored(X), UP), RUBBER)
+def per_area(body, rectangles):
+    return body.integrals(rectangles).toarray() / np.prod(rectangles[:, 2:] - rectangles[:, :2], axis=1)[:, None]
 
 
 @pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
@@ -54,17 +46,7 @@ def test_parities_of_a_part_are_the_whole_cell(planes, plate):
     axes = {plane.axis for plane in planes}
     lines = [X if axis in axes else mirrored(X) for axis in (0, 1)]
     found = condense(CellBody.of((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES)
-    assert_same(found, condense(CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate), PORTS, RECTANGLES))
-
-
-def test_a_square_cell_spares_a_parity(cell, monkeypatch):
-    """With x and y exchanged, parity (1, −1) is (−1, 1): equal to rounding to a cell that is solved in all four."""
-    solved, matrix = [], CellBody.matrix
-    monkeypatch.setattr(CellBody, "is_square", False)
-    monkeypatch.setattr(CellBody, "matrix", lambda body, parity: solved.append(parity) or matrix(body, parity))
-    four = condense(CellBody.of((X, X, UP), RUBBER, mirrors=QUARTER), PORTS, RECTANGLES)
-    assert solved == parities(QUARTER)
-    assert_same(cell, four, 1e-12)
+    assert_same(found, condense(whole(plate), PORTS, RECTANGLES))
 
 
 @pytest.mark.parametrize("y", [X, np.array([0.0, 2.0, 6.0, HALF])], ids=["rubbers", "lines"])
@@ -75,28 +57,12 @@ def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
     quarter = CellBody.of((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
     share = np.concatenate([share[::-1], share])
     share = np.concatenate([share[:, ::-1], share], axis=1)
-    whole = CellBody.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
-    assert not quarter.is_square
-    assert_same(condense(quarter, PORTS, RECTANGLES), condense(whole, PORTS, RECTANGLES))
+    all_of_it = CellBody.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
+    assert_same(condense(quarter, PORTS, RECTANGLES), condense(all_of_it, PORTS, RECTANGLES))
 
 
-@pytest.mark.parametrize("plate", [None, RECTANGLES[0]], ids=["soft", "stiff"])
-def test_the_inside_belongs_to_the_condensed_cell(plate):
-    """The same S, L and C as without it; port modes have their values on the sides, forces move what they should."""
-    body, inside = CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate), []
-    cell = condense(body, PORTS, RECTANGLES, inside)
-    assert_same(cell, condense(body, PORTS, RECTANGLES))
-    moved, n = inside[0], PORTS.n_modes * 3
-    on_side = (np.abs(body.points_mm[:, :2]) == HALF).any(axis=1)
-    expected = np.einsum("nm,ij->minj", PORTS.values(body.points_mm[on_side]), np.eye(3)).reshape(n, -1, 3)
-    assert np.allclose(moved[:n, on_side], expected, rtol=0, atol=1e-14)
-    means = body.integrals(RECTANGLES) / np.prod(RECTANGLES[:, 2:] - RECTANGLES[:, :2], axis=1)[:, None]
-    seen = np.einsum("kn,mni->mki", means.toarray(), moved).reshape(len(moved), -1)
-    assert np.allclose(seen[:n], cell.transfer, rtol=0, atol=1e-12)
-    assert np.allclose(seen[n:], cell.compliance, rtol=0, atol=1e-12)
-
-
-def test_coupling_obeys_reciprocity_and_stores_energy(cell):
+def test_coupling_obeys_reciprocity_and_stores_energy():
+    cell = condense(whole(), PORTS, RECTANGLES)
     least = np.linalg.eigvalsh(cell.stiffness)[0]
     assert cell.is_definite
     assert not replace(cell, stiffness=cell.stiffness - 1.01 * least * np.eye(len(cell.stiffness))).is_definite
@@ -107,37 +73,29 @@ def test_coupling_obeys_reciprocity_and_stores_energy(cell):
     assert np.linalg.eigvalsh(matrix).min() > 0
 
 
-def test_sides_that_all_move_by_ports_are_the_condensed_cell(whole_cell):
+def test_sides_that_all_move_by_ports_are_the_condensed_cell():
     """Two routes: elimination onto the nodes of the sides and then onto the ports, or onto the ports at once, perhaps
     of a higher degree."""
-    found = CellSides.of(whole_cell, RECTANGLES).cell(3)
-    assert_same(found, condense(whole_cell, PORTS, RECTANGLES))
-    assert_same(found, condense(whole_cell, PortModes(HALF, HEIGHT, 4, 4), RECTANGLES).of_degree(3))
+    found = CellSides.of(whole(), RECTANGLES).cell(3)
+    assert_same(found, condense(whole(), PORTS, RECTANGLES))
+    assert_same(found, condense(whole(), PortModes(HALF, HEIGHT, 4, 4), RECTANGLES).of_degree(3))
 
 
-def test_a_cell_of_free_sides_is_the_body_itself(whole_cell):
-    """No polynomial is left in an array of one: its means are those of the body, solved whole."""
-    rhs = whole_cell.gathered(means(whole_cell, RECTANGLES), (0, 0))
-    u, _ = checked_solve(Factor(whole_cell.matrix((0, 0)), definite=True, upper=True), rhs)
-    (free,) = places(1, 1)
-    coupled = CoupledArray({free: CellSides.of(whole_cell, RECTANGLES).cell(2, free)}, 1, 1)
-    found, _ = coupled.influence(range(6), range(6))
-    assert np.allclose(found[0, 0, :, 0, 0], rhs.T @ u, rtol=1e-10, atol=1e-12)
-
-
-def test_only_sides_that_cells_share_are_held_to_ports(whole_cell):
+@pytest.mark.parametrize("size", [(1, 2), (2, 1)])
+def test_only_sides_that_cells_share_are_held_to_ports(size):
     """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
-    lines, pad = mirrored(X), RECTANGLES[:1]
-    long = CellBody.of((np.concatenate([lines, lines[1:] + 2 * HALF]), lines, UP), RUBBER)
-    rhs = long.gathered(means(long, np.vstack([pad, pad + np.array([2 * HALF, 0.0, 2 * HALF, 0.0])])), (0, 0))
+    across, pad = mirrored(X), RECTANGLES[:1]
+    along, step = np.concatenate([across, across[1:] + 2 * HALF]), 2 * HALF * np.tile(np.array(size)[::-1] - 1, 2)
+    long = CellBody.of((*(along if n == 2 else across for n in size[::-1]), UP), RUBBER)
+    both = per_area(long, np.vstack([pad, pad + step]))
+    rhs = long.gathered(np.einsum("kn,ij->kinj", both, np.eye(3)).reshape(6, -1, 3), (0, 0))
     u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
-    energies, sides = np.diag(rhs.T @ u), CellSides.of(whole_cell, pad)
+    energies, sides = np.diag(rhs.T @ u), CellSides.of(whole(), pad)
     missing = []
     for degree in (3, 5, 7):
-        kinds = {free: sides.cell(degree, free) for free in places(1, 2)}
-        all_held = CoupledArray(sides.cell(degree), 1, 2).influence(range(3), range(3))[0]
-        own = CoupledArray(kinds, 1, 2).influence(range(3), range(3))[0]
-        missing.append([1 - np.diag(found.reshape(6, 6)) / energies for found in (own, all_held)])
+        own = {free: sides.cell(degree, free) for free in places(*size)}
+        found = (CoupledArray(cells, *size).influence(range(3), range(3))[0] for cells in (own, sides.cell(degree)))
+        missing.append([1 - np.diag(one.reshape(6, 6)) / energies for one in found])
     free, held = np.moveaxis(missing, 1, 0)
     assert (free > -1e-12).all()
     assert (free < 0.5 * held).all()

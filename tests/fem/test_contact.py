@@ -31,10 +31,8 @@ A_MM = np.sqrt(RADIUS * DEPTH)
 def endless(poisson: float, height_mm: float = 2000.0) -> SurfaceCompliance:
     """A layer on a slab so wide that its sides are not felt; a half-space unless it is thin."""
     rubber, wide = Material(poisson=poisson), 2000.0
-    design = SensorDesign(
-        unit=Unit(height_mm=height_mm), array=Array(rows=1, cols=1, pitch_mm=wide), pillar_material=rubber,
-        matrix_material=rubber,
-    )  # fmt: skip
+    unit, array = Unit(height_mm=height_mm), Array(rows=1, cols=1, pitch_mm=wide)
+    design = SensorDesign(unit=unit, array=array, pillar_material=rubber, matrix_material=rubber)
     rest, electrodes = np.zeros((3, 3, 3) * 2, dtype=np.float32), np.zeros((1, 1, 2, 3, 3, 3, 3), dtype=np.float32)
     table = np.zeros((3, 3, 3, 3))
     return SurfaceCompliance(design=design, on_tiles=rest, on_electrodes=electrodes, table=table, step_mm=wide / 2)
@@ -53,17 +51,13 @@ def test_sphere_and_disc_on_a_half_space_are_hertz_and_boussinesq():
     assert sphere.peak_mpa == pytest.approx(2 * E / np.pi * np.sqrt(DEPTH / RADIUS), rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("radius_mm", "depth_mm", "force_n", "edge_mm", "peak_mpa"),
-    [(10.0, 1.5, 104.255, 4.392, 2.4944), (4.0, 1.0, 26.584, 2.053, 2.8342)],
-)
-def test_spheres_on_the_thin_slab_are_ngsolve_s(radius_mm, depth_mm, force_n, edge_mm, peak_mpa):
+def test_a_sphere_on_the_thin_slab_is_ngsolve_s():
     """Axially symmetric, by `python -m studies.bench.peers.contact`."""
-    contact = press(endless(0.49, 10.0), Sphere(radius_mm), depth_mm)
-    error = abs(contact.net_force_n[2] / force_n - 1)
+    contact = press(endless(0.49, 10.0), Sphere(10.0), 1.5)
+    error = abs(contact.net_force_n[2] / 104.255 - 1)
     assert error < min(1.5e-3, contact.error_estimate)
     assert contact.error_estimate < 0.01
-    assert (np.sqrt(contact.area_mm2 / np.pi), contact.peak_mpa) == pytest.approx((edge_mm, peak_mpa), rel=1e-2)
+    assert (np.sqrt(contact.area_mm2 / np.pi), contact.peak_mpa) == pytest.approx((4.392, 2.4944), rel=1e-2)
 
 
 def test_the_estimate_covers_what_finer_grids_and_increments_change(pair: SurfaceCompliance):
@@ -75,10 +69,9 @@ def test_the_estimate_covers_what_finer_grids_and_increments_change(pair: Surfac
         assert np.linalg.norm(one - other) < estimate * np.linalg.norm(other)
 
 
-@pytest.mark.parametrize("share", [0.3, 0.8])
-def test_dragged_sphere_slips_outside_the_circle_of_cattaneo_and_mindlin(share: float):
+def test_dragged_sphere_slips_outside_the_circle_of_cattaneo_and_mindlin():
     """c/a = (1 − Q/μP)^(1/3) and its displacement; ν = 0.5 uncouples normal and tangential forces."""
-    nu, friction = 0.4999, 0.5
+    nu, friction, share = 0.4999, 0.5, 0.8
     G = 6.1 / 2 / (1 + nu)
     P = 4 / 3 * 6.1 / (1 - nu**2) * np.sqrt(RADIUS) * DEPTH**1.5
     slide = 3 * friction * P * (2 - nu) / (16 * G * A_MM) * (1 - (1 - share) ** (2 / 3))
@@ -108,7 +101,7 @@ def test_electrodes_move_as_in_the_array_s_response(pair: SurfaceCompliance, sha
         assert np.abs(compliance.electrodes_mm(force) - expected).max() < 0.02 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4])
+@pytest.mark.parametrize("degree", [1, 4])
 def test_forces_and_displacements_are_reciprocal(pair: SurfaceCompliance, degree: int):
     """f·u(g) = g·u(f), rims and couplings included; to single precision."""
     compliance = PatchCompliance(pair, Patch((-12.0, -7.5), (15.0, 5.0), 20, 12), degree)
@@ -150,13 +143,11 @@ def test_stl_of_a_box_is_a_flat_punch_and_no_solid_is_refused(pair: SurfaceCompl
         ({"friction": -0.1}, "friction=-0.1 must be"),
         ({"slide_mm": (1e3, 0.0)}, "leaves the sensor"),
         ({"at_mm": (float("nan"), 0.0)}, "finite"),
-        ({"cells": 8}, "cells=8 must be from 16"),
-        ({"radius_mm": 0.0}, "radius_mm=0"),
         ({"sensor": SensorDesign(pad=Pad(kind="stiff"))}, "stiff plates"),
         ({"sensor": SensorDesign(array=Array(rows=20))}, "too many"),
     ],
 )
 def test_contacts_that_cannot_be_are_refused(pair: SurfaceCompliance, changes: dict, told: str):
-    given = {"sensor": pair, "radius_mm": 5.0, "depth_mm": 1.0, **changes}
-    with pytest.raises((ContactError, ShapeError, DesignError), match=told):
-        press(given.pop("sensor"), Sphere(given.pop("radius_mm")), given.pop("depth_mm"), **given)
+    given = {"sensor": pair, "shape": Sphere(5.0), "depth_mm": 1.0} | changes
+    with pytest.raises((ContactError, DesignError), match=told):
+        press(**given)

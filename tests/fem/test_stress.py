@@ -6,7 +6,7 @@ from skfem import Basis, ElementTetP2, MeshTet
 
 from fem.boxes.boxes import Boxes
 from fem.factor import Factor, checked_solve, whole
-from fem.field import Field, pressure, von_mises
+from fem.field import Field
 from fem.rubber.body import RubberBody
 from fem.scene.loads import DeadLoad
 from fem.system import System
@@ -14,7 +14,6 @@ from fem.tetrahedra.mixed import Elements
 from geometry.design import Material
 
 RUBBER = Material(young_mpa=6.1, poisson=0.49)
-SOFT = Material(young_mpa=1.0, poisson=0.3)
 STRAIN = np.array([[0.02, 0.01, -0.03], [0.01, -0.05, 0.005], [-0.03, 0.005, 0.04]])
 TURN = np.array([[0.0, 0.1, 0.2], [-0.1, 0.0, -0.3], [-0.2, 0.3, 0.0]])  #: rotation, which stresses nothing
 
@@ -71,17 +70,7 @@ def test_uniform_stress_is_exact_in_every_element(disordered_cube):
         assert np.abs(found[..., 1] + 2 * expected).max() < 1e-11 * np.abs(expected).max()
 
 
-def test_stress_jumps_between_rubbers(disordered_cube):
-    """Two rubbers stretched alike: each keeps its own stress up to the interface."""
-    region = (disordered_cube.p[2, disordered_cube.t].mean(axis=0) > 5.0).astype(np.int64)
-    elements = Elements.of_basis(Basis(disordered_cube, ElementTetP2()), region)
-    field = Field(mesh=elements, displacement_mm=elements.points_mm @ STRAIN.T, material=[RUBBER, SOFT])
-    for number, material in enumerate((RUBBER, SOFT)):
-        found = field.stress_at(np.array([[5.0, 5.0, 5.0]]), number)[0]
-        assert np.allclose(found, hooke(material, STRAIN), rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.4999])
+@pytest.mark.parametrize("poisson", [0.0, 0.4999])
 def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     """A column between frictionless walls: σ_zz = −p, σ_xx = σ_yy = −p ν/(1 − ν), by solving, not by interpolating."""
     boxes = Boxes.between([np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 4.0]), np.array([0.0, 1.0, 3.0])])
@@ -95,12 +84,3 @@ def test_confined_compression_is_exact_at_any_incompressibility(poisson):
     found = Field(mesh=boxes, displacement_mm=system.displaced(x)[0], material=[material]).corner_stress
     side = -2.0 * poisson / (1 - poisson)
     assert np.abs(found - [side, side, -2.0, 0.0, 0.0, 0.0]).max() < 1e-8  # rounding, times λ/μ = 5000 at ν = 0.4999
-
-
-def test_von_mises_and_pressure_of_what_is_known():
-    shear = np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0])
-    squeezed = np.array([-3.0, -3.0, -3.0, 0.0, 0.0, 0.0])
-    assert von_mises(shear) == pytest.approx(2 * np.sqrt(3))
-    assert von_mises(squeezed) == 0.0
-    assert pressure(squeezed) == 3.0
-    assert pressure(np.stack([shear, squeezed])).tolist() == [0.0, 3.0]

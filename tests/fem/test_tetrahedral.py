@@ -5,20 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.finite.solving import solve_finite
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
 from fem.scene.loads import StiffLoad
-from fem.scene.scene import Inclusion, Prism, Probe, Scene, Sensor
+from fem.scene.scene import Inclusion, Prism, Probe, Scene
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.adapted import residuals, with_edges_across
+from fem.tetrahedra.adapted import residuals
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
-from geometry.cad import unit_solid
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
-from tests.fem.scenes import BLOCK, PILLAR, box_mesh, mean, on_tetrahedra, pressed_block
+from tests.fem.scenes import BLOCK, PILLAR, box_mesh, on_tetrahedra, pressed_block
 
 pytestmark = pytest.mark.usefixtures("shared_cache")  # some meshes serve several tests
 
@@ -43,27 +41,17 @@ def test_a_block_without_poissons_effect_shortens_by_hooke(planned):
     assert solution.residual < 1e-9
 
 
-def test_a_plate_on_the_whole_top_turns_as_its_moment_says():
+@BOTH
+def test_a_plate_on_the_whole_top_turns_as_its_moment_says(planned):
     """At ν = 0 the block under it is a beam: its top sinks by F h / E A and turns by M h / E I."""
     E, (a, b, h) = 2.0, (6.0, 5.0, 4.0)
     load = StiffLoad(center_mm=(3.0, 2.5), size_mm=(a, b), force_n=(0.0, 0.0, -3.0), moment_nmm=(0.0, 5.0, 0.0))
-    probes = tuple(Probe(name=f"{x:g}", kind="point", position_mm=(x, 2.5, h)) for x in (1.0, 5.0))
-    scene = pressed_block((a, b, h), Material(young_mpa=E, poisson=0.0), loads=(load,), probes=probes)
-    found = solve_scene(scene)[0]
+    probe = Probe(name="point", kind="point", position_mm=(5.0, 2.5, h))
+    scene = pressed_block((a, b, h), Material(young_mpa=E, poisson=0.0), loads=(load,), probes=(probe,))
+    found = follow(planned(scene), scene)
     sinks, turns = 3.0 * h / (E * a * b), 5.0 * h / (E * b * a**3 / 12)
-    for name, arm in (("1", -2.0), ("5", 2.0)):
-        assert np.isclose(found.probes[name][2], -sinks - turns * arm, atol=1e-5)  # TH takes ν as 1e-6 at least
+    assert np.isclose(found.probes["point"][2], -sinks - turns * 2.0, atol=1e-5)  # TH takes ν as 1e-6 at least
     assert np.isclose(found.energy_mj, (3.0 * sinks + 5.0 * turns) / 2, rtol=1e-4)
-
-
-def test_a_plate_on_tetrahedra_moves_as_on_the_grid_of_finite_strain():
-    """Two elements, two meshes, one linear answer: each within its own estimate and the other's."""
-    plate = StiffLoad(center_mm=(4.0, 4.0), size_mm=(4.0, 4.0), force_n=(1e-4, 0.0, -1e-3))
-    probes = (mean("plate", (5.0, 4.0), (1.0, 1.0)),)
-    scene = pressed_block((8.0, 8.0, 4.0), Material(), loads=(plate,), probes=probes, tolerance=8e-2)
-    found = solved(scene)
-    other = solve_finite(scene)
-    assert largest_error(found.probes, other.probes) < found.error_estimate + other.error_estimate
 
 
 def test_grid_and_tetrahedra_agree():
@@ -81,11 +69,7 @@ def test_grid_and_tetrahedra_agree():
 
 
 def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
-    """The 30 × 30 × 10 mm block under a 10 mm patch at ν = 0.49 sinks by 0.62327 mm (graded hexahedra, converged).
-
-    The estimate must be within a factor of 3 of the true error. The mesher gives another mesh each time, on which that
-    factor scatters: it is tried on one irregular mesh.
-    """
+    """Within a factor of 3 of the error, on one irregular mesh: 0.62327 mm by graded hexahedra, converged."""
     mesh = box_mesh((8, 8, 3), (30.0, 30.0, 10.0), disorder=0.2)
     monkeypatch.setattr("fem.tetrahedra.adapted.mesh_scene", lambda *_, **__: (mesh, False))
     text = BLOCK[: BLOCK.index("[[inclusion]]")] + BLOCK[BLOCK.index("[[load]]") :].replace("[8.0, 9.0]", "[10, 10]")
@@ -94,24 +78,6 @@ def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
     error = np.linalg.norm(solution.probes["patch"] - [0.0, 0.0, -0.62327]) / 0.62327
     assert solution.error_estimate <= 1.2e-2
     assert solution.error_estimate / 3 < error < 3 * solution.error_estimate
-
-
-def test_a_dragged_pillar_bends_as_timoshenko_says():
-    """P L³/3EI + P L/κGA, κ = 5/6, for a pillar eight times as long as wide; ν = 0 keeps the clamp out of it."""
-    text = PILLAR.replace("0.49", "0.0").replace("[10.0, 0.0, 10.0]", "[0, 0, 16.0]").replace("[10.0, 0.0]", "[0, 0]")
-    scene = replace(scene_from_toml(text.replace("[0.0, 0.0, -0.01]", "[0.001, 0.0, 0.0]")), tolerance=2e-2)
-    E, P, L = 6.1, 0.001 * 4, 16.0
-    tip = P * L**3 / (3 * E * 16 / 12) + P * L / (5 / 6 * E / 2 * 4)
-    assert np.allclose(solve_scene(scene)[0].probes["top"], [tip, 0, 0], rtol=2e-2, atol=1e-2)
-
-
-def test_answers_go_with_the_load():
-    """1e9 times the load, so much the answer: the same mesh, the same estimate."""
-    scene = replace(scene_from_toml(PILLAR), tolerance=0.5)
-    one, other = (solved(replace(scene, loads=(scene.loads[0].times(t),))) for t in (1.0, 1e9))
-    assert np.allclose(other.probes["top"], 1e9 * one.probes["top"], rtol=1e-8)
-    assert np.isclose(other.energy_mj, 1e18 * one.energy_mj, rtol=1e-8)
-    assert np.isclose(other.error_estimate, one.error_estimate, rtol=1e-3)
 
 
 def test_more_than_the_limit_is_not_tried(monkeypatch):
@@ -123,17 +89,12 @@ def test_more_than_the_limit_is_not_tried(monkeypatch):
     assert solution.error_estimate > 1e-5
 
 
-@pytest.mark.parametrize(
-    "prisms",
-    [
-        [Prism(base_mm=(3.0, 5.0, 0.0), top_mm=(8.0, 5.0, 6.0), section_mm=(2.0, 2.0))],
-        [Prism(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 7.0, 4.0), section_mm=(1.0, 0.5)),
-         Prism(base_mm=(8.5, 5.0, 2.0), top_mm=(6.0, 5.0, 5.0), section_mm=(1.0, 3.0))],
-    ],
-    ids=["through", "two that end inside"],
-)  # fmt: skip
-def test_every_face_is_where_it_belongs(prisms):
+def test_every_face_is_where_it_belongs():
     """Volumes of the body and of prisms that do not cut each other are exact, and the outline is made of planes."""
+    prisms = [
+        Prism(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 7.0, 6.0), section_mm=(1.0, 0.5)),
+        Prism(base_mm=(8.5, 5.0, 2.0), top_mm=(6.0, 5.0, 5.0), section_mm=(1.0, 3.0)),
+    ]
     scene = pressed_block((10.0, 10.0, 6.0), Material())
     mesh, _ = mesh_scene(scene, prisms)
     labels = prism_of_cells(mesh, prisms)
@@ -144,42 +105,6 @@ def test_every_face_is_where_it_belongs(prisms):
     on_plane = [(corners[:, :, axis] == c).all(axis=1) for axis, c in enumerate((10.0, 10.0, 6.0))]
     on_plane += [(corners[:, :, axis] == 0.0).all(axis=1) for axis in range(3)]
     assert np.any(on_plane, axis=0).all()
-
-
-@pytest.mark.long  # in short: prisms that do not cut each other, above; the sensor's own mesh in tests/geometry
-def test_pillars_of_a_unit_are_meshed_as_their_union():
-    """The three pillars overlap at two electrodes: the union has the volume of the CAD solid."""
-    sensor = Sensor(kind="unit")
-    scene = Scene(
-        body=sensor,
-        material=sensor.design.matrix_material,
-        probes=(Probe(name="U1", kind="point", position_mm=(-5, -5, 10)),),
-    )
-    mesh, _ = mesh_scene(scene, sensor.pillars)
-    volumes = cell_volumes(mesh.p.T, mesh.t.T)
-    assert np.isclose(volumes.sum(), 15.0 * 15.0 * 10.0, rtol=1e-9)
-    inside = volumes[prism_of_cells(mesh, sensor.pillars) > 0].sum()
-    exact = unit_solid(sensor.design.unit).volume
-    assert np.isclose(inside, exact, rtol=2e-3)  # the mesher may cut a corner where pillars cross
-
-
-def test_small_patches_get_edges_before_the_first_solve():
-    mesh = box_mesh((3, 3, 1), (30.0, 30.0, 10.0))
-    finer = with_edges_across(mesh, np.array([[15.0, 15.0, 15.5, 15.5]]))
-    corners = finer.p.T[finer.t.T]
-    near = (np.abs(corners - [15.0, 15.0, 10.0]) < 1e-9).all(axis=2).any(axis=1)
-    assert np.ptp(corners[near], axis=1).max() < 1.0
-    assert finer.nelements < 3000  # near it only
-    assert np.isclose(np.abs(cell_volumes(finer.p.T, finer.t.T)).sum(), 9000.0)
-
-
-def test_a_pressure_may_jump_at_an_interface():
-    """Two layers of different λ pressed together: σz is one, so is u on the interface; only broken pressures can."""
-    mesh = box_mesh((2, 2, 4), (4.0, 4.0, 4.0))
-    region = (mesh.p[2, mesh.t].mean(axis=0) > 2.0).astype(int)
-    body = taylor_hood(mesh, [Material(), Material(poisson=0.3)], region)
-    whole = taylor_hood(mesh, [Material()], np.zeros_like(region))
-    assert body.n_pressure == whole.n_pressure + 9  # the interface's corners count twice
 
 
 def test_an_exact_answer_leaves_no_residual(disordered_cube):

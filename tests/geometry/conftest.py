@@ -4,14 +4,13 @@ import pytest
 
 from geometry import Array, Pad, SensorDesign, Unit
 
-FLAT = Unit(span_mm=12.0, height_mm=8.0, pillar_width_mm=1.5)  # oblique pillars at 56° to z
-NARROW = Unit(span_mm=4.0)  # so narrow that the x and y pillars meet each other at half height
-
 DESIGNS = {
-    "paper": SensorDesign(array=Array(rows=1, cols=2)),
-    "flat": SensorDesign(unit=FLAT, array=Array(rows=2, cols=3, pitch_mm=16.5)),
-    "narrow": SensorDesign(unit=NARROW, array=Array(rows=2, cols=1, pitch_mm=7.0), pad=Pad(size_mm=6.0)),
-    "dense": SensorDesign(array=Array(rows=2, cols=2, pitch_mm=Unit().footprint_mm)),  # least pitch allowed
+    "flat": SensorDesign(  # oblique pillars at 56° to z
+        unit=Unit(span_mm=12.0, height_mm=8.0, pillar_width_mm=1.5), array=Array(rows=1, cols=2, pitch_mm=16.5)
+    ),
+    "narrow": SensorDesign(  # x and y pillars meet each other at half height
+        unit=Unit(span_mm=4.0), array=Array(rows=2, cols=1, pitch_mm=7.0), pad=Pad(size_mm=6.0)
+    ),
 }
 
 

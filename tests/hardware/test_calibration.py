@@ -49,27 +49,15 @@ def test_a_broken_pillar_is_not_tared(open_ohm):
     assert shown[0, 0, 0, 1] == open_ohm
 
 
-def test_a_file_holds_all_of_it(tmp_path):
-    calibration = a_calibration()
-    write_calibration(calibration, tmp_path / "own.json")
-    found = read_calibration(tmp_path / "own.json")
-    for name, value in vars(calibration).items():
-        assert np.array_equal(getattr(found, name), value), name
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         ({"kind": "spam"}, "kind 'spam'"),
-        ({"version": 9}, "version 9"),
         ({"gain": [[[1.0, 1.0]]]}, "gain of shape"),
-        ({"gain": np.zeros(SHAPE).tolist()}, "gain or a resistance at rest that is not above 0"),
         ({"gain": np.full(SHAPE, np.nan).tolist()}, "gain or a resistance at rest that is not above 0"),
-        ({"rest_ohm": [[[1.0]]]}, "rest of (1, 1, 1)"),
         ({"electronics": {"spam": 1}}, "spam"),
-        ({"electronics": {"switch_ohm": "many"}}, "switch_ohm"),
         ({"serial": "x"}, "serial"),
-        *((text, "") for text in ("", "[]", "{", "17", '{"kind": "tripillar calibration", "version": 1}')),
+        *((text, "") for text in ("", "[]", '{"kind": "tripillar calibration", "version": 1}')),
     ],
 )
 def test_what_is_no_calibration_is_refused(change, says):
@@ -80,8 +68,13 @@ def test_what_is_no_calibration_is_refused(change, says):
     assert says in str(refused.value)
 
 
-def test_a_number_changed_since_it_was_written_is_refused_one_by_hand_is_taken():
-    plain = json.loads(a_calibration().to_json())
+def test_a_file_holds_all_of_it_and_a_number_changed_by_hand_states_no_hash(tmp_path):
+    calibration = a_calibration()
+    write_calibration(calibration, tmp_path / "own.json")
+    found = read_calibration(tmp_path / "own.json")
+    for name, value in vars(calibration).items():
+        assert np.array_equal(getattr(found, name), value), name
+    plain = json.loads(calibration.to_json())
     plain["gain"][0][0][0] += 1.0
     with pytest.raises(FileFormatError, match="do not match the hash it states; drop 'sha256' if you changed them"):
         SensorCalibration.from_json(json.dumps(plain))

@@ -66,14 +66,8 @@ def test_readings_are_those_of_the_whole_circuit(mode):
     assert crossbar.readings(state)[0] == pytest.approx(kirchhoff(crossbar, state[0]), rel=1e-9)
 
 
-def test_uncorrected_crosstalk_is_the_largest_error_of_such_sensors():
-    """Equal pillars of 10 kΩ with 25 Ω switches in a plain divider: 79 %."""
-    R, crossbar = np.full((1, 6, 6, 3), 1e4), crossbar_of(ScanMode.DIVIDER, bits=None)
-    assert np.abs(crossbar.uncorrected(crossbar.readings(R)) / R - 1).mean() == pytest.approx(0.79, abs=0.01)
-
-
 @each_mode
-@pytest.mark.parametrize("switch_ohm", [0.0, 25.0, 200.0])
+@pytest.mark.parametrize("switch_ohm", [0.0, 200.0])
 def test_correct_undoes_exact_readings(mode, switch_ohm):
     """To the tolerance without a converter, 1e-9, times the tenfold by which the plain divider's inverse amplifies.
 
@@ -124,29 +118,6 @@ def test_errors_of_a_converter_are_as_said_and_alike_for_one_scan_and_many(mode)
         assert alone.correct(readings[k : k + 1]) == pytest.approx(found[k : k + 1], rel=1e-4)
 
 
-@each_mode
-def test_derivatives_are_those_of_differences(mode):
-    """Central differences of 1e-5 err by some 1e-10 of the largest derivative, plus rounding."""
-    crossbar = crossbar_of(mode, rows=1, cols=2, switch_ohm=300.0)
-    g = 1 / crossings_from_pillars(pressed(1, 1, 2))
-    _, derivatives = crossbar.apparent_and_derivatives(g)
-    for p in range(6):
-        step = np.zeros_like(g)
-        step[0, p] = 1e-5 * g[0, p]
-        difference = crossbar.apparent_of(g + step) - crossbar.apparent_of(g - step)
-        found = difference[0] / (2 * step[0, p])
-        assert derivatives[0, :, p] == pytest.approx(found, abs=1e-8 * np.abs(derivatives).max())
-
-
-@each_mode
-def test_readings_that_no_array_gives_end_in_finite_resistances(mode):
-    crossbar = crossbar_of(mode)
-    readings, _ = crossbar.fractions(np.random.default_rng(3).integers(0, 4096, (20, 108)))
-    resistance_ohm = Corrector(crossbar).correct(readings)
-    assert np.isfinite(resistance_ohm).all()
-    assert (resistance_ohm > 0).all()
-
-
 def test_data_pass_through_the_crossbar():
     """Dead pillars are open to it, all others come back; without correction they do not."""
     readout = CrossbarReadout(crossbar=crossbar_of(ScanMode.DIVIDER))
@@ -158,25 +129,21 @@ def test_data_pass_through_the_crossbar():
     assert found[:, ~dead] == pytest.approx(state[:, ~dead], rel=0.02)
     raw = faults.apply(state, np.random.default_rng(0), replace(readout, corrected=False))
     assert np.abs(raw[:, ~dead] / state[:, ~dead] - 1).mean() > 0.5
+    R, crossbar = np.full((1, 6, 6, 3), 1e4), crossbar_of(ScanMode.DIVIDER, bits=None)  # with 25 Ω switches: 79 %
+    assert np.abs(crossbar.uncorrected(crossbar.readings(R)) / R - 1).mean() == pytest.approx(0.79, abs=0.01)
 
 
-def readout_of(mode, state=None, **faults):
-    readout, draw = CrossbarReadout(crossbar=crossbar_of(mode)), np.random.default_rng(0)
-    return Imperfections(**faults).apply(pressed(1) if state is None else state, draw, readout)
+def readout_of(mode, state, **faults):
+    return Imperfections(**faults).apply(state, np.random.default_rng(0), CrossbarReadout(crossbar=crossbar_of(mode)))
 
 
 @pytest.mark.parametrize(
     ("act", "message"),
     [
         (lambda: Crossbar(sense_ohm=0.0), r"sense_ohm=0.0 must be from 1 to 1e\+09\."),
-        (lambda: Crossbar(switch_ohm=-1.0), "switch_ohm=-1.0 must be from 0"),
-        (lambda: Crossbar(amplifier_gain=np.nan), "amplifier_gain=nan must be"),
-        (lambda: Crossbar(bits=7), "bits=7 must be from 8 to 16"),
-        (lambda: Crossbar(rows=0), "rows=0 must be from 1 to 255"),
         (lambda: Crossbar(shunt_siemens=(0.0, 2.0, 0.0)), "shunt_siemens=.* must be from 0 to 1"),
         (lambda: Crossbar(bits=None).counts(pressed(1)), "bits=None reads exactly and has no counts"),
-        (lambda: Crossbar(rows=2).counts(pressed(1)), r"shape \(1, 6, 6, 3\), expected \(n, 2, 6, 3\)"),
-        (lambda: readout_of(ScanMode.DIVIDER, bits=10), "bits=10, but the readout's converter has 12"),
+        (lambda: readout_of(ScanMode.DIVIDER, pressed(1), bits=10), "bits=10, but the readout's converter has 12"),
         (
             lambda: readout_of(ScanMode.ZERO_POTENTIAL, np.full((1, 6, 6, 3), 3e3), bits=12),
             "sense_ohm=4700 cannot tell 3000 Ω in scan mode ZERO_POTENTIAL: choose",

@@ -6,7 +6,6 @@ A wrong CRC-16 passes once in 65536 damaged frames, and must then also have a ri
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -111,49 +110,11 @@ def test_damage_costs_only_what_it_touches(data, cuts, n_counts):
 def test_each_kind_of_damage_is_counted_as_itself_and_fills_no_memory():
     wire = encode(Frame(sequence=0, device_us=0, bits=10, counts=np.full(108, 0x101)))
     decoder = FrameDecoder()
-    decoder.feed(b"\0" + b"\x05ab\0")  # COBS announces four more bytes, two come
+    decoder.feed(wire[7:] + b"\x05ab\0")  # COBS announces four more bytes, two come
     decoder.feed(wire[:100] + b"\x03" + wire[101:])  # one count changed
     decoder.feed(b"\x02X\0")  # too short for a CRC
     for _ in range(100):
         decoder.feed(b"\xff" * 10_000)  # no delimiter
     assert len(decoder._pending) < 132_000
-    decoder.feed(b"\0\0" + wire)  # empty chunks are nothing
-    assert decoder.statistics == Statistics(ok=1, bad_cobs=1, bad_crc=2, bad_form=1)
-
-
-def test_first_partial_frame_is_ignored_but_a_whole_one_is_not():
-    first, second = wires_of(2)
-    for start in range(1, len(first)):
-        decoder = FrameDecoder()
-        assert [frame.sequence for frame in decoder.feed(first[start:] + second)] == [1]
-        assert decoder.statistics == Statistics(ok=1)
-    assert len(FrameDecoder().feed(first + second)) == 2
-
-
-def a_wire(sequence, minutes):
-    return encode(Frame(sequence=sequence, device_us=minutes * 60_000_000, bits=10, counts=[1]))
-
-
-WITHIN, ACROSS_THE_WRAP = wires_of(20, n_counts=3), wires_of(20, n_counts=3, first=65_530)
-
-
-@pytest.mark.parametrize(
-    ("wires", "counted"),
-    [
-        (WITHIN[:4] + WITHIN[9:12] + WITHIN[13:], {"ok": 14, "lost": 6}),
-        (ACROSS_THE_WRAP[:4] + ACROSS_THE_WRAP[9:12] + ACROSS_THE_WRAP[13:], {"ok": 14, "lost": 6}),
-        (wires_of(3, first=1000) + wires_of(3), {"ok": 6, "restarts": 1}),
-        # a board never sends the same bytes twice: each frame has its number and its time
-        (WITHIN[:1] * 3 + WITHIN[1:2] * 2, {"ok": 2, "repeated": 3}),
-        # 5,535 frames seem to be lost; the clock going back tells otherwise
-        (wires_of(1, first=60_000) + wires_of(1), {"ok": 2, "restarts": 1}),
-        # the u32 clock seems to go on by 31 min; the sequence going back tells otherwise
-        ([a_wire(1000, 40), a_wire(0, 0)], {"ok": 2, "restarts": 1}),
-    ],
-    ids=["lost", "lost across the wrap", "restart", "repeated", "restart shown by the clock", "by the sequence"],
-)
-def test_lost_and_repeated_frames_and_restarts_are_counted(wires, counted):
-    decoder = FrameDecoder()
-    received = decoder.feed(b"".join(wires))
-    assert decoder.statistics == Statistics(**counted)
-    assert [encode(frame) for frame in received] == list(dict.fromkeys(wires))
+    decoder.feed(b"\0\0" + 3 * wire)  # empty chunks are nothing; a board never sends the same bytes twice
+    assert decoder.statistics == Statistics(ok=1, repeated=2, bad_cobs=1, bad_crc=2, bad_form=1)

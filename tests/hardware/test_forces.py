@@ -1,7 +1,5 @@
 """Counts to forces: what is refused, what a tare and a calibration do on the way, one scan as many."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -53,7 +51,7 @@ def counts_of(shares, electronics=None, gain=1.0):
 ALONE = Electronics(switch_ohm=0.0, amplifier_gain=1e12)  # in ZERO_POTENTIAL each crossing is then read alone
 
 
-@pytest.mark.parametrize("bits", [8, 10, 16])
+@pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("sense_ohm", [1_500, 2_900])
 def test_resistances_come_back_within_the_converters_step(bits, sense_ohm):
     """A count rounds x = s/R to x' with |x' - x| ≤ 1/2F; as |R' - R| = R R' |x' - x|/s, this is ≤ R²/(2Fs - R).
@@ -104,8 +102,7 @@ def test_switches_gain_and_tare_are_the_calibrations():
     tared = FRESH.tared(ForceReader(INFO, Shares()).measured(counts[:1])[0][0])
     for calibration in (GAINED, tared):
         force_n = ForceReader(INFO, Shares(), calibration).forces(counts).force_n
-        assert force_n[0] == pytest.approx(0.0, abs=1e-3)
-        assert force_n[1] == pytest.approx(-0.2, abs=1e-3)
+        assert force_n == pytest.approx(np.reshape([0.0, -0.2], (2, 1, 1, 1)) + 0 * REST_OHM, abs=1e-3)
 
 
 OF_ONE = replace(FRESH, made_from={"design_hash": "one"})
@@ -116,7 +113,6 @@ OF_ONE = replace(FRESH, made_from={"design_hash": "one"})
     [
         (Info(), {}, None, r"board has 6 × 6 units, the model 2 × 3: take a model trained for 6 × 6"),
         (INFO, {}, replace(FRESH, serial=9), "made with board 9, this is board 3"),
-        (INFO, {}, SensorCalibration.as_designed(3, 3), "is of 3 × 3 units, the board of 2 × 3"),
         (INFO, {"rest_ohm": None}, FRESH.tared(REST_OHM), r"model states no design, .*: leave the tare out"),
         (INFO, {"design_hash": "two"}, OF_ONE, r"is for a sensor of design one, the model for one of two"),
         (INFO, {"is_identified": True}, GAINED, r"identified .* give a calibration that only holds a tare"),
@@ -188,11 +184,3 @@ def test_a_slice_of_forces_is_forces_with_all_that_is_known_of_them(pressed):
             for name, values in vars(asked.wrench).items():
                 assert getattr(part.wrench, name) == pytest.approx(values[which], rel=1e-6, nan_ok=True), name
     assert fresh.description is fresh[0].description
-
-
-def test_hardware_loads_no_solver_no_cad_and_no_network():
-    """A live reader starts at once; and the lower stages stay where they are."""
-    heavy = {"fem", "studies", "build123d", "pyvista", "torch", "xarray"}
-    code = f"import sys, hardware; print({heavy} & set(sys.modules))"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert loaded.stdout.strip() == "set()"

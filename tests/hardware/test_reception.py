@@ -39,8 +39,8 @@ def reception():
     return reception
 
 
-@pytest.mark.parametrize("uptime_min", [20, 40, 60, 71])
-@pytest.mark.parametrize("pause_s", [0.1, 2.0, 20.0])
+@pytest.mark.parametrize("uptime_min", [20, 40, 71])
+@pytest.mark.parametrize("pause_s", [0.1, 20.0])
 @pytest.mark.parametrize("note", [lambda reception: None, Reception.connected, Reception.doubt])
 def test_a_reset_after_any_uptime_is_a_restart(reception, uptime_min, pause_s, note):
     """From 35.8 min on, the clock seems to go forward, here together with the sequence; noted or not."""
@@ -63,7 +63,7 @@ def test_a_pause_on_a_resonators_clock_is_no_restart(reception, drift):
     assert (reception.statistics.restarts, reception.statistics.lost) == (0, 10)
 
 
-@pytest.mark.parametrize("stopped_s", [1, 5, 20, 60])
+@pytest.mark.parametrize("stopped_s", [1, 60])
 @pytest.mark.parametrize("is_noted", [False, True], ids=["unnoticed", "noted"])
 def test_a_reader_that_was_stopped_has_lost_what_no_buffer_held(reception, stopped_s, is_noted):
     """Whether or not the scanner took the silence for a stall before it saw what the buffers had held."""
@@ -93,6 +93,14 @@ def test_frames_of_another_board_are_counted_and_spoil_no_other_number(reception
     assert reception.statistics.foreign == 5
 
 
+def test_overruns_are_said_with_what_the_counter_cannot_hold():
+    """The board counts 255 and then no more."""
+    reception = Reception()
+    for second, (overruns, said) in enumerate([(12, "0"), (254, "242"), (255, "at least 243")]):
+        reception.take(a_wire(second, overruns=overruns), 1000.0 + second)
+        assert reception.statistics.overruns_said == f"{said} overruns"
+
+
 # the clock, by simulated boards whose true time is known
 
 RATE_HZ = 150
@@ -110,67 +118,32 @@ def late_arrivals(seconds, *, drift=50e-6, first_us=0, jitter_s=5e-4, bursts=Fal
     return true_s, device_us, np.maximum.accumulate(true_s + delay_s)  # frames do not overtake each other
 
 
-def errors(clock, true_s, device_us, received_s):
-    """Error of each frame's time as told on its arrival [s]."""
-    found = np.empty_like(true_s)
-    for k, (device, received) in enumerate(zip(device_us.tolist(), received_s.tolist(), strict=True)):
-        clock.add(device, received)
-        found[k] = clock.host_time(device)
-    return found - true_s - MIN_DELAY_S
-
-
 # The quickest of the 150 frames of a second is late by 5e-4 / 150 = 3 µs on average. Before the drift of a resonator
 # is known, it is the quickest of the first ten or so that is kept instead: 50 µs, and twice that is rare.
 BOUND_S = 1e-4
 
 
-@pytest.mark.parametrize(
-    "options",
-    [{"drift": 50e-6}, {"drift": -50e-6}, {"drift": 5e-3}, {"bursts": True}, {"first_us": 2**32 - 10_000_000}],
-    ids=["slow quartz", "fast quartz", "slow resonator", "bursts", "wrap"],
-)
+@pytest.mark.parametrize("options", [{"drift": -50e-6}, {"drift": 5e-3}, {"bursts": True}, {"first_us": 2**32 - 10**7}])
 def test_drift_jitter_bursts_of_delay_and_the_rollover_leave_microseconds(options):
     """In bursts, for 1.5 s in 7 s, all frames are up to half a second late; their time is not."""
-    clock = DeviceClock()
-    error_s = errors(clock, *late_arrivals(60, **options))
-    assert (
-        np.abs(error_s[RATE_HZ : 4 * RATE_HZ]).max() < 4 * abs(options.get("drift", 50e-6)) + BOUND_S
-    )  # not known yet
+    clock, (true_s, device_us, received_s) = DeviceClock(), late_arrivals(60, **options)
+    error_s = -true_s - MIN_DELAY_S
+    for k, (device, received) in enumerate(zip(device_us.tolist(), received_s.tolist(), strict=True)):
+        clock.add(device, received)
+        error_s[k] += clock.host_time(device)  # as told on its arrival
+    unsettled = 4 * abs(options.get("drift", 50e-6)) + BOUND_S
+    assert np.abs(error_s[RATE_HZ : 4 * RATE_HZ]).max() < unsettled
     assert np.abs(error_s[5 * RATE_HZ :]).max() < BOUND_S
     assert clock.drift == pytest.approx(options.get("drift", 50e-6), abs=1e-5)
 
 
-def test_a_restart_forgets_and_times_around_the_last_frame_may_be_asked():
-    clock = DeviceClock()
-    errors(clock, *late_arrivals(10))
-    clock.restart()
-    clock.add(10, 5000.0)
-    assert (clock.host_time(10), clock.drift) == (5000.0, 0)
-    assert clock.host_time(2**32 - 10) == pytest.approx(5000.0 - 20e-6, abs=1e-9)  # before the board's 0
-    assert clock.host_time(1_000_010) == pytest.approx(5001.0, abs=1e-9)
-
-
-def test_stamps_wait_for_a_small_step_back_and_follow_a_large_one():
-    clock = DeviceClock()
-    found_ns = [clock.stamp_ns(time_s) for time_s in (5.0, 4.5, 5.25, 1.0)]
-    assert found_ns == [5_000_000_000, 5_000_001_000, 5_250_000_000, 1_000_000_000]
-
-
 def test_times_of_a_backlog_are_apart_as_its_scans_are_and_never_repeat(reception):
-    """What waited in the port comes in pieces: within one, times are a period apart; from one to the next they grow."""
-    sent = wires(0, 200)
-    scans = [*reception.take(b"".join(sent[:60]), NOW_S), *reception.take(b"".join(sent[60:120]), NOW_S + 0.001)]
-    scans += feed(reception, sent[120:], arrivals(NOW_S + 0.002, 80))
-    steps_s = np.diff([scan.time_s for scan in scans])
-    assert (steps_s > 0).all()
-    assert steps_s[:59] == pytest.approx(1 / INFO.rate_hz, abs=1e-6)
-
-
-def test_a_restart_within_a_piece_parts_its_times(reception):
-    """Scans of both runs come in one piece: each is timed by the clock of its own run, and stamps grow on."""
+    """Within a piece times are a period apart, in each of its runs; from one piece to the next they grow."""
     sent = wires(500, 10, uptime_s=100.0) + wires(0, 10, uptime_s=0.0)
     scans = reception.take(b"".join(sent), NOW_S)
     assert [scan.run for scan in scans] == [0] * 10 + [1] * 10
+    sent = wires(10, 50)
+    scans += [*reception.take(b"".join(sent[:25]), NOW_S), *reception.take(b"".join(sent[25:]), NOW_S + 0.001)]
     steps_s = np.diff([scan.time_s for scan in scans])
     assert (steps_s > 0).all()
     assert steps_s[:9] == pytest.approx(1 / INFO.rate_hz, abs=1e-6)

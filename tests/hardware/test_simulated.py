@@ -1,11 +1,21 @@
-"""What a simulated sensor goes through: the script's forces."""
+"""What a simulated sensor goes through: the script's forces, and the resistances that a dataset has of them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from geometry.design import Array, SensorDesign
+import tripillar as tp
+from geometry.design import Array, Electrics, SensorDesign
 from geometry.errors import DesignError
-from hardware.boards.simulated import PressAndSlide
+from hardware.boards.simulated import PressAndSlide, press_and_slide
+from hardware.link.frames import ScanMode
+from hardware.link.scanner import Scanner
+from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar_readout import shunts_of
+from hardware.virtual import VirtualSensor
+from tests.decoupler.test_sensor_model import RESPONSE, conducted
 
 
 def test_the_script_presses_slides_and_lifts_over_and_over():
@@ -21,9 +31,23 @@ def test_the_script_presses_slides_and_lifts_over_and_over():
     assert np.abs(traction).argmax() // 27 == 2
     assert script.tractions(times_s + 6.0, design) == pytest.approx(traction)
     assert not PressAndSlide(peak_mpa=0.0).tractions(times_s, design).any()
+    with pytest.raises(DesignError, match="peak_mpa"):
+        PressAndSlide(peak_mpa=np.nan)
 
 
-@pytest.mark.parametrize("settings", [{"peak_mpa": -1.0}, {"peak_mpa": np.nan}, {"friction": -1.0}])
-def test_a_script_that_makes_no_sense_is_refused(settings):
-    with pytest.raises(DesignError, match=next(iter(settings))):
-        PressAndSlide(**settings)
+@pytest.mark.parametrize("law", ["eq1", "conduction"])
+def test_a_board_sends_what_the_law_of_its_design_gives(law):
+    """Pillars as the other route from forces to ohms has them; by conduction what joins wires beside them, too."""
+    given = conducted(0.5) if law == "conduction" else RESPONSE
+    given = replace(given, design=replace(given.design, electrics=Electrics(model=law)))
+    motion = press_and_slide(given, PressAndSlide(seconds=0.5))
+    sensor = VirtualSensor(given.design, response=given, environments=100)
+    assert motion.resistance_ohm == pytest.approx(sensor.resistances(torch.from_numpy(motion.force_n)).numpy())
+    rows, cols, _ = motion.resistance_ohm.shape[1:]
+    wired = Crossbar.suited(ScanMode.DIVIDER, rows=rows, cols=cols, bits=16, shunt_siemens=shunts_of(given.design))
+    alone = replace(wired, shunt_siemens=(0.0, 0.0, 0.0)).counts(motion.resistance_ohm[:1])[0]
+    expected = wired.counts(motion.resistance_ohm[:1])[0]
+    assert (np.abs(expected - alone).max() > 10) == (law == "conduction")
+    board = tp.board(given, chip="python", bits=16, mode="divider", pressure_mpa=0.0)
+    with board as port, Scanner(port) as scanner:
+        assert np.array_equal(scanner.get(10).frame.counts, expected)

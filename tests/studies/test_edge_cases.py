@@ -2,58 +2,41 @@
 
 import json
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from fem.factor import SolverError
 from studies.edge_cases import __main__ as command
-from studies.edge_cases.scenes import flattened, scene_trials, signed_volumes
+from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import Judged, Trial, tried
 from tripillar.terminal.entry import run_alone
 
-CHEAP = {
-    "poisson": ["ν = 0, whole top"],
-    "slender": ["0.1 × 0.1 × 10 pressed", "1 × 1 × 100 dragged"],
-    "zero load": ["skipped", "computed"],
-}
+CHEAP = ("ν = 0, whole top", "0.1 × 0.1 × 10 pressed", "1 × 1 × 100 dragged", "skipped", "computed", "0.1°, ν = 0.4999")
 
 
 def judged(error: float) -> Judged:
     return Judged(residual=0.0, error=error, allowed=1e-3, against="a twin")
 
 
-def refuse() -> Judged:
-    raise SolverError("the moduli differ too widely")
-
-
 def test_errors_beyond_what_is_allowed_are_wrong_and_refusals_are_not():
-    cases = {
-        "right": lambda: judged(1e-3),
-        "WRONG": lambda: judged(1.01e-3),
-        "WRONG: ZeroDivisionError: division by zero": lambda: judged(1 / 0),
-        "refused: the moduli differ too widely": refuse,
-    }
-    for verdict, run in (*cases.items(), ("WRONG", lambda: judged(np.nan))):
+    refuse = Mock(side_effect=SolverError("the moduli differ too widely"))
+    for verdict, run in (
+        ("right", lambda: judged(1e-3)),
+        ("WRONG", lambda: judged(np.nan)),
+        ("WRONG: ZeroDivisionError: division by zero", lambda: judged(1 / 0)),
+        ("refused: the moduli differ too widely", refuse),
+    ):
         assert tried(Trial(name="trial", value="1", run=run)).verdict == verdict
-
-
-def test_nodes_are_pushed_until_cells_are_nearly_flat_but_not_inside_out():
-    mesh, smallest_deg = flattened(0.5)
-    assert 0.5 <= smallest_deg < 0.51
-    flat, before = signed_volumes(mesh.p, mesh.t), signed_volumes(flattened(30.0)[0].p, mesh.t)
-    assert (flat * before > 0).all()
-    assert np.abs(flat).sum() == pytest.approx(1.0)  # the unit cube is still filled
 
 
 def test_cheap_trials_come_out_as_they_should():
     """With the linear field on nearly flat cells, which quadratic elements hold exactly."""
-    trials = {(trial.name, trial.value): trial for trial in scene_trials()}
-    assert len(trials) == len(scene_trials()), "trials are told apart by name and value"
-    flat = [value for name, value in trials if name == "flat cells" and value.startswith("0.1°")]
-    for name, values in {**CHEAP, "flat cells": flat}.items():
-        for value in values:
-            assert tried(trials[name, value]).verdict.split(":")[0] == "right", (name, value)
+    trials = [trial for trial in scene_trials() if trial.value in CHEAP]
+    assert len(trials) == len(CHEAP)
+    for trial in trials:
+        assert tried(trial).verdict.split(":")[0] == "right", (trial.name, trial.value)
 
 
 @pytest.mark.parametrize(("error", "status"), [(1e-4, 0), (1e-2, 1)])
@@ -66,11 +49,3 @@ def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error,
     (stored,) = json.loads((tmp_path / "edge-cases.json").read_text(encoding="utf-8"))["tables"].values()
     assert [entry["verdict"] for entry in stored] == ["WRONG" if status else "right"]
     assert "a twin" in capsys.readouterr().out
-
-
-@pytest.mark.long
-def test_every_trial_of_the_table_is_right_or_refused(tmp_path, monkeypatch):
-    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))  # which the command sets anew, and this gives back
-    command.judge_all(out=tmp_path)
-    (stored,) = json.loads((tmp_path / "edge-cases.json").read_text())["tables"].values()
-    assert len(stored) == len(scene_trials())

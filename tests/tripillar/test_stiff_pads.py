@@ -19,13 +19,14 @@ from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
-from fem.scene.loads import SceneError
+from fem.scene.loads import SceneError, StiffLoad
+from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.errors import FileFormatError
+from geometry.layout import electrode_squares, unit_centres
+from geometry.mesh import TetMesh
 from studies.pads import with_pad
-from tests.fem.test_plate import moved as moved_of
-from tests.fem.test_plate import on_electrodes
-from tests.fem.test_unit_check import structured
+from tests.fem.scenes import box_mesh
 from tripillar.face.caller import Caller, called_by
 from tripillar.face.checks import mention_another_sensor
 
@@ -34,10 +35,17 @@ TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, 0.0]])
 
 
 def scene_of_plates(off_mm=0.0):
-    """The pair under `TRACTION`, its first plate off its place; U1 and U2 of both units are asked for."""
-    scene = on_electrodes(PAIR, 144.0 * TRACTION, 2e-2)
-    x, y = scene.loads[0].center_mm
-    return replace(scene, loads=(replace(scene.loads[0], center_mm=(x + off_mm, y)), *scene.loads[1:]))
+    """The pair under `TRACTION`, its second plate off its place; U1 and U2 of both units are asked for."""
+    loads = tuple(
+        StiffLoad(center_mm=(x - off_mm * (x > 0), y), size_mm=(12.0, 12.0), force_n=tuple(144.0 * traction))
+        for (x, y), traction in zip(unit_centres(PAIR), TRACTION, strict=True)
+    )
+    probes = tuple(
+        Probe(name=str(k), kind="mean", center_mm=tuple((s[:2] + s[2:]) / 2), size_mm=tuple(s[2:] - s[:2]))
+        for k, s in enumerate(electrode_squares(PAIR))
+    )
+    body, rubber = Sensor(design=PAIR), PAIR.matrix_material
+    return Scene(body=body, material=rubber, loads=loads, probes=probes, tolerance=2e-2)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +85,7 @@ def test_a_scene_with_every_plate_is_the_response(responses):
         solve_scene_parts(scene_of_plates(off_mm=0.5), stress=False)
     plan = make_plan(asked)
     assert plan.method == "cells"
-    found = moved_of(follow(plan, asked))
+    found = np.array(list(follow(plan, asked).probes.values()))
     expected = displacements(responses["stiff"], TRACTION[None])[0].reshape(-1, 3)
     assert np.abs(found - expected).max() < 2e-2 * np.abs(expected).max()
     alone = replace(asked, loads=asked.loads[:1])  # no plate on the other unit: another body, of boxes
@@ -87,9 +95,12 @@ def test_a_scene_with_every_plate_is_the_response(responses):
 def test_a_unit_of_other_tools_has_rigid_plates():
     """Scikit-fem's forms: U1 and U2 under one plate keep their distance, and sink less where it holds the rubber."""
     design = replace(PAIR, unit=Unit(span_mm=6.0), pad=Pad(size_mm=10.0, kind="stiff"))
-    own = {}
+    x, y, h = design.slab_mm
+    box, own = box_mesh((12, 6, 3), (x, y, h)), {}
+    points_mm = box.p.T - np.array([x / 2, y / 2, 0.0])
+    mesh = TetMesh(points_mm, box.t.T.astype(np.int64), np.zeros(box.nelements, dtype=np.int64))
     for kind in PAD_KINDS:
-        found = meshed_response(with_pad(design, kind), structured(design, (12, 6, 3)))
+        found = meshed_response(with_pad(design, kind), mesh)
         assert found.residual < 1e-12
         own[kind] = found.influence_mm_per_n[0, 0, :, :, 0, 0]  # electrode, axis, load axis
     stretch = {kind: np.abs(u[1, 1] - u[0, 1]).max() for kind, u in own.items()}  # they are apart along y

@@ -12,7 +12,10 @@ from dataset import DatasetSettings, read_samples, simulate
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
 from fem.array.closed_forms import layer_response
+from fem.contact import surface_compliance
 from hardware.link.frames import Info, ScanMode
+from studies.pictures.touch import draw_ball, traction_of
+from studies.touched import read_touch
 from tests.decoupler.synthetic_sensor import layer_sensitivities
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
@@ -74,6 +77,16 @@ def test_a_recording_is_replayed_and_shown_with_it(house):
     (contact,) = shown[-1]["contacts"]
     net = np.array(shown[-1]["net_force_n"])
     assert (np.abs(np.array(contact["force_n"]) - net) < 3 * np.array(contact["force_deviation_n"])).all()
+
+
+def test_the_traction_that_is_drawn_carries_the_decoded_force(house):
+    model = read_touch(house.folder / "touch.safetensors")
+    images = draw_ball(model, surface_compliance(model.design)[0], frames=2)
+    assert len({image.tobytes() for image in images}) == 2
+    reading = model.reading(read_samples(house.folder / "indent.nc").resistance_ohm)[0]
+    whole = model.touched(reading)
+    followed = model.touched(reading, whole.fits)  # no nearest presses in it, which have no traction
+    assert traction_of(followed)[1][2].sum() == pytest.approx(followed.force_n[:, 2].sum(), rel=0.01)
 
 
 def test_what_a_decoder_of_touch_cannot_is_refused_and_one_of_pads_says_that_contacts_are_none_of_its_loads(house):

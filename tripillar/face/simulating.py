@@ -108,14 +108,16 @@ def board(
     own = Imperfections(**SPECIMEN.of(more))
     script = stages.PressAndSlide(peak_mpa=pressure_mpa, seconds=period_s)
     if design is None or isinstance(design, SensorDesign | Path | str):
-        motion = stages.press_and_slide(stages.respond(design_of(design), caller.bars)[1], script)
+        response = stages.respond(design_of(design), caller.bars)[1]
     else:
-        motion = stages.press_and_slide(design, script)
+        response = design
+    motion, shunts = stages.press_and_slide(response, script), stages.shunts_of(response.design)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
-    counts = stages.counts_over_time(motion.resistance_ohm, replace(electronics.crossbar(told), noise=noise), own)
+    crossbar = replace(electronics.crossbar(told), noise=noise, shunt_siemens=shunts)
+    counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
     with stages.run_board(suited, told, counts, kept) as running:

@@ -1,9 +1,11 @@
-"""Conduction held against closed forms: bars, sheared prisms, constrictions, rotations; and its derivatives."""
+"""Conduction held against closed forms: bars, constrictions, rotations; its derivatives, and its reduction."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 
-from fem.conduction.meshes import Hexahedra, joined
+from fem.conduction.meshes import Hexahedra, joined, unit_hexahedra
 from fem.conduction.potentials import (
     Conductor,
     Piezoresistivity,
@@ -13,6 +15,7 @@ from fem.conduction.potentials import (
     unit_conductances,
     unit_conductors,
 )
+from fem.conduction.reduced import reduced_conduction
 from geometry.design import Unit
 from geometry.errors import DesignError
 
@@ -23,47 +26,36 @@ def graded(start, end, *singular):
     return np.array(sorted(line for line in lines if start <= line <= end))
 
 
-def box(x, y, z, order, *on_terminals) -> Hexahedra:
-    """Hexahedra between lines, with faces z = first and z = last as terminals unless others are given."""
+def box(x, y, z, order, half=np.inf) -> Hexahedra:
+    """Hexahedra between lines; the terminals are the faces z = first, to a half width along x, and z = last."""
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     ends = [slice(None, -1), slice(1, None)]
     corners = np.stack([grid[a, b, c] for a in ends for b in ends for c in ends], axis=3).reshape(-1, 8, 3)
-    faces = [lambda at: at[:, 2] < z[0] + 1e-9, lambda at: at[:, 2] > z[-1] - 1e-9]
-    return joined(corners, order, on_terminals or faces)
+    faces = [lambda at: (at[:, 2] < z[0] + 1e-9) & (np.abs(at[:, 0]) < half + 1e-9), lambda at: at[:, 2] > z[-1] - 1e-9]
+    return joined(corners, order, faces)
 
 
-def constant(F):
-    return lambda points: np.broadcast_to(np.asarray(F, dtype=float), (len(points), 3, 3))
+def resistance(mesh, F, piezo=None):
+    return -1 / Conductor(mesh).conductances(lambda at: np.broadcast_to(F, (len(at), 3, 3)), piezo)[0, 1]
 
 
-def resistance(mesh, F=None, piezo=None):
-    return -1 / Conductor(mesh).conductances(None if F is None else constant(F), piezo)[0, 1]
-
-
-@pytest.mark.parametrize("F", [np.diag([0.9, 0.8, 1.3]), [[1.1, 0.3, 0], [0.2, 0.9, 0], [0, 0, 0.8]]])
-def test_bar_under_uniform_strain_follows_its_length_and_section(F):
-    """R = ρ l / A of the deformed bar, whatever the shear of its section: exact on one element."""
-    F = np.asarray(F)
-    bar = box([0.0, 2.0], [0.0, 1.5], [0.0, 5.0], 1)
-    area = 3.0 * np.linalg.det(F[:2, :2])
-    assert resistance(bar, F) == pytest.approx(5.0 * F[2, 2] / area, rel=1e-12)
+def test_bar_under_uniform_strain_follows_its_length_section_and_resistivity():
+    """R = ρ l / A of the deformed bar, whatever the shear of its section: exact on one element. ρ is 1 + m₁₂ tr E +
+    (m₁₁ − m₁₂) E_zz, along z a principal axis."""
+    F = np.array([[1.1, 0.3, 0], [0.2, 0.9, 0], [0, 0, 0.8]])
+    bar, E = box([0.0, 2.0], [0.0, 1.5], [0.0, 5.0], 1), (F.T @ F - np.eye(3)) / 2
+    for along, across in ((0.0, 0.0), (3.0, -2.0)):
+        resistivity = 1 + across * np.trace(E) + (along - across) * E[2, 2]
+        expected = resistivity * 5.0 * 0.8 / (3.0 * np.linalg.det(F[:2, :2]))
+        assert resistance(bar, F, Piezoresistivity(along=along, across=across)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_strip_electrode_on_a_wide_end_adds_its_constriction():
     """ρ/(π t) ln(1/sin(π e/2b)) by conformal mapping, for an electrode 2e on the end 2b of a sheet of thickness t."""
     e, b, t, length = 0.4, 1.0, 0.5, 4.0
-    ends = [lambda at: (at[:, 2] < 1e-9) & (np.abs(at[:, 0]) < e + 1e-9), lambda at: at[:, 2] > length - 1e-9]
-    mesh = box(graded(-b, b, -e, e), [0.0, t], np.concatenate([graded(0, 1, 0), [2.0, 3.0, length]]), 4, *ends)
+    mesh = box(graded(-b, b, -e, e), [0.0, t], np.concatenate([graded(0, 1, 0), [2.0, 3.0, length]]), 4, half=e)
     expected = length / (2 * b * t) + np.log(1 / np.sin(np.pi * e / (2 * b))) / (np.pi * t)
-    assert resistance(mesh) == pytest.approx(expected, rel=5e-4)
-
-
-def test_piezoresistive_bar_follows_its_coefficients():
-    """A bar stretched by e along the current, thinned by e': ρ changes by m₁₁ e − 2 m₁₂ e', to first order."""
-    bar, e, thinner = box([0.0, 1.0], [0.0, 1.0], [0.0, 3.0], 1), 1e-6, 0.4e-6
-    F = np.diag([1 - thinner, 1 - thinner, 1 + e])
-    change = resistance(bar, F, Piezoresistivity(along=3.0, across=-2.0)) / resistance(bar, F) - 1
-    assert change == pytest.approx(3.0 * e - 2 * -2.0 * thinner, rel=1e-4)
+    assert resistance(mesh, np.eye(3)) == pytest.approx(expected, rel=5e-4)
 
 
 @pytest.mark.parametrize(("z", "along", "says"), [(-0.1, 0.0, "inside out"), (1.5, -5.0, "no resistivity above 0")])
@@ -92,14 +84,16 @@ def test_electrodes_narrower_than_pillars_are_as_near_as_they_say():
     assert (found.error_estimate < 2e-3).all()
 
 
-def bent(points):
-    """Gradients of a smooth field, no symmetry left."""
-    x, y, z = points.T / 10
-    g = np.zeros((len(points), 3, 3))
-    g[:, 0] = np.stack([0.1 * z, 0.2 * x, -0.3 * z * x], axis=1)
-    g[:, 1] = np.stack([0.1 * y, 0.15 * z, 0.1 - 0.2 * y], axis=1)
-    g[:, 2] = np.stack([-0.2 * x, 0.1 * y * z, -0.2 - 0.1 * z], axis=1)
-    return g
+def squeezed(points, share=1.0):
+    """Deformation of a unit squeezed by a fifth, sheared and bulged, volume kept; or by a share of that."""
+    x, y, z = points.T / 5
+    H = np.zeros((len(points), 3, 3))
+    H[:, 2, 2] = 0.1 * (z - 1) - 0.2
+    H[:, 0, 0] = 0.1 * x
+    H[:, 0, 2], H[:, 1, 2], H[:, 2, 0] = 0.15 * z, 0.1, 0.1 * x * z
+    H[:, 0, 1] = 0.05 * y
+    F = np.eye(3) + share * H
+    return F / np.cbrt(np.linalg.det(F))[:, None, None]
 
 
 def test_rotation_changes_nothing_and_derivatives_at_rest_follow_the_solve():
@@ -107,13 +101,31 @@ def test_rotation_changes_nothing_and_derivatives_at_rest_follow_the_solve():
     conductor, piezo = unit_conductors(Unit())[0], Piezoresistivity(along=2.0, across=0.5)
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    strained = conductor.conductances(lambda at: np.eye(3) + bent(at), piezo)
-    assert conductor.conductances(lambda at: turn @ (np.eye(3) + bent(at)), piezo) == pytest.approx(strained, abs=1e-9)
+    strained = conductor.conductances(squeezed, piezo)
+    assert conductor.conductances(lambda at: turn @ squeezed(at), piezo) == pytest.approx(strained, abs=1e-9)
 
-    def at(share):
-        matrix = conductor.conductances(lambda at: np.eye(3) + share * bent(at), piezo)
-        return pillars_per_mm(matrix, conductor.mesh.pairs)
+    H = squeezed(conductor.mesh.points_mm) - np.eye(3)
+    above, below = (
+        pillars_per_mm(conductor.conductances(lambda at, s=s: np.eye(3) + s * H, piezo), conductor.mesh.pairs)
+        for s in (1e-4, -1e-4)
+    )
+    slope = np.einsum("pqab,qab->p", strain_derivatives(conductor, piezo), H)
+    assert slope == pytest.approx((above - below) / 2e-4, rel=1e-6)
 
-    S = strain_derivatives(conductor, piezo)
-    slope = np.einsum("pqab,qab->p", S, bent(conductor.mesh.points_mm))
-    assert slope == pytest.approx((at(1e-4) - at(-1e-4)) / 2e-4, rel=1e-6)
+
+def test_a_few_potentials_and_points_give_the_resistances_of_all(monkeypatch):
+    """As near to a solve with the mesh's own unknowns as compression leaves it, from the same resistance at rest."""
+    mesh = (2, 1, False)
+    monkeypatch.setattr("fem.conduction.reduced.MESH", mesh)
+    seen = np.linspace(-0.4, 1.2, 7)
+    reduced = reduced_conduction(Unit(), lambda points, pillar, weight: (squeezed(points, share) for share in seen))
+    assert len(reduced.points_mm) <= 80  # of 5616
+    assert (reduced.weight_mm3 > 0).all()
+    at_rest = reduced.conductances(np.broadcast_to(np.eye(3), (len(reduced.points_mm), 3, 3)))
+    assert at_rest == pytest.approx(unit_conductances(Unit()).matrix_mm, rel=1e-9)
+    whole = Conductor(unit_hexahedra(Unit(), *mesh))
+    read, share = partial(pillars_per_mm, pairs=whole.mesh.pairs), 0.9  # none of those seen
+    change = read(whole.conductances(partial(squeezed, share=share))) / read(whole.conductances())
+    assert np.abs(change - 1).max() > 0.05
+    found = reduced.conductances(squeezed(reduced.points_mm, share))
+    assert read(found) / read(at_rest) == pytest.approx(change, rel=1e-3)

@@ -1,6 +1,11 @@
 """A recording gives back all that was recorded; what is damaged is left out and named; what is none is refused."""
 
+import os
+import resource
+import signal
+from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,20 +13,44 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import FileFormatError
-from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
+from hardware.boards.virtual_board import a_frame
+from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode, missing_between
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
 from tests.hardware.boards import recording_from_resistances
-from tests.hardware.recording.recorded_frames import CALIBRATION, INFO, MADE_FROM, assert_same, frames, record
 from tests.hardware.test_decoder import U8, U32, infos
 
-EACH_FILE = settings(
-    max_examples=25,
-    phases=[Phase.generate],
-    derandomize=True,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-BEGINS = st.sampled_from(["", "", "", "", "", "restart", "reconnect", "append"])
+INFO = Info(
+    rows=2, cols=3, bits=16, scan_mode=ScanMode.GROUNDED, firmware=(1, 2, 255), rate_hz=200, serial=2**32 - 1,
+    sense_ohm=2**32 - 1, vref_mv=3300,
+)  # fmt: skip
+MADE_FROM = {"model_recipe": "0123456789abcdef", "design_hash": "fedcba9876543210"}
+CALIBRATION = '{"note": "Prüfstand, 20 °C", "gain": [1.0, 0.98]}'
+
+
+def frames(n, start=0, info=INFO):
+    """Consecutive frames whose counts tell them apart; both counters and the clock wrap soon after the start."""
+    counts = np.random.default_rng(start).integers(0, 2**info.bits, (n, info.n_crossings))
+    return [
+        a_frame(info, counts[k - start], 65_530 + k, 2**32 - 20_000 + k * 1_000_000 // info.rate_hz, k % 256)
+        for k in range(start, start + n)
+    ]
+
+
+def record(path, sent, **options):
+    """Record frames and give back their times, which use every bit of a float64."""
+    received_s = (1.8e9 + np.cumsum(np.random.default_rng(1).exponential(0.005, len(sent)))).tolist()
+    with Recorder(path, INFO, **options) as recorder:
+        for frame, time_s in zip(sent, received_s, strict=True):
+            recorder.append(frame, time_s)
+    return received_s
+
+
+def assert_same(recording, sent, received_s):
+    """Every bit of every frame, and nothing else."""
+    assert recording.counts.tolist() == [frame.counts.tolist() for frame in sent]
+    for name in ("sequence", "device_us", "flags", "overruns"):
+        assert getattr(recording, name).tolist() == [getattr(frame, name) for frame in sent], name
+    assert recording.received_s.tolist() == list(received_s)
 
 
 @pytest.fixture
@@ -29,6 +58,11 @@ def path(tmp_path):
     return tmp_path / "press.frames"
 
 
+SHARED_FOLDER = [HealthCheck.function_scoped_fixture]
+EACH_FILE = settings(
+    max_examples=25, phases=[Phase.generate], derandomize=True, deadline=None, suppress_health_check=SHARED_FOLDER
+)
+BEGINS = st.sampled_from(["", "", "", "", "", "restart", "reconnect", "append"])
 #: of each frame its steps in sequence and clock, arrival, whether a run begins with it, and the rest of it
 STEPS = st.tuples(
     st.sampled_from([1, 1, 1, 2, 700, 40_000]), st.integers(1, 2**31 - 1), st.floats(1e9, 9.9e9), BEGINS, U8, U32
@@ -67,8 +101,9 @@ def test_what_was_recorded_is_read_to_the_last_bit(path, info, steps, calibratio
     assert (recording.info, recording.calibration, recording.made_from) == (info, calibration, made_from)
     found = recording.statistics
     assert (found.bad_crc, found.foreign, found.ok) == (met.bad_crc, met.foreign, len(sent))
-    assert found.lost == sum(recorder.lost for recorder in recorders)
-    assert found.restarts == sum(recorder.restarts for recorder in recorders)
+    within = [missing_between(*pair) for pair, begins in zip(pairwise(sent), runs[1:], strict=True) if not begins]
+    assert found.lost == sum(missing or 0 for missing in within)
+    assert found.restarts == within.count(None) + runs.count("restart")
     assert recording.run[-1] == sum(map(bool, runs)) + found.restarts - runs.count("restart")
 
 
@@ -78,7 +113,6 @@ def test_clocks_are_unwrapped_and_go_on_by_the_hosts_from_run_to_run(path):
     assert recording.time_s == pytest.approx(2**32 * 1e-6 - 0.020 + 0.005 * np.arange(100), abs=1e-9)
     with Recorder(path, INFO, append=True) as recorder:  # an hour later
         recorder.append(frames(1, 1000)[0], received_s[-1] + 3600)
-        assert (recorder.lost, recorder.frames) == (0, 1)
         later = read_recording(path)  # while it is being written
     assert later.time_s[100] - later.time_s[99] == pytest.approx(3600, abs=1e-3)
     assert later.statistics.lost == 0
@@ -89,7 +123,7 @@ BOARD = Info(rows=2, cols=3, bits=12, rate_hz=200)
 SIZE = 12 + 2 * 108 + 2 + 1 + 1  # bytes on the wire of a data frame of 6 × 6 units
 
 
-def a_frame(k, n=18, **changes):
+def a_wire(k, n=18, **changes):
     values = {"sequence": k, "device_us": 5000 * k, "bits": 12, "counts": np.full(n, 100 + k)}
     return encode(Frame(**values | changes))
 
@@ -97,21 +131,17 @@ def a_frame(k, n=18, **changes):
 def test_the_bytes_of_a_board_are_a_recording_without_times_of_arrival(path):
     """Joined in mid-stream; more than one step of 1 MiB, with frames at the seams; the end cut."""
     ohms = np.random.default_rng(5).uniform(5e3, 20e3, (5_000, 6, 6, 3))
-    ohms[1, 0, 2, 1], ohms[3, 1, 0, 0] = 1e9, 0.0  # open, short
-    amplified = replace(
-        BOARD, rows=6, cols=6, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_000
-    )  # sees no ways around what is open
-    whole = recording_from_resistances(ohms, amplified, first_us=10**6)
-    path.write_bytes(a_frame(0)[20:] + whole + encode(amplified))
+    info = replace(BOARD, rows=6, cols=6)
+    whole = recording_from_resistances(ohms, info, first_us=10**6)
+    path.write_bytes(a_wire(0)[20:] + whole + encode(info))
     recording = read_recording(path)
-    assert (recording.info, recording.counts.shape, recording.received_s) == (amplified, (5_000, 108), None)
+    assert (recording.info, recording.counts.shape, recording.received_s) == (info, (5_000, 108), None)
     assert recording.time_s == pytest.approx(1.0 + 0.005 * np.arange(5_000))
-    assert recording.flags[:5].tolist() == [4, 5, 4, 5, 4]
     assert (recording.statistics, recording.truncated_bytes) == (Statistics(ok=5_000, info=1), 0)
     for cut in (1, SIZE - 1):
         recording = parse_recording(whole[: len(whole) - cut])
         assert (recording.statistics.ok, recording.truncated_bytes) == (4_999, SIZE - cut)
-    lost = parse_recording(encode(BOARD) + a_frame(0) + 2 * a_frame(1) + a_frame(4))
+    lost = parse_recording(encode(BOARD) + a_wire(0) + 2 * a_wire(1) + a_wire(4))
     assert lost.time_s == pytest.approx([0.0, 0.005, 0.020])
     assert (lost.statistics.lost, lost.statistics.repeated) == (2, 1)
 
@@ -157,25 +187,15 @@ HEAD = encode(BOARD)
     ("content", "message"),
     [
         (None, r"other: no such file: give"),
-        (b"", "no valid frame in 0 bytes"),
         (b"force_n,1.0\n" * 50, "no valid frame in 600 bytes"),
-        (bytes(1000), "no valid frame in 1000 bytes"),
-        (HEAD[:-1], "no valid frame"),
-        (a_frame(0) + a_frame(1), "2 data frames but no INFO frame of protocol 1"),
+        (a_wire(0) + a_wire(1), "2 data frames but no INFO frame of protocol 1"),
         (HEAD, "an INFO frame but no data frame"),
-        (HEAD + a_frame(0) + a_frame(1, n=12), "a data frame has 12 counts .* 2 × 3 units, which make 18"),
-        (HEAD + a_frame(0, bits=13), "13 bits in scan mode 0, .* 12 bits in DIVIDER"),
-        (HEAD + a_frame(0, scan_mode=ScanMode.GROUNDED), "12 bits in scan mode 1"),
-        (HEAD + a_frame(0) + encode(replace(BOARD, serial=2)), "two INFO frames that differ"),
-        ({"format": "other"}, "not a recording of TriPillar"),
+        (HEAD + a_wire(0) + a_wire(1, n=12), "a data frame has 12 counts .* 2 × 3 units, which make 18"),
+        (HEAD + a_wire(0) + encode(replace(BOARD, serial=2)), "two INFO frames that differ"),
         ({"version": 1}, "not a recording of TriPillar, version 2"),
         ({"rows": -3}, "its header is damaged .*rows=-3"),
-        ({"scan_mode": "grounded"}, "its header is damaged"),
-        ({"sense_ohm": None}, "its header is damaged .*sense_ohm"),
         ({"bits": 12}, r"16 bits in scan mode 1, .* 12 bits"),
-        (b"CDF\x05", "an export for other programs, which is not read back: give the recording"),
-        (b"\x89HDF\r\n\x1a\n" + bytes(100), "an export"),
-        (b"\x89MCAP0\r\n", "an export"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(100), "an export for other programs, which is not read back: give"),
     ],
 )  # fmt: skip
 def test_what_is_no_recording_is_one_line(path, content, message, monkeypatch):
@@ -202,7 +222,6 @@ def test_what_is_no_recording_is_one_line(path, content, message, monkeypatch):
         ({"made_from": MADE_FROM}, "recorded with made_from {}, not {'model_recipe'"),
         (b"force_n,1.0\n" * 50, "not made by a recorder: record to a new file"),
     ],
-    ids=["exists", "board", "calibration", "model", "no recording"],
 )
 def test_another_file_is_neither_overwritten_nor_continued(path, changes, message):
     if isinstance(changes, bytes):
@@ -217,29 +236,69 @@ def test_another_file_is_neither_overwritten_nor_continued(path, changes, messag
     assert path.read_bytes() == before
 
 
-def test_two_boards_frames_of_another_and_times_that_are_none_leave_the_others(path):
-    record(path, frames(3))
-    record(path.with_name("b"), frames(3), calibration="{}")
-    with pytest.raises(FileFormatError, match="keep one board with one setting"):
-        parse_recording(path.read_bytes() + path.with_name("b").read_bytes())
-    with Recorder(path, INFO, append=True) as recorder:
+def test_frames_of_another_board_and_times_that_are_none_leave_the_others(path):
+    with Recorder(path.parent / "new" / path.name, INFO) as recorder:  # a folder that is not there is made
+        recorder.append(frames(1)[0], 1.8e9)
         for frame, time_s, message in (
             (frames(1, info=replace(INFO, rows=3))[0], 1.8e9, "has 27 counts .* 2 × 3 units, which make 18 of 16 bits"),
-            (frames(1, info=replace(INFO, bits=12))[0], 1.8e9, "12 bits in scan mode 1"),
-            *((frames(1)[0], time_s, r"Unix time \[s\], 0 to 1e\+10") for time_s in (float("nan"), -1.0, 1.8e18)),
+            *((frames(1)[0], time_s, r"Unix time \[s\], 0 to 1e\+10") for time_s in (float("nan"), 1.8e18)),
         ):
             with pytest.raises(ValueError, match=message):
                 recorder.append(frame, time_s)
-    assert len(read_recording(path).counts) == 3
+    assert len(read_recording(recorder.path).counts) == 1
     with pytest.raises(RecordingError, match="the recorder is closed"):
         recorder.append(frames(1)[0], 1.8e9)
+    with pytest.raises(FileFormatError, match="is a device"):
+        Recorder("/dev/zero", INFO, append=True)
 
 
-def test_places_where_no_file_can_be_and_other_origins(path):
-    path.with_name("file").touch()
-    for name, message in (("file/press.frames", "is not a folder"), ("/dev/zero", "is a device")):
-        with pytest.raises(FileFormatError, match=message):
-            Recorder(path.parent / name, INFO, append=True)
-    with pytest.raises(ValueError, match=r"made_from has \['model'\], allowed are \['model_recipe', 'design_hash'\]"):
-        Recorder(path, INFO, made_from={"model": "?"})
-    record(path.parent / "new" / "press.frames", frames(1), append=True)  # a folder that is not there is made
+# where something goes wrong: Ctrl-C, disks that are full; kills are those of its command
+
+
+def test_ctrl_c_waits_for_the_frame_to_be_written(path, monkeypatch):
+    write = os.write
+
+    def interrupted(file, data):
+        signal.raise_signal(signal.SIGINT)
+        return write(file, data[:100])  # the rest is yet to be written
+
+    with Recorder(path, INFO) as recorder, monkeypatch.context() as patch:
+        patch.setattr("hardware.recording.frames_file.os.write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            recorder.append(frames(1)[0], 1.8e9)
+    assert_same(read_recording(path), frames(1), [1.8e9])
+
+
+@contextmanager
+def room_for(size):
+    """A limit on the size of files stands for a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("room", [0, 49])
+def test_a_full_disk_is_one_line_and_the_frames_up_to_there_are_kept(path, room):
+    """However much of the next frame, or of the header of a first or next session, still finds room."""
+    with room_for(10), pytest.raises(RecordingError, match=r"the disk is full .*: give a file on a disk that has"):
+        Recorder(path, INFO)
+    assert list(path.parent.iterdir()) == []
+    record(path, (many := frames(101))[:50])
+    before = path.read_bytes()
+    message = r"the disk is full .*; the recording is as it was: give a file"
+    with room_for(len(before) + 100), pytest.raises(RecordingError, match=message):
+        Recorder(path, INFO, append=True)
+    assert path.read_bytes() == before
+    with Recorder(path, INFO, append=True) as recorder:
+        for frame in many[50:100]:
+            recorder.append(frame, 1.8e9)
+        size = path.stat().st_size
+        message = rf"^{path}: the disk is full [^\n]* recording ended, all 50 frames up to here are kept: make room"
+        with room_for(size + room), pytest.raises(RecordingError, match=message):
+            recorder.append(many[100], 1.8e9)
+    recording = read_recording(path)
+    assert recording.counts.tolist() == [frame.counts.tolist() for frame in many[:100]]
+    assert (recording.truncated_bytes, recording.damaged_at, path.stat().st_size) == (0, (), size)
