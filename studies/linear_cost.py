@@ -108,16 +108,14 @@ def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
 def as_table(found: list[Cost]) -> str:
     """The rows of docs/physics.md."""
     lines = [
-        "| protocol | peak [MPa] | samples | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| protocol | peak [MPa] | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
     ]
     for one in found:
         forces = [
             f"{e:.1f} of {s:.1f}" if s > 0 else f"{e:.1f} of 0" for e, s in zip(one.force, one.size_n, strict=True)
         ]
-        lines.append(
-            f"| {one.protocol} | {one.peak_mpa:g} | {one.samples} | {one.displacement:.1%} | {' | '.join(forces)} |"
-        )
+        lines.append(f"| {one.protocol} | {one.peak_mpa:g} | {one.displacement:.1%} | {' | '.join(forces)} |")
     return "\n".join(lines).replace("%", " %") + "\n"
 
 

@@ -13,7 +13,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dataset import OPEN_OHM, DatasetSettings, Imperfections, Samples, in_memory, read_samples, simulate
+from dataset import OPEN_OHM, DatasetSettings, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.stored import is_current
 from dataset.table import columns_of, write_table
@@ -102,18 +102,18 @@ def test_a_file_gives_back_every_bit_and_what_made_it(data, tmp_path, form):
 
 def test_netcdf_keeps_the_contract(data, response, tmp_path):
     """Read with the NetCDF library alone: names, dims, types, coordinates and attributes are what others see."""
-    grid = ("sample", "row", "col")
     contract = {
-        "traction_mpa": ((*grid, "axis"), "MPa"),
-        "force_n": ((*grid, "axis"), "N"),
-        "displacement_mm": ((*grid, "electrode", "axis"), "mm"),
-        "length_mm": ((*grid, "pillar"), "mm"),
-        "resistance_ohm": ((*grid, "pillar"), "ohm"),
+        "traction_mpa": (("axis",), "MPa"),
+        "force_n": (("axis",), "N"),
+        "displacement_mm": (("electrode", "axis"), "mm"),
+        "length_mm": (("pillar",), "mm"),
+        "resistance_ohm": (("pillar",), "ohm"),
     }
     with netCDF4.Dataset(write(data, tmp_path / "a.nc")) as file:
         assert set(file.variables) == {*contract, "axis", "pillar", "electrode"}
         for name, (dims, units) in contract.items():
-            assert (file[name].dimensions, file[name].dtype, file[name].units) == (dims, np.float64, units)
+            expected = (("sample", "row", "col", *dims), np.float64, units)
+            assert (file[name].dimensions, file[name].dtype, file[name].units) == expected
             assert np.array_equal(file[name][:], getattr(data, name))  # to the last bit
         labels = {name: list(file[name][:]) for name in ("axis", "pillar", "electrode")}
         assert labels == {"axis": ["x", "y", "z"], "pillar": ["z", "x", "y"], "electrode": ["U1", "U2"]}
@@ -136,47 +136,28 @@ def test_what_later_stages_need_of_the_sensor_comes_back(response, tmp_path, dea
     made = simulate(response, DatasetSettings(protocol="contact", samples=4, **sensor))
     back = read_samples(write(made, tmp_path / f"a.{form}"))
     assert (back.noise, back.bits, type(back.bits)) == (0.01, 12, int)
-    assert np.array_equal(back.dead, Imperfections(**dead).dead_mask(2, 3))
     assert np.array_equal(back.dead, (back[:].resistance_ohm == OPEN_OHM).all(axis=0))
     assert [back.made_from[name] for name in ("gain_spread", "offset_ohm", "specimen")] == [0.1, 20.0, 9]
-    other = ~back.dead
-    for samples in (made, replace(made, made_from={}, design=None).labels()):
-        write(replace(samples, noise=0.02, bits=None, dead=other), tmp_path / f"b.{form}")
-        back = read_samples(tmp_path / f"b.{form}")
-        assert (back.noise, back.bits, back.design) == (0.02, None, samples.design)
-        assert np.array_equal(back.dead, other)
+    other = replace(made, noise=0.02, bits=None, dead=~back.dead)
+    back = read_samples(write(other, tmp_path / f"b.{form}"))
+    assert (back.noise, back.bits) == (0.02, None)
+    assert np.array_equal(back.dead, other.dead)
 
 
-@pytest.mark.parametrize("form", LABELLED)
-@pytest.mark.parametrize(
-    "attributes",
-    [
-        {"noise": "low"}, {"noise": -1.0}, {"noise": [0.1, 0.2]}, {"bits": 99}, {"bits": "twelve"}, {"bits": [12, 12]},
-        {"dead_pillars": ["0,0,z", "5,0,z"], "dead_rows": [0, 99], "dead_cols": "first"},
-        {"dead_pillars": "0,0,w", "dead_rows": 0.5, "dead_cols": 6}, {"design": "a 6 × 6 array"}, {"design": 5},
-    ],
-    ids=str,
-)  # fmt: skip
-def test_attributes_of_others_that_make_no_sense_are_passed_over(data, tmp_path, attributes, form):
-    """And they take no other attribute with them: the arrays are the contract."""
-    back = read_samples(by_others(data, tmp_path / f"a.{form}", lambda d: d.assign_attrs(attributes)))
-    missing = {"noise": 0.0, "bits": None, "design": None}
-    stated = {"noise": 0.001, "bits": 16, "design": data.design}
-    expected = stated | {name: missing[name] for name in missing.keys() & attributes.keys()}
-    assert {name: getattr(back, name) for name in stated} == expected
-    assert not back.dead.any()
-
-
+#: an attribute that makes no sense is passed over, and takes no other with it: the arrays are the contract
+SENSELESS = [
+    {"noise": "low"}, {"noise": [0.1, 0.2]}, {"bits": 99}, {"bits": "twelve"}, {"design": "a 6 × 6 array"},
+    {"dead_pillars": ["0,0,w", "5,0,z"], "dead_rows": 0.5, "dead_cols": "first"},
+]  # fmt: skip
 OTHERS = {
     "other dims": lambda d: d.transpose("pillar", "axis", "electrode", "col", "row", "sample"),
     "other labels": lambda d: d.sel(axis=["z", "x", "y"], pillar=["x", "y", "z"], electrode=["U2", "U1"]),
     "needed only": lambda d: d[["force_n", "resistance_ohm"]].drop_attrs(),
     "more": lambda d: d.assign(extra=("row", [1.0, 2.0])).assign_coords(sample=np.arange(5) + 100),
     "unnamed": lambda d: xr.Dataset({name: (list("abcd"), d[name].values) for name in LABELS}),
-    **{
-        f"of type {dtype}": lambda d, dtype=dtype: d.assign({name: d[name].astype(dtype) for name in LABELS})
-        for dtype in ("float32", "int32", ">f8")
-    },
+    "big-endian": lambda d: d.assign({name: d[name].astype(">f8") for name in LABELS}),
+    "float32": lambda d: d.assign({name: d[name].astype("float32") for name in LABELS}),
+    **{str(attributes): lambda d, given=attributes: d.assign_attrs(given) for attributes in SENSELESS},
 }
 
 
@@ -184,15 +165,17 @@ OTHERS = {
 @pytest.mark.parametrize("change", OTHERS)
 def test_files_of_others_are_read_by_their_labels(data, tmp_path, change, form):
     """In whatever order and type of numbers."""
-    back = read_samples(by_others(data, tmp_path / f"a.{form}", OTHERS[change]))
-    _, _, dtype = change.partition("of type ")
+    content, back = (
+        OTHERS[change](data.to_xarray()),
+        read_samples(by_others(data, tmp_path / f"a.{form}", OTHERS[change])),
+    )
     for name in LABELS:
-        assert np.array_equal(getattr(back[:], name), getattr(data, name).astype(dtype or float))
+        assert np.array_equal(getattr(back[:], name), getattr(data, name).astype("f4" if change == "float32" else "f8"))
         assert getattr(back[:], name).dtype == np.float64
-    assert back.dead.shape == (2, 3, 3)
     assert not back.dead.any()
-    if "noise" not in back.made_from:
-        assert (back.design, back.noise, back.bits) == (None, 0.0, None)
+    stated, missing = {"noise": 0.001, "bits": 16, "design": data.design}, {"noise": 0.0, "bits": None, "design": None}
+    kept = {name for name in stated if content.attrs.get(name) == data.to_xarray().attrs[name]}
+    assert {name: getattr(back, name) for name in stated} == {n: (stated if n in kept else missing)[n] for n in stated}
 
 
 def test_zarr_is_read_lazily_and_whatever_its_chunks(data, many, leaves, tmp_path):
@@ -210,8 +193,12 @@ def test_zarr_is_read_lazily_and_whatever_its_chunks(data, many, leaves, tmp_pat
 
 
 def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data, tmp_path):
-    """In any order, others between them; a semicolon goes with a decimal comma. Of whatever file, by the command."""
+    """In any order, others between them; a semicolon goes with a decimal comma. Of whatever file, also of float32."""
     data.only("length_mm").write(tmp_path / "a.zarr", dtype="float32")
+    single = read_samples(tmp_path / "a.zarr")
+    assert (single.dtype, single[:].displacement_mm) == (np.float32, None)
+    assert np.array_equal(single[:].length_mm, data.length_mm.astype(np.float32))
+    assert single.content_hash != data.content_hash
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
     assert told == {"file": "own.csv", "samples": 5, "columns": 54}
     names, *lines = (tmp_path / "own.csv").read_text().splitlines()
@@ -227,16 +214,18 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
         assert all(np.array_equal(getattr(back, name), getattr(data, name)) for name in LABELS)
     with pytest.raises(FileFormatError, match=r"end the name in \.csv"):
         write_table(data, tmp_path / "a.xlsx")
+    with pytest.raises(DesignError, match=r"end .* in \.zarr"):
+        data.write(tmp_path / "a.nc", dtype="float32")
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        *(("resistance_ohm", value, "pillar x; it must be finite, 1e-09 to 1e+15 ohm") for value in (np.nan, -5.0)),
-        *(("force_n", value, "axis y; it must be finite, -1e+06 to 1e+06 N") for value in (np.nan, -np.inf, 1e300)),
+        ("resistance_ohm", -5.0, "pillar x; it must be finite, 1e-09 to 1e+15 ohm"),
+        ("force_n", np.nan, "axis y; it must be finite, -1e+06 to 1e+06 N"),
     ],
-)  # fmt: skip
+)
 def test_senseless_values_are_named_with_their_place(data, tmp_path, name, value, said, form):
     values = getattr(data, name).copy()
     values[3, 1, 2, 1] = value
@@ -245,22 +234,12 @@ def test_senseless_values_are_named_with_their_place(data, tmp_path, name, value
     assert refusal(path) == f"{path}: {expected}"
 
 
-def test_places_are_counted_over_all_leaves_of_what_is_read(many, tmp_path):
-    moved = many.displacement_mm.copy()
-    moved[LEAF + 7, 1, 0, 1, 2] = np.nan
-    path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
-    assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
-    assert len(read_samples(path, labels_only=True)[:]) == len(many)
-
-
 BROKEN = [
     (lambda d: d.drop_vars("force_n"), ["has no variable 'force_n'", "give a file made by 'tripillar dataset'"]),
     (lambda d: d.drop_vars("axis").isel(axis=[0, 1]), ["dimension 'axis' is of size 2, expected ['x', 'y', 'z']"]),
     (lambda d: d.rename(pillar="channel"), ["'resistance_ohm' has the dims ('sample', 'row', 'col', 'channel')"]),
     (lambda d: d.assign_coords(pillar=["z", "x", "x"]), ["'pillar' is ['z', 'x', 'x'], expected ['z', 'x', 'y']"]),
-    (lambda d: d.assign_coords(pillar=[0, 1, 2]), ["'pillar' is ['0', '1', '2'], expected ['z', 'x', 'y']"]),
     (lambda d: d.assign(force_n=d.force_n.astype(str)), ["force_n is of type", "expected numbers"]),
-    (lambda d: d.isel(sample=[]), ["is empty, expected at least one sample"]),
     (lambda d: d.isel(row=[0]), ["holds 1 × 3 units, its attribute 'design' says 2 × 3"]),
 ]
 
@@ -270,21 +249,6 @@ BROKEN = [
 def test_a_file_that_breaks_the_contract_is_refused_with_the_reason(data, tmp_path, change, said, form):
     message = refusal(by_others(data, tmp_path / f"a.{form}", change))
     assert all(words in message for words in said), message
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
-        ("force_1_0_x_n\n1\n", "has no column force_0_0_x_n of 2 × 1 units"),
-        ("{}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),
-        ("{}\n1,2,3,4,5,\n", "resistance_ohm is nan at sample 0, row 0, col 0, pillar y"),
-        ("{}\n", "at least one sample"),
-    ],
-)
-def test_a_table_that_is_none_of_samples_is_refused(tmp_path, text, said):
-    (tmp_path / "a.csv").write_text(text.format(",".join(columns_of(LABELS, 1, 1))))
-    assert said in refusal(tmp_path / "a.csv")
 
 
 def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
@@ -297,15 +261,21 @@ def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
         path.write_bytes(content[: int(share * len(content))])
         assert "truncated or not NetCDF" in refusal(path)
     (tmp_path / "file.zarr").write_text("no directory")
-    (tmp_path / "empty.zarr").mkdir()
-    for place in (tmp_path / "file.zarr", tmp_path / "empty.zarr"):
-        refusal(place)
+    refusal(tmp_path / "file.zarr")
     for header in (".zgroup", ".zattrs", "force_n/.zarray", "axis/0"):
         whole = (copy / header).read_bytes()
         (copy / header).write_bytes(whole[:-6])
         refusal(copy)
         (copy / header).write_bytes(whole)
     assert len(read_samples(copy)[:5]) == 5
+    names = ",".join(columns_of(LABELS, 1, 1))
+    for text, said in (
+        ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
+        (f"{names}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),
+        (f"{names}\n1,2,3,4,5,\n", "resistance_ohm is nan at sample 0, row 0, col 0, pillar y"),
+    ):
+        (tmp_path / "a.csv").write_text(text)
+        assert said in refusal(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(
@@ -329,7 +299,6 @@ def test_a_damaged_leaf_is_refused_when_it_is_read(copy, change, said):
     ("header", "change"),
     [
         (".zarray", '"filters": [{"id": "pick\\u006ce", "name": "zlib"}], "dtype": "|O"'),
-        (".zarray", '"compressor": {"id": "json2"}'),
         ("zarr.json", '"codecs": ["bytes", {"name": "numcodecs.pickle"}]'),
         ("zarr.json", '"codecs": [{"name": "sharding_indexed", "configuration": {"codecs": ["own"]}}]'),
     ],
@@ -342,21 +311,21 @@ def test_a_codec_that_could_run_programs_is_not_read(copy, monkeypatch, header, 
     assert "which is no codec of numbers" in refusal(copy)
 
 
-@pytest.fixture(scope="module", params=LABELLED)
-def small(request, response, tmp_path_factory):
-    """A file of few samples, and what is read of it."""
+@pytest.fixture(scope="module")
+def small(response, tmp_path_factory):
+    """A directory of few samples, and what is read of it."""
     asked = DatasetSettings(protocol="contact", samples=3, noise=1e-3, bits=12, dead_pillars=((1, 2, "y"),))
-    path = tmp_path_factory.mktemp("small") / f"small.{request.param}"
+    path = tmp_path_factory.mktemp("small") / "small.zarr"
     simulate(response, asked).only("length_mm").write(path)
     return path, read_samples(path)
 
 
 @given(place=st.integers(0, 2**20), bit=st.integers(0, 7))
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 def test_a_flipped_bit_is_refused_in_one_line_or_changes_nothing(small, place, bit):
     """Wherever it is: in numbers, labels, headers, attributes, hashes."""
     path, before = small
-    files = sorted(file for file in path.rglob("*") if file.is_file()) or [path]
+    files = sorted(file for file in path.rglob("*") if file.is_file())
     place, number = divmod(place, len(files))
     content = files[number].read_bytes()
     byte = place % len(content)
@@ -393,25 +362,21 @@ def test_a_changed_copy_must_not_carry_the_hashes(data, tmp_path):
 
 
 @pytest.mark.parametrize("form", LABELLED)
-def test_a_file_is_current_while_recipe_and_content_are(data, tmp_path, form):
+def test_a_file_is_replaced_whole_and_current_while_recipe_and_content_are(data, tmp_path, form):
+    """A failed write leaves the old file and no litter; what is no data set is never replaced."""
     path, recipe = write(data, tmp_path / f"a.{form}"), data.made_from["recipe"]
     assert is_current(path, recipe)
     assert not is_current(path, "0123456789abcdef")
     assert not is_current(tmp_path / f"none.{form}", recipe)
+    with pytest.raises(TypeError):
+        replace(data, made_from={"note": object()}).write(path)
+    assert np.array_equal(read_samples(path)[:].force_n, data.force_n)
     if form == "nc":
         with netCDF4.Dataset(path, "a") as opened:
             opened["resistance_ohm"][1, 0, 0, 0] = 1.5e4  # by hand
     else:
         (path / "resistance_ohm/0.0.0.0").unlink()
     assert not is_current(path, recipe)
-
-
-@pytest.mark.parametrize("form", LABELLED)
-def test_failed_write_leaves_the_old_file_and_no_litter_and_only_a_data_set_is_replaced(data, tmp_path, form):
-    path = write(data, tmp_path / f"a.{form}")
-    with pytest.raises(TypeError):
-        replace(data, made_from={"note": object()}).write(path)
-    assert np.array_equal(read_samples(path)[:].force_n, data.force_n)
     data[:3].write(path)
     assert len(read_samples(path)) == 3
     assert list(tmp_path.iterdir()) == [path]
@@ -421,8 +386,11 @@ def test_failed_write_leaves_the_old_file_and_no_litter_and_only_a_data_set_is_r
         data.write(tmp_path / "mine.zarr")
 
 
-def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all(many, leaves, monkeypatch):
-    """Over leaves' borders, out of order, twice, none, by a mask, from the end; in blocks, all in order."""
+def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all(many, leaves, tmp_path, monkeypatch):
+    """Over leaves' borders, out of order, twice, none, by a mask, from the end; in blocks, all in order.
+
+    Faults are counted over all leaves of what is read.
+    """
     stored = read_samples(leaves, labels_only=True)
     mask = np.zeros(len(many), dtype=bool)
     mask[LEAF - 2 : LEAF + 2] = True
@@ -439,30 +407,24 @@ def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all
         for size in (1000, 2 * LEAF):
             assert np.array_equal(np.concatenate([block.force_n for block in samples.blocks(size)]), many.force_n)
     assert isinstance(in_memory(stored), Samples)
+    moved = many.displacement_mm.copy()
+    moved[LEAF + 7, 1, 0, 1, 2] = np.nan
+    path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
+    assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
+    assert len(read_samples(path, labels_only=True)[:]) == len(many)
     monkeypatch.setattr("dataset.stored.IN_MEMORY", 0.0)
     with pytest.raises(ValueError, match=r"8492 samples take 0.0 GB of memory here, .* give fewer"):
         in_memory(stored)
 
 
-def test_float32_is_the_nearest_number_and_keeps_its_own_hash(data, tmp_path):
-    data.only("length_mm").write(tmp_path / "a.zarr", dtype="float32")
-    stored = read_samples(tmp_path / "a.zarr")
-    assert stored.dtype == np.float32
-    assert np.array_equal(stored[:].length_mm, data.length_mm.astype(np.float32))
-    assert stored[:].displacement_mm is None
-    assert stored.content_hash != data.content_hash
-    with pytest.raises(DesignError, match=r"end .* in \.zarr"):
-        data.write(tmp_path / "a.nc", dtype="float32")
-
-
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("name", "shape", "said"),
     [
-        ({"force_n": np.ones((5, 2, 3))}, r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
-        ({"displacement_mm": np.ones((5, 2, 3, 3))}, r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
-        ({"dead": np.zeros((2, 3), dtype=bool)}, r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
+        ("force_n", (5, 2, 3), r"force_n has shape \(5, 2, 3\), expected \(n_samples, rows, cols, 3\)"),
+        ("displacement_mm", (5, 2, 3, 3), r"displacement_mm has shape .*, expected \(5, 2, 3, 2, 3\)"),
+        ("dead", (2, 3), r"dead has shape \(2, 3\), expected \(2, 3, 3\)"),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(data, changed, said):
+def test_arrays_that_do_not_fit_are_refused(data, name, shape, said):
     with pytest.raises(ValueError, match=said):
-        replace(data, **changed)
+        replace(data, **{name: np.ones(shape)})

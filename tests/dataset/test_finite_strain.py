@@ -7,7 +7,7 @@ import pytest
 
 from dataset import DatasetSettings, Samples, read_samples
 from dataset.finite_strain import GROUP, Group, GroupSolver, group_cache_key, n_groups, samples_of
-from dataset.resistance import pillar_resistances, pillar_strains, rest_resistances
+from dataset.resistance import pillar_resistances, pillar_strains
 from dataset.simulation import LoadError
 from fem.array.response import ArrayResponse
 from geometry import Array, DesignError, Pad, SensorDesign
@@ -57,22 +57,18 @@ def test_a_group_is_to_the_last_bit_the_same_whoever_makes_it_and_however_many(r
     assert key != group_cache_key(response, replace(SETTINGS, cap=0.2))
 
 
-def test_samples_stay_below_the_cap_and_say_how_they_were_solved(samples, tmp_path):
+def test_samples_stay_below_the_cap_say_how_they_were_solved_and_rubber_stiffens(samples, response, tmp_path):
+    """Estimated errors are small beside what linear elasticity gets wrong."""
     strains = pillar_strains(samples.displacement_mm, samples.length_mm, DESIGN.unit)
     assert strains.max() <= SETTINGS.cap
     assert samples.made_from["strain"] == "finite"
-    assert {name: samples.made_from[name] >= 0 for name in ("redrawn", "unsolved")} == {"redrawn": 1, "unsolved": 1}
+    assert min(samples.made_from[name] for name in ("redrawn", "unsolved")) >= 0
     samples.write(tmp_path / "a.nc")
     back = read_samples(tmp_path / "a.nc")
     for name in ("strain_model", "error_estimate", "iterations", "displacement_mm", "resistance_ohm"):
         assert np.array_equal(getattr(back, name), getattr(samples, name))
     assert (back.strain_model == 1.0).all()
     assert back.labels().iterations is None
-    assert back[:3].error_estimate.shape == (3,)
-
-
-def test_rubber_stiffens_under_plates(samples, response):
-    """Estimated errors are small beside what linear elasticity gets wrong."""
     linear = np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, 144.0 * samples.traction_mpa)
     size = np.linalg.norm(samples.displacement_mm.reshape(len(samples), -1), axis=1)
     off = np.linalg.norm((linear - samples.displacement_mm).reshape(len(samples), -1), axis=1) / size
@@ -81,21 +77,16 @@ def test_rubber_stiffens_under_plates(samples, response):
     assert samples.error_estimate.max() < 0.05
 
 
-def test_conduction_reads_other_resistances_of_the_same_displacements(response, samples, few_potentials):
-    """At rest the unit's own; up to 16 % more where pillars are squeezed by 28 %."""
-    design = replace(DESIGN, electrics=Electrics(model="conduction"))
-    own = replace(response, design=design)
-    solver = GroupSolver(own, SETTINGS)
-    conducted = samples_of(own, replace(SETTINGS, samples=GROUP, noise=0.0), [solver.group(SETTINGS, 0)])
+def test_conduction_reads_the_ratios_that_were_solved_of_the_same_displacements(response, groups, samples):
+    """`tests/fem` holds the ratios themselves, here some made up."""
+    ratio = 1.0 + 0.01 * np.arange(groups[0].resistance_ratio.size).reshape(groups[0].resistance_ratio.shape)
+    own = replace(response, design=replace(DESIGN, electrics=Electrics(model="conduction")))
+    group = replace(groups[0], resistance_ratio=ratio, ratio_error=np.linspace(0.0, 0.02, GROUP))
+    conducted = samples_of(own, replace(SETTINGS, samples=GROUP, noise=0.0), [group])
     assert np.array_equal(conducted.displacement_mm, samples.displacement_mm[:GROUP])
-    assert conducted.effective_length_mm is not None
-    at_rest = rest_resistances(design) / rest_resistances(DESIGN)
-    assert at_rest == pytest.approx([1.0618, 1.0791, 1.0791], rel=1e-3)
-    ratio = conducted.resistance_ohm / pillar_resistances(conducted.length_mm, pillar_volumes(design.unit), 4000.0)
-    more = ratio / at_rest - 1
-    assert np.abs(more).max() < 0.2
-    assert more.max() > 0.1
-    assert 0 < conducted.made_from["resistance_error_estimate"] < 0.03
+    by_length = pillar_resistances(conducted.length_mm, pillar_volumes(DESIGN.unit), 4000.0)
+    assert conducted.resistance_ohm == pytest.approx(by_length * ratio.reshape(by_length.shape), rel=1e-12)
+    assert conducted.made_from["resistance_error_estimate"] == 0.02
 
 
 def test_what_cannot_be_solved_is_refused(response, solver, monkeypatch):

@@ -1,39 +1,33 @@
 """Data sets of contact by shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.indentation import largest_strain, samples_of, write_contact
 from dataset.resistance import pillar_resistances
-from fem.array.solving import ResponseSettings, array_response
 from fem.contact import Sphere, press
 from geometry.design import Array, SensorDesign
 from geometry.layout import pillar_volumes
+from tests.dataset.conftest import made_up_response
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 
 
-def indents(samples: int, **changed):
-    response, _, _ = array_response(DESIGN, ResponseSettings(tolerance=1e-2))
-    return simulate(response, DatasetSettings(protocol="indent", samples=samples, seed=3, **changed))
-
-
-def test_a_sample_depends_on_seed_and_number_alone(shared_cache):
-    few, more = indents(2), indents(4, noise=0.001)
-    assert np.array_equal(few.force_n, more.force_n[:2])
-    assert np.array_equal(few.displacement_mm, more.displacement_mm[:2])
-    assert not np.array_equal(few.resistance_ohm, more.resistance_ohm[:2])
-
-
-def test_labels_are_those_of_the_contact(tmp_path, shared_cache):
+def test_labels_are_those_of_the_contact_and_depend_on_seed_and_number_alone(tmp_path, shared_cache):
     """Forces press, tractions are forces over the pad, resistances follow from the lengths; the file says the same."""
-    data = indents(3)
+    known = made_up_response(DESIGN)  # which contact does not ask
+    settings = DatasetSettings(protocol="indent", samples=1, seed=3)
+    few, data = simulate(known, settings), simulate(known, replace(settings, samples=2, noise=0.001))
+    assert np.array_equal(few.force_n, data.force_n[:1])
+    assert np.array_equal(few.displacement_mm, data.displacement_mm[:1])
     assert (data.force_n[..., 2] >= 0).all()
     assert (data.force_n[..., 2].sum(axis=(1, 2)) > 0).all()
     assert data.traction_mpa * [144.0, 144.0, -144.0] == pytest.approx(data.force_n, rel=1e-12)
-    ohms = pillar_resistances(data.length_mm, pillar_volumes(DESIGN.unit), DESIGN.resistivity_ohm_mm)
-    assert data.resistance_ohm == pytest.approx(ohms, rel=1e-12)
+    ohms = pillar_resistances(few.length_mm, pillar_volumes(DESIGN.unit), DESIGN.resistivity_ohm_mm)
+    assert few.resistance_ohm == pytest.approx(ohms, rel=1e-12)
     contact = press(DESIGN, Sphere(6.0), 0.8, at_mm=(3.0, 0.0), cells=16)
     write_contact(contact, tmp_path / "contact.nc")
     kept = read_samples(tmp_path / "contact.nc")

@@ -1,17 +1,35 @@
-"""Noise has the statistics asked for, and a converter errs by half a step at most."""
+"""Noise, converters, drifts and specimens have the statistics asked for, and change nothing else."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dataset import counts_from_resistance, measured, resistance_from_counts
+from dataset import (
+    OPEN_OHM,
+    DatasetSettings,
+    Imperfections,
+    counts_from_resistance,
+    measured,
+    resistance_from_counts,
+)
+from dataset.imperfections import place_of
 from dataset.measurement import SENSE_OHM, ReadingError, reading_deviation
 from geometry import DesignError
+from geometry.layout import PILLARS
 
 RESISTANCES = np.geomspace(3e3, 30e3, 5000)
+ROWS, COLS = 6, 6
+EXACT = np.random.default_rng(0).uniform(5e3, 20e3, (40, ROWS, COLS, 3))
+REAL = Imperfections(gain_spread=0.2, offset_ohm=50.0)
 
 
 def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
+
+
+def applied(imperfections: Imperfections, exact_ohm: np.ndarray = EXACT, seed: int = 0) -> np.ndarray:
+    return imperfections.apply(exact_ohm, rng(seed))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.05])
@@ -57,26 +75,17 @@ def test_a_converter_errs_by_half_a_step_at_most(bits):
     assert resistance_from_counts(np.array([0, 2**bits - 1]), bits).tolist() == [np.inf, 0.0]
 
 
-@pytest.mark.parametrize("lost", [0.2, 1e9])
-def test_resistance_that_a_converter_cannot_tell_is_refused(lost):
-    """Or a file would hold 0 Ω or infinity, which its own reader refuses."""
-    with pytest.raises(DesignError, match=r"cannot tell .* Ω: raise bits, or choose resistivity_ohm_mm"):
-        measured(np.array([1e4, lost]), 0.0, 12, rng())
-
-
-DRIFTING = ReadingError(drift=0.005, drift_tilt=0.01, drift_pillar=0.002, drift_offset_ohm=40.0)
-
-
 def test_drifts_have_the_covariance_that_is_stated():
     """Of 40,000 draws on 3 × 4 units, all pairs of pillars: 4 % of the largest is four deviations of a covariance."""
+    drifting = ReadingError(drift=0.005, drift_tilt=0.01, drift_pillar=0.002, drift_offset_ohm=40.0)
     n, rows, cols = 40_000, 3, 4
     exact = np.linspace(9e3, 21e3, rows * cols * 3).reshape(1, rows, cols, 3)
-    drifted = DRIFTING.drifted(np.tile(exact, (n, 1, 1, 1)), rng()).reshape(n, -1)
+    drifted = drifting.drifted(np.tile(exact, (n, 1, 1, 1)), rng()).reshape(n, -1)
     columns = exact.reshape(1, -1)
-    shared = DRIFTING.shared(columns, rows, cols)[0]
-    stated = shared @ shared.T + np.diag(DRIFTING.deviation(columns)[0] ** 2)
+    shared = drifting.shared(columns, rows, cols)[0]
+    stated = shared @ shared.T + np.diag(drifting.deviation(columns)[0] ** 2)
     np.testing.assert_allclose(np.cov(drifted.T), stated, atol=0.04 * stated.max())
-    np.testing.assert_allclose(DRIFTING.total(columns, rows, cols)[0] ** 2, stated.diagonal())
+    np.testing.assert_allclose(drifting.total(columns, rows, cols)[0] ** 2, stated.diagonal())
     corner = np.abs(shared[[0, -1], :3] / columns[0, [0, -1], None])
     np.testing.assert_allclose(corner, [[0.005, 0.01, 0.01]] * 2)  # a tilt is stated at the outermost units
 
@@ -88,3 +97,96 @@ def test_drift_leaves_noise_as_it_is_and_is_new_in_each_sample():
     assert np.array_equal(both, measured(drift_alone, 1e-3, 12, rng()))
     assert np.ptp(drift_alone, axis=(1, 2, 3)).max() == 0  # common to a sample
     assert np.ptp(drift_alone[:, 0, 0, 0]) > 0
+
+
+def test_a_specimen_is_a_factor_and_then_an_offset_for_every_sample():
+    """Each pillar has its own, in every specimen, and a wider spread is the same one; by default there is none."""
+    assert np.array_equal(applied(Imperfections()), EXACT)
+    gain, offset = REAL.gain_and_offset(ROWS, COLS)
+    assert applied(REAL) == pytest.approx(gain * EXACT + offset, rel=1e-15)  # rounding
+    assert np.array_equal(applied(REAL, seed=1), applied(REAL, seed=2))
+    assert len(np.unique(gain)) == len(np.unique(offset)) == ROWS * COLS * 3
+    for mine, theirs in zip((gain, offset), replace(REAL, specimen=1).gain_and_offset(ROWS, COLS), strict=True):
+        assert (mine != theirs).all()
+    wide, same = replace(REAL, gain_spread=0.6).gain_and_offset(ROWS, COLS)
+    assert wide - 1.0 == pytest.approx(3 * (gain - 1.0), rel=1e-12)  # rounding next to 1
+    assert np.array_equal(offset, same)
+
+
+def test_factors_are_uniform_and_offsets_normal():
+    gain, offset = REAL.gain_and_offset(100, 100)
+    n = gain.size
+    assert gain.mean() == pytest.approx(1.0, abs=4 * 0.2 / np.sqrt(3 * n))  # of a mean
+    share = np.mean(np.abs(gain - 1.0) < 0.05)
+    assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / n))  # of a count
+    assert 0.1999 < np.abs(gain - 1.0).max() <= 0.2  # 30,000 numbers come closer than 1e-4 to the end
+    assert offset.mean() == pytest.approx(0.0, abs=4 * 50.0 / np.sqrt(n))  # of a mean
+    assert offset.std() == pytest.approx(50.0, rel=4 / np.sqrt(2 * n))  # of a deviation
+
+
+@pytest.mark.parametrize(
+    ("wire", "place", "pillars"),
+    [
+        ({"dead_rows": (4,)}, np.s_[2, :], "zx"),  # U1 of array row 2
+        ({"dead_rows": (5,)}, np.s_[2, :], "y"),  # U2
+        ({"dead_cols": (6,)}, np.s_[:, 3], "zy"),  # L1 of array column 3
+        ({"dead_cols": (7,)}, np.s_[:, 3], "x"),  # L2
+        ({"dead_pillars": ((2, 3, "x"),)}, np.s_[2, 3], "x"),
+    ],
+)
+def test_dead_wires_kill_the_pillars_between_their_electrodes(wire, place, pillars):
+    """From the design's table: z from L1 to U1, x from L2 to U1, y from L1 to U2. What is dead adds up."""
+    expected = np.zeros((ROWS, COLS, 3), dtype=bool)
+    for pillar in pillars:
+        expected[(*place, PILLARS.index(pillar))] = True
+    expected[5, 5, 0] = True
+    corner = ((5, 5, "z"), *wire.get("dead_pillars", ()))
+    assert np.array_equal(Imperfections(**wire | {"dead_pillars": corner}).dead_mask(ROWS, COLS), expected)
+
+
+def test_dead_pillars_leave_what_the_others_read_as_it_was():
+    """The same noise and steps, to the last bit; and what a dead pillar would have been cannot stop the converter."""
+    real = Imperfections(gain_spread=0.2, noise=0.01, bits=12)
+    broken = replace(real, dead_pillars=((0, 0, "z"),), dead_cols=(5,))
+    exact = EXACT.copy()
+    exact[:, 0, 0, 0] = 1e12
+    given, dead = exact.copy(), broken.dead_mask(ROWS, COLS)
+    read = applied(broken, exact)
+    assert np.array_equal(read[:, ~dead], applied(real)[:, ~dead])
+    assert (read[:, dead] == OPEN_OHM).all()
+    assert np.array_equal(exact, given)  # and is not written on
+
+
+def on_five_columns(**broken):
+    return lambda: applied(Imperfections(**broken), EXACT[:, :, :5])
+
+
+def settings(**given):
+    return lambda: DatasetSettings(protocol="contact", samples=1, **given)
+
+
+NO_TELLING = r"cannot tell .* Ω: raise bits, or choose resistivity_ohm_mm"
+NO_PLACE = r"is no place of a pillar: write row,col,pillar"
+
+
+@pytest.mark.parametrize(
+    ("refused", "said"),
+    [
+        # or a file would hold 0 Ω or infinity, which its own reader refuses
+        *((lambda lost=lost: measured(np.array([1e4, lost]), 0.0, 12, rng()), NO_TELLING) for lost in (0.2, 1e9)),
+        (on_five_columns(dead_rows=(12,)), "an array of 6 × 5 units has no row wire 12: its row wires are 0 to 11."),
+        (on_five_columns(dead_cols=(0, 10)), "has no column wire 10: its column wires are 0 to 9."),
+        (on_five_columns(dead_pillars=((0, 5, "y"),)), "has no pillar 0,5,y: its rows are 0 to 5"),
+        (on_five_columns(offset_ohm=1e4), "offset_ohm=10000 takes a pillar's resistance to -"),
+        *((settings(dead_rows=wires), "must hold numbers of wires from 0 on") for wires in ((-1,), 4, ("4",))),
+        *((settings(dead_pillars=places), "must hold a row and a column") for places in (((0, 3, "w"),), (0, 3, "z"))),
+        *(
+            (lambda text=text: place_of(text), NO_PLACE)
+            for text in ("", "0,3", "-1,3,z", "0,3,z\n4", "9" * 5000 + ",0,z")
+        ),
+    ],
+)
+def test_what_no_sensor_or_array_has_is_refused(refused, said):
+    with pytest.raises(DesignError, match=said):
+        refused()
+    assert place_of("0,3,z") == place_of(" 0 , 3 , z ") == (0, 3, "z")

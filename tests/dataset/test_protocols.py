@@ -31,8 +31,9 @@ def test_shape_sign_axes_and_seed(name):
 
 
 @pytest.mark.parametrize("force", ONE_AXIS)
-def test_independent_loads_fill_the_papers_range_evenly_and_by_themselves(force):
-    axis, sign, low, high, _ = ONE_AXIS[force]
+def test_loads_fill_the_papers_ranges(force):
+    """Independent ones evenly and by themselves; contacts between a light preload and the paper's peak."""
+    axis, sign, low, high, preload = ONE_AXIS[force]
     load = sign * drawn(f"independent-{force}", 5000)[..., axis]
     assert (load.min() >= low, load.max() <= high) == (True, True)
     deviation = (high - low) / np.sqrt(12)  # of an even spread
@@ -40,11 +41,6 @@ def test_independent_loads_fill_the_papers_range_evenly_and_by_themselves(force)
     assert load.std() == pytest.approx(deviation, rel=4 * 0.45 / np.sqrt(load.size))  # √((κ − 1)/4), κ = 1.8
     correlation = np.corrcoef(load.T) - np.eye(36)
     assert np.abs(correlation).max() < 5 / np.sqrt(5000)  # chance alone, of 630 pairs
-
-
-@pytest.mark.parametrize("force", ONE_AXIS)
-def test_contacts_lie_between_a_light_preload_and_the_papers_peak(force):
-    axis, sign, _, high, preload = ONE_AXIS[force]
     load = sign * drawn(f"contact-{force}", 2000)[..., axis]
     assert load.min() >= preload
     assert load.max() <= high * (1 + 1e-12)  # rounding of what is scaled onto the limit
@@ -62,15 +58,13 @@ def components_for(load: np.ndarray, energy: float) -> int:
 
 def test_contacts_are_smooth_low_dimensional_and_all_over_the_array():
     """Why 17 hidden nodes can do for contacts: 99 % of 36 forces in fewer numbers; of independent ones in 35."""
-    flat = drawn("contact-fz", 2000)[..., Z]
-    load = flat.reshape(-1, 6, 6)
+    load = drawn("contact-fz", 2000)[..., Z]
     across, along, corner = (
-        np.corrcoef(load[:, *one], load[:, *other])[0, 1]
-        for one, other in (((2, 2), (2, 3)), ((2, 2), (3, 2)), ((0, 0), (5, 5)))
+        np.corrcoef(load[:, one], load[:, other])[0, 1] for one, other in ((14, 15), (14, 20), (0, 35))
     )
     assert min(across, along) > 0.7  # independent pads: 0 ± 0.02
     assert corner < 0.5
-    assert components_for(flat, 0.99) <= 17
+    assert components_for(load, 0.99) <= 17
     assert components_for(drawn("independent-fz", 2000)[..., Z], 0.99) >= 35
     long = -drawn("contact-fz", 2000, SensorDesign(array=Array(rows=1, cols=20)))[..., Z]
     assert np.bincount(long.argmax(axis=1), minlength=20).min() > 0
@@ -104,8 +98,5 @@ def test_light_loads_touch_few_pads_or_none_by_up_to_10_n(name):
     assert abs((touched == 0).sum() - 500) < 5 * np.sqrt(2000 * 0.25 * 0.75)
     if name == "light":
         assert (np.hypot(force_n[..., X], force_n[..., Y]) <= FRICTION * force_n[..., Z] + 1e-12).all()
-
-
-def test_what_takes_loads_on_pads_alone_says_so():
     with pytest.raises(DesignError, match="presses shapes"):
         pad_protocol("indent")

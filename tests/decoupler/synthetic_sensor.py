@@ -23,11 +23,7 @@ _OWN = np.array(
         [[1.0e-2, 0.0, 2e-3], [0.0, 1.0e-2, -2e-3], [1e-3, -1e-3, 4e-3]],
     ]
 )
-_RANGE_N = {
-    "x": (29.0, 144.0),
-    "y": (29.0, 144.0),
-    "z": (144.0, 720.0),
-}  # the ranges of independent pad loads
+_RANGE_N = {"x": (29.0, 144.0), "y": (29.0, 144.0), "z": (144.0, 720.0)}  #: of independent pad loads
 
 
 def sensor(rows: int = 6, cols: int = 6) -> SensorDesign:
@@ -45,25 +41,14 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Samp
     displacement_mm = np.einsum("kl,eij,nlj->nkei", _neighbour(design), _OWN, pushed)
     length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)
     resistance_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
-    force_n = force_n.reshape(n_samples, rows, cols, 3)
-    return Samples(
-        resistance_ohm=resistance_ohm,
-        force_n=force_n,
-        design=design,
-    )
+    return Samples(resistance_ohm=resistance_ohm, force_n=force_n.reshape(n_samples, rows, cols, 3), design=design)
 
 
 def response(design: SensorDesign) -> ArrayResponse:
     """The influence that `labelled` uses."""
     rows, cols = design.array.rows, design.array.cols
-    influence = np.einsum("kl,eij->keilj", _neighbour(design), _OWN)
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=influence.reshape(rows, cols, 2, 3, rows, cols, 3),
-        residual=0.0,
-        unknowns=0,
-        seconds={},
-    )
+    influence = np.einsum("kl,eij->keilj", _neighbour(design), _OWN).reshape(rows, cols, 2, 3, rows, cols, 3)
+    return ArrayResponse(design=design, influence_mm_per_n=influence, residual=0.0, unknowns=0, seconds={})
 
 
 def layer_sensitivities(design: SensorDesign) -> ResponseSensitivities:

@@ -34,13 +34,13 @@ def test_data():
 
 @pytest.fixture(scope="module")
 def model():
-    return train(samples(STATED, 2000, 1), response=STATED)
+    return train(samples(STATED, 1000, 1), response=STATED)
 
 
 def least_net_deviation(data):
     """Of the net Fz [N], of the linear-Gaussian posterior about each load: C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C."""
     forward = SensorModel.of(PLAIN, ALL)
-    C = np.cov(force_columns(samples(PLAIN, 5000, 3).force_n, ALL).T)
+    C = np.cov(force_columns(samples(PLAIN, 2000, 3).force_n, ALL).T)
     variance = []
     for force_n in force_columns(data.force_n, ALL)[:200, None]:
         length, J = forward.jacobian(force_n)
@@ -58,7 +58,7 @@ def test_deviations_hold_the_net_force_and_a_decoder_that_knows_no_drift_is_sure
 
     Of the other decoder it errs by several of its deviations, and no load test sees it: these are readings of a load.
     """
-    surer = train(samples(PLAIN, 2000, 1), response=PLAIN)
+    surer = train(samples(PLAIN, 1000, 1), response=PLAIN)
     net_n, deviation = [], []
     for one in (model, surer):
         error_n = (one.forces(test_data.resistance_ohm) - test_data.force_n).reshape(len(test_data), -1)
@@ -75,8 +75,5 @@ def test_deviations_hold_the_net_force_and_a_decoder_that_knows_no_drift_is_sure
 def test_a_model_knows_the_drifts_and_takes_data_of_a_design_that_states_others(model, test_data):
     assert model.uncertainty.errors == test_data.errors
     require_same_sensor(model, samples(PLAIN, 2, 0), "model", "data")
-
-
-def test_samples_of_other_drifts_are_not_joined():
     with pytest.raises(SampleError, match="another drift"):
         joined([samples(PLAIN, 2, 0), samples(PLAIN, 2, 0, drift=0.01)])

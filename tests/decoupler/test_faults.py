@@ -1,4 +1,4 @@
-"""Faults of pillars and wires are named from a window of scans; sound sensors raise no alarm."""
+"""Faults of pillars and wires are named, loads that the model does not know are loud; sound sensors raise no alarm."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import response, sensor
 
@@ -17,7 +18,7 @@ NOISE = 1e-3
 SMOOTH = np.exp(-0.5 * np.subtract.outer(np.arange(3), np.arange(3)) ** 2 / 1.5**2)  # indenters as wide as two pads
 
 
-def loads(n, seed):
+def presses(n, seed):
     """Presses of round indenters on all pads of a 3 × 3 array, each with its drag, (n, 27) [N]."""
     generator = np.random.default_rng(seed)
     strength = generator.uniform(0.0, 1.0, (n, 3, 3)) ** 2
@@ -26,67 +27,48 @@ def loads(n, seed):
     return np.concatenate([pressed[..., None] * drag, pressed[..., None]], axis=-1).reshape(n, -1)
 
 
-def readings(force_n, seed=1):
+def loads(n, seed):
+    """Presses of 0 to 720 N on each pad, with shears within a cone of 0.2."""
+    force_n = np.random.default_rng(seed).uniform(0.0, 1.0, (n, 9, 3)) * [0.14, 0.14, 1.0]
+    force_n = force_n * 720.0 * np.random.default_rng(seed + 1).uniform(0.0, 1.0, (n, 1, 1))
+    force_n[..., :2] *= force_n[..., 2:] / 720.0
+    return force_n.reshape(n, -1)
+
+
+def readings(force_n, seed=1, bits=12):
     """What the sensor shows under forces (n, 27), with noise and a converter."""
     ohms = FORWARD.resistances(force_n).reshape(-1, 3, 3, 3)
-    return measured(ohms, NOISE, 12, np.random.default_rng(seed))
+    return measured(ohms, NOISE, bits, np.random.default_rng(seed))
+
+
+def trained(force_n, bits=12):
+    own = {"force_n": force_n.reshape(-1, 3, 3, 3), "resistance_ohm": readings(force_n, bits=bits)}
+    return train(Samples(**own, design=SENSOR, noise=NOISE, bits=bits), "all", response=response(SENSOR))
 
 
 @pytest.fixture(scope="module")
 def expected():
-    force_n = loads(400, 5)
-    own = Samples(
-        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=readings(force_n), design=SENSOR, noise=NOISE, bits=12
-    )
-    return FaultTest.of(train(own, "all", response=response(SENSOR)))
+    return FaultTest.of(trained(presses(400, 5)))
 
 
-def stuck(ohms):
-    ohms[:, 1, 2, 0] = ohms[0, 1, 2, 0]
+STILL = np.s_[:, 1, 2, 0]
+FAULTS = [  #: pillars, what they read, and what is said
+    (STILL, lambda ohms: ohms[0, 1, 2, 0], "pillar z of row 1, col 2 stuck"),
+    (np.s_[:, 2, :, [0, 1]], lambda ohms: ohms[:1, 2, :, [0, 1]].mean(), "row wire 4 stuck"),
+    (np.s_[:, [0, 1]], lambda ohms: ohms[:, [1, 0]], "rows 0 and 1 swapped"),
+    (np.s_[:, :, [0, 1], 1], lambda ohms: ohms[:, :, [1, 0], 1], "column wires 1 and 3 swapped"),
+    (np.s_[:, 0, 1, 1], lambda ohms: np.inf, "pillar x of row 0, col 1 open"),
+    (np.s_[:, 1, :, 2], lambda ohms: 1e9, "row wire 3 open"),
+    (np.s_[:, 2, 2, 0], lambda ohms: np.resize([np.nan, 1e9], len(ohms)), "pillar z of row 2, col 2 open"),
+]
 
 
-def stuck_wire(ohms):
-    ohms[:, 2, :, [0, 1]] = ohms[:1, 2, :, [0, 1]].mean()
-
-
-def swapped(ohms):
-    ohms[:, [0, 1]] = ohms[:, [1, 0]]
-
-
-def swapped_wires(ohms):
-    ohms[:, :, [0, 1], 1] = ohms[:, :, [1, 0], 1]
-
-
-def opened(ohms):
-    ohms[:, 0, 1, 1] = np.inf
-
-
-def opened_wire(ohms):
-    ohms[:, 1, :, 2] = 1e9
-
-
-def no_number(ohms):
-    ohms[::2, 2, 2, 0] = np.nan
-    ohms[1::2, 2, 2, 0] = 1e9
-
-
-FAULTS = {
-    stuck: "pillar z of row 1, col 2 stuck",
-    stuck_wire: "row wire 4 stuck",
-    swapped: "rows 0 and 1 swapped",
-    swapped_wires: "column wires 1 and 3 swapped",
-    opened: "pillar x of row 0, col 1 open",
-    opened_wire: "row wire 3 open",
-    no_number: "pillar z of row 2, col 2 open",
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
-def test_each_fault_is_named_by_pillar_or_wire(fault, expected):
+@pytest.mark.parametrize(("where", "reads", "said"), FAULTS, ids=[said for _, _, said in FAULTS])
+def test_each_fault_is_named_by_pillar_or_wire(where, reads, said, expected):
     for seed in range(2):
-        ohms = readings(loads(WINDOW, 100 + seed), seed)
-        fault(ohms)
-        assert [str(found) for found in expected.named(ohms)] == [FAULTS[fault]]
+        ohms = readings(presses(WINDOW, 100 + seed), seed)
+        ohms[where] = reads(ohms)
+        assert [str(found) for found in expected.named(ohms)] == [said]
 
 
 def test_sound_sensors_raise_no_alarm(expected):
@@ -100,10 +82,39 @@ def test_sound_sensors_raise_no_alarm(expected):
     light = np.random.default_rng(3).uniform(0.0, 5.0, (WINDOW, 27))
     kinds = [touch, light, rest]
     for seed in range(12):
-        usual = loads(WINDOW, 1000 + seed)
+        usual = presses(WINDOW, 1000 + seed)
         for force_n in (usual, np.repeat(usual[:4], WINDOW // 4, axis=0), kinds[seed % 3]):
             assert expected.named(readings(force_n, seed)) == ()
-    still, other = readings(rest), readings(loads(WINDOW, 100))
-    stuck(still)
+    still, other = readings(rest), readings(presses(WINDOW, 100))
+    still[STILL] = still[0, 1, 2, 0]
     other[:, 1, 1, 0] *= 1.02
     assert expected.named(still) == expected.named(other) == ()
+
+
+def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
+    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit.
+
+    A broken pillar, another gain, loads 1.3 times beyond the range, tension and shear without pressure always are.
+    """
+    model = trained(loads(400, 5), bits=None)
+    one_pad, rest = np.zeros((2, 2000, 27))
+    one_pad[np.arange(2000), 3 * np.random.default_rng(0).integers(9, size=2000) + 2] = 300.0
+    for force_n in (rest, one_pad, loads(2000, 9)):
+        assert (model.chi2(readings(force_n, bits=None)) > model.load_test.limit).mean() <= 3 * FALSE_ALARMS
+    broken = readings(loads(200, 9), bits=None)
+    broken[:, 1, 1, 0] = 1e9
+    pads = [0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0]
+    beyond = [readings(np.tile(pad, (200, 9)), bits=None) for pad in pads]
+    for reading in (broken, 1.02 * readings(rest[:200], bits=None), *beyond):
+        assert (model.chi2(reading) > model.load_test.limit).all()
+
+
+@pytest.mark.parametrize("common", [0.0, 0.5, 0.99])
+def test_the_limit_is_the_quantile_of_correlated_errors(common):
+    """Of errors that all go together χ² has one degree of freedom, of independent ones all, of a mixture some."""
+    usual = UsualLoads(low_n=np.zeros(1), high_n=np.zeros(1), friction=np.zeros(1))
+    correlation = (1.0 - common) * np.eye(30) + common
+    test = LoadTest.by(usual, correlation, np.ones(30))
+    errors = np.random.default_rng(0).standard_normal((100_000, 30)) @ np.linalg.cholesky(correlation).T
+    # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
+    assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)

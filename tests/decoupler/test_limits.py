@@ -51,7 +51,7 @@ def test_knowing_the_usual_loads_helps_and_most_where_noise_is_large():
     np.testing.assert_allclose(large, np.broadcast_to(FORCES.std(axis=0), large.shape), rtol=0.01)
 
 
-def test_fewer_pillars_than_forces_determine_nothing_without_prior_knowledge():
+def test_fewer_pillars_than_forces_determine_nothing_without_the_usual_loads():
     readable = np.ones(FORWARD.n_pillars, dtype=bool)
     readable[0] = False
     assert np.isinf(cramer_rao(FORWARD, FORCES, NOISE, None, readable)).all()

@@ -59,13 +59,10 @@ def test_what_is_no_model_file_is_refused_and_a_failed_write_leaves_the_old_one(
     with pytest.raises(TypeError):
         write_model(replace(decoupler, made_from={"no": object()}), path)
     assert [entry.read_bytes() for entry in tmp_path.iterdir()] == [whole]
-    for share in (0.0, 0.01, 0.5, 0.999):
+    for share in (0.0, 0.01, 0.999):
         path.write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(FileFormatError, match=r"damaged|truncated or no safetensors file"):
             read_model(path)
-    path.write_bytes(whole.replace(b"tripillar-sha256:", b"tripillar-sha255:"))
-    with pytest.raises(FileFormatError, match=r"sha256 is 'tripillar-sha255:.*', no hash"):
-        read_model(path)
     save_file({"weight": np.ones(3)}, path)
     for other, said in (
         (path, "no model of this program"),
@@ -77,20 +74,18 @@ def test_what_is_no_model_file_is_refused_and_a_failed_write_leaves_the_old_one(
 
 
 def test_recipe_follows_all_that_matters():
+    known = replace(NETWORK, feature="inverse")
     recipe = model_cache_key(DATA, "fz", NETWORK, FEW)
     assert recipe == model_cache_key(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
-    known = replace(NETWORK, feature="inverse")
     others = [
-        model_cache_key(replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
-        model_cache_key(replace(DATA, noise=0.01), "fz", NETWORK, FEW),
-        model_cache_key(replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
-        model_cache_key(DATA, "fx", NETWORK, FEW),
-        model_cache_key(DATA, "fz", replace(NETWORK, hidden=5), FEW),
-        model_cache_key(DATA, "fz", NETWORK, replace(FEW, seed=1)),
-        model_cache_key(DATA, "fz", known, FEW, RESPONSE),
-        model_cache_key(DATA, "fz", known, FEW, response(sensor(2, 2))),
+        (replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
+        (replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
+        (DATA, "fx", NETWORK, FEW),
+        (DATA, "fz", NETWORK, replace(FEW, seed=1)),
+        (DATA, "fz", known, FEW, RESPONSE),
+        (DATA, "fz", known, FEW, response(sensor(2, 2))),
     ]
-    assert len({recipe, *others}) == 9
+    assert len({recipe, *(model_cache_key(*asked) for asked in others)}) == 7
 
 
 @pytest.mark.parametrize(
@@ -99,12 +94,6 @@ def test_recipe_follows_all_that_matters():
         (lambda header, arrays: header.pop("rows"), "its header makes no sense"),
         (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
         (lambda header, arrays: header["network"].update(net="deep"), "net='deep' must be one of plain, skip"),
-        (lambda header, arrays: header["network"].update(depth=3), "network has the keys"),
-        (lambda header, arrays: header.update(cols=0), "cols is 0, must be a whole number from 1 on"),
-        (lambda header, arrays: header.update(noise=np.nan), "noise=nan must be a finite number"),
-        (lambda header, arrays: header.update(bits="x"), "bits='x' must be a whole number"),
-        (lambda header, arrays: header.update(made_from=3), "its header makes no sense"),
-        (lambda header, arrays: arrays["uncertainty.misfit_n2"].fill(-1e9), "its arrays do not belong together"),
         (lambda header, arrays: arrays.pop("input_scaling.centre"), "centre"),
         (lambda header, arrays: arrays.update({"output_scaling.centre": np.ones(3)}), "do not belong together"),
         (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is not finite"),
@@ -127,7 +116,9 @@ def test_data_of_another_sensor_are_refused(decoupler):
     require_same_sensor(decoupler, DATA, "m", "d")
     require_same_sensor(decoupler, replace(DATA, design=None), "m", "d")
     other = replace(DATA.design, array=Array(rows=2, cols=3, pitch_mm=17.0))
-    with pytest.raises(FileFormatError, match=r"another sensor .* \(array.pitch_mm: model 15, data 17\)"):
-        require_same_sensor(decoupler, replace(DATA, design=other), "m", "d")
-    with pytest.raises(FileFormatError, match="rows: model 2, data 1; cols: model 3, data 2"):
-        require_same_sensor(decoupler, labelled(sensor(1, 2), "xyz", 4, 0), "m", "d")
+    for data, said in (
+        (replace(DATA, design=other), r"another sensor .* \(array.pitch_mm: model 15, data 17\)"),
+        (labelled(sensor(1, 2), "xyz", 4, 0), "rows: model 2, data 1; cols: model 3, data 2"),
+    ):
+        with pytest.raises(FileFormatError, match=said):
+            require_same_sensor(decoupler, data, "m", "d")

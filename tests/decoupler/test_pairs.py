@@ -72,11 +72,9 @@ def test_pairs_that_are_kept_come_back(tmp_path):
     pairs = read_pairs(path, 1, 1, PAD_MM2)
     assert (len(pairs), pairs.noise, pairs.names) == (2, 0.001, ("rest", "w"))
     assert np.isnan(pairs.resistance_ohm[0, 0, 0]).tolist() == [False, False, True]
-    assert [len(unknown) for unknown in pairs.unknown_n] == [0, 3]
     path, ohms = tmp_path / "pairs.csv", np.array([[[9900.0, np.nan, 13990.0]]])
-    header = "load,kind,row,col,fx_n,fz_n,error,tilt"
     lines = "a,,0,0,,1 kg,2 %,", "b,,0,0,5,,,0", "b,,0,0,,1,,"
-    loads = read_loads(table(tmp_path, *lines, header=header), 1, 1, PAD_MM2)
+    loads = read_loads(table(tmp_path, *lines, header="load,kind,row,col,fx_n,fz_n,error,tilt"), 1, 1, PAD_MM2)
     for load in loads:
         keep_pair(path, replace(load, resistance_ohm=ohms, noise=2e-4))
     back = read_pairs(path, 1, 1, PAD_MM2)
@@ -94,19 +92,14 @@ def test_pairs_that_are_kept_come_back(tmp_path):
     [
         (["a,9,0,0,0,1,0,1"], TIMED, "no unit in row 9; rows are 0 to 1, columns 0 to 2"),
         (["a,0,0,0,0,much,0,1"], TIMED, "line 2: fz_n is 'much', must be a number of newtons, or with a unit: N, kN"),
-        (["a,0,0,0,0,nan,0,1"], TIMED, "fz_n is 'nan'"),
         (["a,0,0,0,0,5000,0,1"], TIMED, "5000 N on a pad is 34.7 MPa, more than 20: forces are in newtons; write"),
-        (["a,0.5,0,0,0,1,0,1"], TIMED, "row is '0.5', must be a whole number"),
         (["a,0,0,0,0,1,5,2"], TIMED, "acts from 5.0 s to 2.0 s"),
         (["a,0,0,0,0,1,0,1", "a,0,1,0,0,1,0,2"], TIMED, "lines with different times"),
-        (["a,0,0,0,0,1,0,1,7"], TIMED, "more values than the header has columns"),
         (["a,string,0,0,,,1,,,,"], KINDS, "kind is 'string', must be one of pad, plate, air, nothing"),
         (["a,air,,,,,400,,,,"], KINDS, "fz_n is no part of kind air; it takes kpa"),
         (["a,plate,,,,,400,,-1 %,,"], KINDS, "error is '-1 %', must be a number from 0 on, or a percentage"),
         (["a,pad,0,0,,,400,,1 %,,20 %"], KINDS, "share is '20 %', but one pad takes all"),
-        (["a,plate,1-0,,,,400,,,,"], KINDS, "no unit in row 1-0"),
         (["1"], "spam", "needs a header"),
-        ([], TIMED, "no lines"),
         (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )
@@ -128,7 +121,6 @@ def test_pairs_are_exact_if_of_samples_and_refused_if_they_are_none():
     for given, says in (
         ({"resistance_ohm": ohms[:1]}, r"resistance_ohm has shape \(1, 1, 1, 3\), expected \(2, 1, 1, 3\)"),
         ({"resistance_ohm": -ohms}, "'pair 0': resistance_ohm is -10000.0 at sample 0, row 0, col 0, pillar z"),
-        ({"resistance_ohm": np.nan * ohms}, "no pillar of any pair was read"),
         ({"resistance_ohm": ohms, "unknown_n": (np.zeros((0, 1, 1, 3)),)}, "1 unknown_n and 2 names"),
     ):
         with pytest.raises(SampleError, match=says):

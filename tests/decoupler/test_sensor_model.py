@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dataset.resistance import conducted_lengths
-from decoupler import NetworkConfig, SampleError, TrainingConfig, component_named, evaluate, train
+from decoupler import SampleError, component_named
 from decoupler.data.columns import COMPONENTS, Columns, force_columns, pillar_columns
 from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
@@ -72,33 +72,24 @@ def test_derivatives_of_lengths_lead_back_to_the_forces(given):
         np.testing.assert_allclose(by_dataset, forward.lengths(FORCES), rtol=1e-12)
 
 
-def test_corrections_come_near_the_forces():
-    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that."""
-    inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise=0.0)
-    others, columns = FORCES[200:], COLUMNS[200:]
-    linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
-    assert np.std(linear - others) > 0.01 * others.std()
-    assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
-
-
 @pytest.mark.parametrize("noise", [0.0, 1e-2])
-def test_at_rest_and_under_a_light_touch_forces_are_right(noise):
-    """Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best."""
+def test_corrections_come_near_the_forces_and_are_right_at_rest(noise):
+    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that.
+
+    Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best.
+    """
     inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise)
     touches = np.vstack([np.zeros(FORWARD.n_forces), 10.0 * np.eye(FORWARD.n_forces)])
     assert np.abs(inverse.forces(FORWARD.resistances(touches)) - touches).max() < 0.05
-
-
-def test_an_unreadable_pillar_is_not_looked_at():
-    readable = np.arange(FORWARD.n_pillars) != 4
-    inverse = ModelInverse.about(FORWARD, FORCES, readable, noise=0.0)
-    once, other = (inverse.forces(np.where(readable, COLUMNS, ohm)) for ohm in (1e4, 7.0))
-    np.testing.assert_array_equal(once, other)
-    assert np.std(once - FORCES) < 0.5 * FORCES.std()
+    if noise == 0.0:
+        others, columns = FORCES[200:], COLUMNS[200:]
+        linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
+        assert np.std(linear - others) > 0.01 * others.std()
+        assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
 
 
 def test_the_feature_needs_a_response_that_explains_the_data():
-    """Ohms ten times as many say the same of the forces, and so do gains; a body half as stiff does not."""
+    """A body half as stiff is another, and so are resistances of other loads."""
     softer = replace(RESPONSE, influence_mm_per_n=0.5 * RESPONSE.influence_mm_per_n)
     unpaired = replace(TRAINING, force_n=SHUFFLED.reshape(FORCES.shape))
     for given, data, said in (
@@ -110,17 +101,5 @@ def test_the_feature_needs_a_response_that_explains_the_data():
         with pytest.raises(SampleError, match=said):
             explaining(given, data)
     assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
-    for data, net, given in (
-        (DATA, "plain", RESPONSE),
-        (DATA, "skip", None),
-        (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE),
-    ):
-        assert suited_feature(data, ALL, net, given) == "root"
-    gains = 10.0 * np.random.default_rng(0).uniform(0.8, 1.2, (2, 3, 3))
-    network, other = (
-        NetworkConfig(hidden=4, feature="inverse"),
-        replace(DATA, resistance_ohm=DATA.resistance_ohm * gains),
-    )
-    model, own = (train(data, "all", network, TrainingConfig(), response=RESPONSE) for data in (other, DATA))
-    for name, errors in evaluate(model, other).items():
-        assert errors.rmse_n < 1.1 * evaluate(own, DATA)[name].rmse_n  # what the prior on gains costs
+    others = (DATA, "plain", RESPONSE), (DATA, "skip", None), (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE)
+    assert [suited_feature(data, ALL, net, given) for data, net, given in others] == ["root"] * 3

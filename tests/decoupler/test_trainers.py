@@ -1,6 +1,5 @@
 """The trainers' algebra: structured matrices, gradients and steps against dense ones from autograd, eq. 15 by hand."""
 
-import numpy as np
 import pytest
 import torch
 
@@ -58,14 +57,6 @@ def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
         assert_close(torch.cat([step[0].flatten(), step[1].flatten()]), expected)
 
 
-def test_singular_matrix_gives_no_step():
-    """Without damping a constant input doubles the bias: no step rather than a wild one."""
-    inputs = torch.ones(10, 1, dtype=torch.float64)
-    samples = TrainingSet(inputs, inputs, skip=True)
-    point = point_at(samples, torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64))
-    assert GaussNewton(samples, point).step(0.0) is None
-
-
 def test_variable_projection_is_kaufmans(problem):
     """Products, blocks, gradient and steps by the dense J₁ᵀJ₁ less what the output layer can follow."""
     samples, network = problem
@@ -114,20 +105,6 @@ def test_hidden_layer_never_sees_what_is_held_out():
         train_varpro(samples, hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse))
         paths.append(errors)
     assert paths[0] == paths[1]
-
-
-def test_noise_leaves_a_linear_map():
-    """Nothing but noise beyond a line: the samples held out like no hidden layer better than none."""
-    generator = np.random.default_rng(0)
-    x = generator.uniform(-1, 1, (60, 3))
-    noise = generator.standard_normal((60, 2))
-    samples = TrainingSet(torch.from_numpy(x), torch.from_numpy(x[:, :2] + noise), skip=True)
-    hidden = Network(NetworkConfig(hidden=12), 3, 2, seed=0).hidden.detach()
-    point, outcome = train_varpro(samples, hidden, 1e-9, 15, TrainingConfig(), lambda *_: None)
-    assert outcome.reason == "validation"
-    assert not point.hidden.any()
-    linear = np.linalg.lstsq(samples.X.numpy(), samples.targets.numpy(), rcond=None)[0]
-    np.testing.assert_allclose(point.output[:, 12:].numpy(), linear.T, atol=1e-6)  # the ridge's own size
 
 
 def test_follows_eq_15():

@@ -10,19 +10,17 @@ from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, Options, to_write
 
-OPEN = "HOST:PORT to do so; 0.0.0.0 lets everybody in"
-
 
 @dataclass(frozen=True, kw_only=True)
 class AskedStreams:
     """Streams as they are asked for: addresses are served, files are written."""
 
     foxglove: bool = quantity(False, "serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone")
-    foxglove_at: str | None = quantity(None, f"address {OPEN}")
+    foxglove_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
     foxglove_token: str | None = quantity(None, "token that lets in: only who opens ws://HOST:PORT/?token=TOKEN")
     mcap: File | None = quantity(None, "file (.mcap) to write as well: what Foxglove is shown")
     rerun: bool = quantity(False, "serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone")
-    rerun_at: str | None = quantity(None, f"address {OPEN}")
+    rerun_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
     rrd: File | None = quantity(None, "file (.rrd) to write as well: what Rerun is shown")
 
     def require(self) -> None:

@@ -4,7 +4,6 @@ import re
 import runpy
 import sys
 
-import numpy as np
 import pytest
 
 from fem.array.closed_forms import layer_response
@@ -29,7 +28,6 @@ def test_pressed_and_dragged_forces_are_decoded(example):
     assert found["normal_share"] < 0.03
     assert found["shear_n"] < 0.1
     assert found["centre_mm"] < 0.5
-    assert np.array([scan.net_n for scan in scans if not scan.applied_n[2]]).std(axis=0) == pytest.approx(0, abs=0.5)
 
 
 @pytest.mark.long
@@ -44,10 +42,8 @@ def test_the_example_runs_to_its_end_with_a_picture_and_a_film(example, shared_c
 
 def test_the_environment_presses_with_about_the_wanted_force(press_env, capsys, monkeypatch):
     """`press_env.py` as a script: twice from no contact, within 5 %; by a closed form of its response."""
-    gymnasium = sys.modules["gymnasium"]
-    gymnasium.registry.pop(press_env.ID)
+    sys.modules["gymnasium"].registry.pop(press_env.ID)
     monkeypatch.setattr("tripillar.response", layer_response, raising=False)
-    monkeypatch.syspath_prepend(str(ROOT / "examples"))
     runpy.run_path(press_env.__file__, run_name="__main__")
     rewards = re.findall(r"reward (−?-?[\d.]+)", capsys.readouterr().out)
     assert len(rewards) == 2

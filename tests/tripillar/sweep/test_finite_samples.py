@@ -1,4 +1,4 @@
-"""Groups of samples made by workers: kept as they come, taken up again, failed ones counted."""
+"""Groups of samples at finite strain made by a pool: kept as they come, taken up again, failed ones counted."""
 
 from functools import partial
 
@@ -8,18 +8,14 @@ import pytest
 from dataset import DatasetSettings
 from dataset.finite_strain import GROUP, Group
 from dataset.simulation import LoadError
-from fem.array.response import ArrayResponse
 from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
-from geometry.pool import WorkerLost, in_parallel
+from geometry.pool import WorkerLost
+from tests.dataset.conftest import made_up_response
 from tripillar.sweep import finite_samples as finite
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=1, pitch_mm=20.0), pad=Pad(kind="stiff"))
-INFLUENCE = np.full((1, 1, 2, 3, 1, 1, 3), 1e-3)
-#: stands in for a response: samples at finite strain need one to correct their grids
-NOMINAL = ArrayResponse(
-    design=DESIGN, influence_mm_per_n=INFLUENCE, residual=0.0, unknowns=1, seconds={}, error_estimate=1e-3
-)
+NOMINAL = made_up_response(DESIGN)  #: samples at finite strain need one to correct their grids
 SETTINGS = DatasetSettings(protocol="light", samples=3 * GROUP)
 
 
@@ -57,11 +53,3 @@ def test_lost_groups_are_told_and_the_others_taken_up_again(tmp_path, monkeypatc
     with pytest.raises(LoadError, match="raise the cap"):  # which no worker can do, and nobody tries again
         samples({0: LoadError("raise the cap")})
     assert given == [0]
-
-
-def test_processes_make_to_the_last_bit_what_this_one_does():
-    here = [finite.group(number, NOMINAL, SETTINGS) for number in (1, 2)]
-    there = in_parallel([(finite.group, number, NOMINAL, SETTINGS) for number in (1, 2)], lambda number: None)
-    for found, expected in zip(there, here, strict=True):
-        for name, values in vars(expected).items():
-            assert np.array_equal(getattr(found, name), values)

@@ -4,12 +4,14 @@ import asyncio
 import os
 from contextlib import contextmanager
 from threading import Thread
+from types import SimpleNamespace
 
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, SensorDesign
+from tripillar.viewer import sights
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.sensing import PressedSensor, inverse_forces
 from tripillar.viewer.page.server import Server, listening_on
@@ -37,6 +39,20 @@ def subject():
     response = solve_response(DESIGN, ResponseSettings(method="layer"))  # a closed form: any response will do
     sensor = PressedSensor(response, inverse_forces(response))
     return Subject(field=solve_array_field(DESIGN).prepared(), sensor=sensor, decoupler="the response's inverse")
+
+
+@pytest.fixture(scope="session")
+def panels(subject):
+    """Parts of its array under 1 and 3 MPa on every pad."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sights, "solve_array_field", lambda *_: subject.field)
+        return sights.panels_of(DESIGN, (1.0, 3.0), "uniform", stress=True)
+
+
+def a_feed(**said):
+    """A recording that is over."""
+    silent = {"port": "/dev/ttyACM0", "scan": None, "trouble": "", "link": "", "ended": True, "play_again": None}
+    return SimpleNamespace(**silent | {"faults": [], "contacts": [], "listeners": set()} | said)
 
 
 @contextmanager

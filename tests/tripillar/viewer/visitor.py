@@ -8,29 +8,27 @@ from contextlib import asynccontextmanager, suppress
 import aiohttp
 import psutil
 
-from tripillar.viewer.page.server import Server
-
 PATIENT_S = 20.0  # for a busy machine
 
 
 class Visitor:
-    """Someone who knows where the server is; and its token, unless said otherwise."""
+    """Someone who has a page's address with its token."""
 
-    def __init__(self, url: str, server: Server) -> None:
+    def __init__(self, url):
         self.base, self.token = url.split("?token=")
         self.netloc = self.base.removeprefix("http://").rstrip("/")
         self.port = int(self.netloc.rsplit(":", 1)[1])
         self.own = {"Host": self.netloc, "Origin": f"http://{self.netloc}", "Cookie": self.cookie(self.token)}
-        self.stop = server.stop
 
-    def cookie(self, token: str) -> str:
+    def cookie(self, token):
         return f"tripillar_{self.port}={token}"
 
-    async def get(self, path: str, base: str = "", **headers: str) -> tuple[int, aiohttp.typedefs.LooseHeaders, str]:
+    async def get(self, path, base="", **headers):
+        """Status, headers and text of an answer."""
         async with aiohttp.ClientSession() as client, client.get((base or self.base) + path, headers=headers) as answer:
             return answer.status, answer.headers, await answer.text()
 
-    async def asked_for_socket(self, **changed: str | None) -> int:
+    async def asked_for_socket(self, **changed):
         """The status that a request for the web socket gets, its headers but for some as the page sends them."""
         said = {name: value for name, value in (self.own | changed).items() if value is not None}
         async with aiohttp.ClientSession() as client:
@@ -41,7 +39,7 @@ class Visitor:
                 return error.status
 
     @asynccontextmanager
-    async def browser(self, is_served: bool = True):
+    async def browser(self, is_served=True):
         """A browser that has the page."""
         async with (
             aiohttp.ClientSession() as client,
@@ -52,16 +50,7 @@ class Visitor:
                 await browser.heard("show")
             yield browser
 
-    @asynccontextmanager
-    async def bystander(self):
-        """A browser that is served before and after what another does, which takes no memory."""
-        async with self.browser() as browser:
-            before = memory_mb()
-            yield browser
-            await browser.change(set={"pressure": 1.0})
-            assert memory_mb() - before < 250  # scenes of five browsers
-
-    async def wait_for_a_place(self) -> None:
+    async def wait_for_a_place(self):
         """Wait until the server has seen that another browser left."""
         async with asyncio.timeout(PATIENT_S):
             while True:
@@ -70,14 +59,14 @@ class Visitor:
                         return
                 await asyncio.sleep(0.1)
 
-    async def raw(self, head: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    async def raw(self, head):
         """A connection with a request whose headers are the page's, written by hand."""
         reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
         words = "".join(f"{name}: {value}\r\n" for name, value in self.own.items())
         writer.write(head.replace("\r\n", f"\r\n{words}", 1).encode())
         return reader, writer
 
-    async def raw_socket(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    async def raw_socket(self):
         """A web socket whose frames are written by hand."""
         reader, writer = await self.raw(
             "GET /socket HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
@@ -90,18 +79,18 @@ class Visitor:
 class Browser:
     """The page's side of the web socket."""
 
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+    def __init__(self, socket):
         self.socket, self.shown, self.controls = socket, {}, {}
 
-    async def say(self, **message: object) -> None:
+    async def say(self, **message):
         await self.socket.send_str(json.dumps(message))
 
-    async def change(self, **message: object) -> dict:
+    async def change(self, **message):
         """Say something; what is shown then."""
         await self.say(**message)
         return await self.heard("show")
 
-    async def heard(self, kind: str) -> object:
+    async def heard(self, kind):
         """The next message of a kind, or picture; all are taken note of."""
         async with asyncio.timeout(PATIENT_S):
             async for message in self.socket:
@@ -114,7 +103,7 @@ class Browser:
         raise ConnectionResetError(f"closed with {self.socket.close_code}")
 
 
-async def rest(reader: asyncio.StreamReader) -> bytes:
+async def rest(reader):
     """All that comes until the connection ends."""
     said = b""
     with suppress(ConnectionResetError):  # of what was not read
@@ -124,17 +113,12 @@ async def rest(reader: asyncio.StreamReader) -> bytes:
     return said
 
 
-def memory_mb() -> float:
+def memory_mb():
     return psutil.Process().memory_info().rss / 1e6
 
 
-def frame(opcode: int, length: int, content: bytes, fin: bool = True) -> bytes:
+def frame(opcode, length, content, fin=True):
     """A masked frame that claims a length, whatever it has."""
-    head = bytes([opcode | (0x80 if fin else 0)])
-    if length < 126:
-        head += bytes([0x80 | length])
-    elif length < 2**16:
-        head += bytes([0xFE]) + struct.pack(">H", length)
-    else:
-        head += bytes([0xFF]) + struct.pack(">Q", length)
-    return head + b"\0\0\0\0" + content
+    size = length if length < 126 else 126 if length < 2**16 else 127
+    claimed = {126: struct.pack(">H", length & 0xFFFF), 127: struct.pack(">Q", length)}.get(size, b"")
+    return bytes([opcode | (0x80 if fin else 0), 0x80 | size]) + claimed + b"\0\0\0\0" + content
