@@ -23,16 +23,18 @@ MIN_ARROW = 0.02  #: of the pitch: shorter ones are left out
 def draw_contact(contact: Contact, path: Path) -> None:
     """Write a PNG: units coloured by their normal force on the left, the contact itself on the right."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(12.5, 6.0), dpi=120, layout="compressed")
+    below_title = ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 0.96))
+    figure = Figure(figsize=(12.5, 6.0), dpi=120, layout=below_title)
     array, zoom = figure.subplots(1, 2)
     _draw_units(array, contact)
     _draw_patch(zoom, contact)
     for axes in (array, zoom):
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    fx, fy, fz = contact.net_force_n + 0.0
-    x, y = contact.centre_mm + 0.0
+    fx, fy, fz = contact.net_force_n.round(2) + 0.0  # no −0.00
+    x, y = contact.centre_mm.round(2) + 0.0
     figure.suptitle(
         f"{contact.depth_mm:g} mm deep, friction {contact.friction:g}: net force {fx:.2f}, {fy:.2f}, {fz:.2f} N, "
         f"centre of pressure {x:.2f}, {y:.2f} mm",

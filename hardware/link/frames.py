@@ -198,19 +198,18 @@ def unpack(body: bytes) -> Frame | Info | Errors | str:
     return "bad_form"
 
 
-def missing_between(previous: Frame, frame: Frame, host_s: float | None = None) -> int | None:
+def missing_between(previous: Frame, frame: Frame, host_s: float) -> int | None:
     """Count the frames sent between two received ones; None if the board has restarted in between.
 
-    `host_s` is the time by the host's clock from the scan of `previous` to the arrival of `frame` [s]. Without it a
-    reset 36 to 72 min after the start may look like lost frames: it moves the board's clock forward, modulo 2³², by
-    less than half a turn, and in every second case the sequence, too. With it a restart is told: a frame may be late by
-    anything, but never early by more than the drift.
+    `host_s` is the time by the host's clock from the scan of `previous` to the arrival of `frame` [s]: a frame may be
+    late by anything, but never early by more than the drift. So a reset 36 to 72 min after the start is told, too: it
+    moves the board's clock forward, modulo 2³², by less than half a turn, and in every second case the sequence.
     """
     missing = (frame.sequence - previous.sequence - 1) % 2**16
     elapsed_us = (frame.device_us - previous.device_us) % 2**32
     if missing >= 2**15 or elapsed_us >= 2**31:  # more than half a turn forward is a step back
         return None
-    if host_s is not None and elapsed_us * 1e-6 * (1 - MAX_DRIFT) > host_s + _MAX_EARLY_S:
+    if elapsed_us * 1e-6 * (1 - MAX_DRIFT) > host_s + _MAX_EARLY_S:
         return None
     return missing
 

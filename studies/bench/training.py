@@ -1,8 +1,11 @@
-"""``python -m studies.bench.training``: training time against error, ours beside torch's on the same network."""
+"""``python -m studies.bench.training``: training time against error of every trainer on one network."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
+from time import process_time
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -10,10 +13,10 @@ from cyclopts import Parameter
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
+from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
 from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
-from studies.bench.optimisers import Ended, Problem, Scaled, Trace, lbfgs
 from studies.memory import peak_mib
 from studies.tables import measured_on, report
 from tripillar.terminal.entry import run_alone
@@ -26,6 +29,66 @@ MSE = "mean squared error of the scaled training outputs"
 PACKAGES = ("numpy", "torch")
 GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
 SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that cannot be interrupted, a busy machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """A network to be trained on data."""
+
+    data: Samples
+    component: str
+    network: NetworkConfig
+    seed: int = 0
+    response: ArrayResponse | None = None  #: of the sensor, for whom it concerns
+
+    def first(self, samples: int) -> "Problem":
+        """The same with the first samples only."""
+        return replace(self, data=self.data[:samples])
+
+
+class Ended(Exception):
+    """Raised out of a training that has reached the goal, or whose time is over; its message says which."""
+
+
+class Trace:
+    """Hand `record` to a training as its progress: the clock, of processor time, starts when this is made.
+
+    Parameters
+    ----------
+    goal_mse : float
+        Mean squared error of the scaled outputs at which a training is ended.
+    patience_s : float
+        Time after which it is.
+    """
+
+    def __init__(self, goal_mse: float, patience_s: float) -> None:
+        self.goal_mse, self.patience_s = goal_mse, patience_s
+        self.points: list[tuple[int, float, float]] = []  #: iteration, seconds, error
+        self.start = process_time()
+
+    def record(self, iteration: int, mse: float) -> None:
+        """Note the error after so many iterations; raises `Ended` where that is enough."""
+        seconds = process_time() - self.start
+        self.points.append((iteration, seconds, mse))
+        if mse <= self.goal_mse:
+            raise Ended("goal")
+        if seconds > self.patience_s:
+            raise Ended("time")
+
+    def seconds_per_iteration(self) -> float | None:
+        """Median over the recorded iterations; None before the first has ended."""
+        steps = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(self.points) if b[0] > a[0]]
+        return median(steps) if steps else None
+
+    def thinned(self) -> list[tuple[int, float, float]]:
+        """Points at least 1 % of the time apart, and the last: as many as a picture can show."""
+        kept = self.points[:1]
+        for point in self.points[1:]:
+            if point[1] >= 1.01 * kept[-1][1] or point is self.points[-1]:
+                kept.append(point)
+        return kept
+
+
 Train = Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
 
 
@@ -100,20 +163,6 @@ def by_ours(trainer: Trainer, known: bool = False) -> Train:
     return run
 
 
-def by_peer(run: Callable[[Scaled, Trace], str]) -> Train:
-    """Training of the same network by something else, which changes its weights in place."""
-
-    def trained(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
-        scaled = Scaled(problem)
-        try:
-            reason = run(scaled, trace)
-        except Ended as end:
-            reason = str(end)
-        return scaled.decoupler(), reason
-
-    return trained
-
-
 KNOWN = "VarPro, skip net from the response"
 CONTENDERS = [
     Contender(name=name, family=name, solve=solve)
@@ -122,7 +171,6 @@ CONTENDERS = [
         ("VarPro", by_ours("varpro")),
         ("structured LM", by_ours("lm")),
         ("momentum (eq. 15)", by_ours("momentum")),
-        ("torch LBFGS", by_peer(lbfgs)),
     )
 ]
 

@@ -1,11 +1,9 @@
 """The paper's experiments of sections 3.2 and 3.3: samples, networks, and all trainings in one go."""
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from time import perf_counter
 
 import numpy as np
 
@@ -73,31 +71,18 @@ def cache_key_of(response: ArrayResponse, asked: Experiments) -> str:
 
 
 def run_experiments(response: ArrayResponse, asked: Experiments, bars: Bars) -> Results:
-    """Train and test everything, in as many processes as there are cores; the paper's own trainings come first."""
-    started = perf_counter()
+    """Train and test everything, in as many processes as there are cores."""
     kinds, data_sets = simulate_all(response, asked)
     planned = [*plan_figure_9(response, asked, kinds), *plan_table_2(response, asked, kinds)]
-    planned.sort(key=lambda pair: not _is_papers_own(pair[0]))
     shown = list(plan_figure_11(response, asked, kinds))
-    own = sum(_is_papers_own(trial) for trial, _ in planned)
     advance = bars.begin("trainings", total=len(planned) + len(shown))
-    ended_s = {}
-
-    def ended(number: int) -> None:
-        advance(1, "the paper's own" if number < own else "ours, and independent loads")
-        ended_s[number] = perf_counter() - started
-
-    outcomes = in_parallel([*(job for _, job in planned), *(job for _, job in shown)], ended)
+    jobs = [*(job for _, job in planned), *(job for _, job in shown)]
+    outcomes = in_parallel(jobs, lambda number: advance(1, ""))
     trained, forces = outcomes[: len(planned)], outcomes[len(planned) :]
     results = [
         _result(trial, one.errors[trial.component], one) for (trial, _), one in zip(planned, trained, strict=True)
     ]
     return Results(
-        own_trainings=own,
-        own_seconds=max(ended_s[number] for number in range(own)),
-        all_trainings=len(outcomes),
-        all_seconds=perf_counter() - started,
-        cores=os.cpu_count() or 1,
         data_sets=data_sets,
         results=[*results, *floors(asked, kinds), *marks(asked, kinds)],
         shown=[replace(one, decoupled_n=n.ravel().tolist()) for (one, _), n in zip(shown, forces, strict=True)],
@@ -217,10 +202,6 @@ def _split(asked: Experiments) -> tuple[np.ndarray, np.ndarray]:
     """Sample numbers of figure 9's training and test set."""
     numbers = np.arange(asked.training_samples + asked.test_samples)
     return numbers[: asked.training_samples], numbers[asked.training_samples :]
-
-
-def _is_papers_own(trial: ResultKey) -> bool:
-    return trial.network == PAPERS and trial.loads == LOADS[0]
 
 
 def _result(trial: ResultKey, errors: ForceErrors, trained: Fold | None = None) -> Result:

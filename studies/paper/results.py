@@ -72,13 +72,8 @@ class ShownForces:
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """All errors of the experiments, and how long they took."""
+    """All errors of the experiments."""
 
-    own_trainings: int  #: the paper's own: its network on contact data, figure 9 and table 2
-    own_seconds: float  #: from the first sample to the end of the last of those, processes started included
-    all_trainings: int
-    all_seconds: float
-    cores: int
     data_sets: list[DataSet]
     results: list[Result]
     shown: list[ShownForces]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import FileFormatError
 from hardware.boards.virtual_board import a_frame
-from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode, missing_between
+from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.test_decoder import U8, U32, infos
@@ -101,9 +101,10 @@ def test_what_was_recorded_is_read_to_the_last_bit(path, info, steps, calibratio
     assert (recording.info, recording.calibration, recording.made_from) == (info, calibration, made_from)
     found = recording.statistics
     assert (found.bad_crc, found.foreign, found.ok) == (met.bad_crc, met.foreign, len(sent))
-    within = [missing_between(*pair) for pair, begins in zip(pairwise(sent), runs[1:], strict=True) if not begins]
-    assert found.lost == sum(missing or 0 for missing in within)
-    assert found.restarts == within.count(None) + runs.count("restart")
+    pairs = zip(pairwise(sent), runs[1:], strict=True)
+    gaps = [(after.sequence - before.sequence - 1) % 2**16 for (before, after), begins in pairs if not begins]
+    assert found.lost == sum(gap for gap in gaps if gap < 2**15)
+    assert found.restarts == sum(gap >= 2**15 for gap in gaps) + runs.count("restart")
     assert recording.run[-1] == sum(map(bool, runs)) + found.restarts - runs.count("restart")
 
 

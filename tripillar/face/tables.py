@@ -143,7 +143,7 @@ def contact_table(contact: Contact, strain: float) -> Table:
         *((f"unit {row},{col} [N]", contact.force_n[row, col]) for row, col in units),
     ]
     for name, values in vectors:
-        table.add_row(escape(name), *(f"{value + 0.0:.3f}" for value in values))
+        table.add_row(escape(name), *(f"{value.round(3) + 0.0:.3f}" for value in values))
     table.add_section()
     for name, value in (
         ("contact area [mm²]", f"{contact.area_mm2:.2f}"),
