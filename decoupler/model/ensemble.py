@@ -64,8 +64,8 @@ class Ensemble:
         The model is linear.
         """
         found = forward.resistances(force_n)
-        for sensor in range(len(self)):
-            mine = slice((sensor - first) % len(self), None, len(self))
+        for offset in range(min(len(self), len(force_n))):
+            sensor, mine = (first + offset) % len(self), slice(offset, None, len(self))
             drawn = {name: values[sensor : sensor + 1] for name, values in vars(self).items() if values is not None}
             found[mine] += Ensemble(**drawn).differences(forward, force_n[mine])[:, 0]
         return np.maximum(found, MIN_WHOLE_OHM)
