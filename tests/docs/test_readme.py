@@ -28,6 +28,27 @@ MADE = {
     "model.onnx", "deformed.png",
 }  # fmt: skip
 WITH_A_BOARD = {"own.json", "press.frames", "press.nc", "forces.nc"}
+BEGIN = ["set -em", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]  #: of a shell that ends with its first failure
+
+
+def with_the_program(folder: Path) -> dict[str, str]:
+    """An environment in which `tripillar` is this tree's."""
+    (folder / "bin").mkdir()
+    (folder / "bin" / "tripillar").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tripillar "$@"\n')
+    (folder / "bin" / "tripillar").chmod(0o755)
+    return os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+
+
+@pytest.mark.long
+def test_the_readme_pasted_into_a_shell_runs_without_waiting(tmp_path):
+    """All of it as it stands, 6 × 6 units, both boards beginning while what follows is typed."""
+    (tmp_path / "empty").mkdir()
+    pasted, environment = "\n".join([*BEGIN, *TYPED, "wait"]), with_the_program(tmp_path)
+    done = subprocess.run(
+        ["bash", "-c", pasted], cwd=tmp_path / "empty", env=environment, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {path.name for path in (tmp_path / "empty").iterdir()} >= MADE | WITH_A_BOARD | {"cad"}
 
 
 def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache, monkeypatch):
@@ -36,13 +57,9 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache, monkeyp
     here = [re.sub("--seconds [0-9]+", "--seconds 1", line) for line in TYPED if line not in ELSEWHERE]
     first = next(k for k, line in enumerate(here) if line.startswith("tripillar board"))
     then = next(k for k, line in enumerate(here) if line.startswith("tripillar live"))
-    begin = ["set -em", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
-    pasted = "\n".join([*begin, *here[first:then], "echo ready", "read", here[-1], "wait"])
-    (tmp_path / "bin").mkdir()
-    (tmp_path / "bin" / "tripillar").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tripillar "$@"\n')
-    (tmp_path / "bin" / "tripillar").chmod(0o755)
-    environment = os.environ | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    pasted = "\n".join([*BEGIN, *here[first:then], "echo ready", "read", here[-1], "wait"])
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    environment = with_the_program(tmp_path)
     with Terminal(tmp_path / "empty") as terminal:
         for line in here[:first]:
             terminal.type(Command(FIRST_TYPED if line == FIRST else line))

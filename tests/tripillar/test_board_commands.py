@@ -94,7 +94,7 @@ def test_live_gives_the_forces_that_act_and_shows_every_scan_to_viewers(house, p
     assert all(said in drawn.stdout for said in ("frames/s", "0 lost"))
     has_viewers = find_spec("websockets") and find_spec("rerun")
     streams = "--foxglove-at", "127.0.0.1:0", "--mcap", "shown.mcap", "--rrd", "shown.rrd"
-    done = house.tripillar("live", port, *MODEL, "--json", "--seconds", "2.5", *(streams if has_viewers else ()))
+    done = house.tripillar("live", port, *MODEL, "--json", "--seconds", "4", *(streams if has_viewers else ()))
     lines, found = [json.loads(line) for line in done.stdout.splitlines()], forces_of(done)
     with xr.open_dataset(house.folder / "truth.nc") as opened:
         acts = opened["force_n"].values
