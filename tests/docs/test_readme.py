@@ -73,6 +73,7 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, shared_cache, monkeyp
     assert made == MADE | WITH_A_BOARD
 
 
+@pytest.mark.long  # the commands of the README, run as typed, are its short twin
 def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache):
     """Every command of docs/index.md succeeds, and prints what the page says below it."""
     commands = console_commands(ROOT / "docs" / "index.md")

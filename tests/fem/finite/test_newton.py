@@ -118,6 +118,7 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
     assert found.error_estimate < 1e-2
 
 
+@pytest.mark.long
 def test_two_rubbers_that_lean_are_solved_on_tetrahedra(monkeypatch):
     """On a coarse mesh, whose estimate says so."""
     monkeypatch.setattr("fem.tetrahedra.scene_mesh.EDGES_ACROSS", 1.0)
