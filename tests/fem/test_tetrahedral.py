@@ -73,10 +73,10 @@ def test_the_estimate_holds_on_the_pressed_block(monkeypatch):
     mesh = box_mesh((8, 8, 3), (30.0, 30.0, 10.0), disorder=0.2)
     monkeypatch.setattr("fem.tetrahedra.adapted.mesh_scene", lambda *_, **__: (mesh, False))
     text = BLOCK[: BLOCK.index("[[inclusion]]")] + BLOCK[BLOCK.index("[[load]]") :].replace("[8.0, 9.0]", "[10, 10]")
-    scene = scene_from_toml(text[: text.rindex("[[probe]]")] + "[solve]\ntolerance = 1.2e-2\n")
+    scene = scene_from_toml(text[: text.rindex("[[probe]]")] + "[solve]\ntolerance = 6e-3\n")
     solution = solved(scene)
     error = np.linalg.norm(solution.probes["patch"] - [0.0, 0.0, -0.62327]) / 0.62327
-    assert solution.error_estimate <= 1.2e-2
+    assert solution.error_estimate <= 6e-3
     assert solution.error_estimate / 3 < error < 3 * solution.error_estimate
 
 
