@@ -181,7 +181,7 @@ class Part:
         index = (unit[..., 1, :] * cols + unit[..., 0, :] + rows * cols * each).astype(np.int64).ravel()
         values = np.concatenate([force, force[..., 2:, :] * off], axis=-2)
         found = [np.bincount(index, values[..., k, :].ravel(), rows * cols * each.size) for k in range(5)]
-        return np.stack(found, axis=-1).reshape(*shape, rows * cols, 5)
+        return np.stack(found, axis=-1).reshape(*shape, rows * cols, 5).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
