@@ -360,6 +360,11 @@ class SensorDesign:
         return self.pillar_material.settled == self.matrix_material
 
 
+def bent(design: SensorDesign) -> SensorDesign:
+    """What bends of a sensor: the same of no resistivity of its own, of rubber that remembers nothing."""
+    return replace(design, resistivity_ohm_mm=1.0, pillar_material=design.pillar_material.settled)
+
+
 def with_model(design: SensorDesign, model: str) -> SensorDesign:
     """The same sensor, its rubbers of another model.
 
