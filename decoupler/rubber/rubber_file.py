@@ -4,14 +4,14 @@ Commands take it for a design: the paper's sensor of that rubber. `design --exte
 """
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from decoupler.rubber.law import NAMES, Elastic, Rubber
-from geometry.design import Memory, Prony, SensorDesign
+from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, whole_design
 from geometry.errors import DesignError
 from geometry.storage.files import write_text
@@ -40,14 +40,11 @@ MAY_LACK = ("section_mm2", "electrodes_mm")
 
 def extended(design: SensorDesign, rubber: Rubber) -> SensorDesign:
     """A design of a rubber, in its pillars: memory and relaxation, modulus and resistivity where they are known."""
-    known = {} if rubber.young_mpa is None else {"young_mpa": _short(rubber.young_mpa)}
-    pillar = replace(
-        design.pillar_material, memory=_rounded(rubber.memory), prony=_rounded(rubber.elastic.prony), **known
-    )
-    ohm_mm = rubber.resistivity_ohm_mm
-    return replace(
-        design, pillar_material=pillar, resistivity_ohm_mm=_short(ohm_mm) if ohm_mm else design.resistivity_ohm_mm
-    )
+    known = design.pillar_material
+    young_mpa, ohm_mm = rubber.young_mpa or known.young_mpa, rubber.resistivity_ohm_mm or design.resistivity_ohm_mm
+    memory, prony = _rounded(rubber.memory), _rounded(rubber.elastic.prony)
+    pillar = replace(known, memory=memory, prony=prony, young_mpa=_short(young_mpa))
+    return replace(design, pillar_material=pillar, resistivity_ohm_mm=_short(ohm_mm))
 
 
 def write_rubber(rubber: Rubber, path: Path) -> None:
@@ -112,7 +109,7 @@ def _short(value: float) -> float:
     return value if isinstance(value, int) else float(f"{value:.6g}")
 
 
-def _rounded(values: Memory | Prony) -> Any:
-    """The same to six digits."""
-    own = {name: getattr(values, name) for name in values.__annotations__}
+def _rounded(values: Any) -> Any:
+    """A `Memory` or `Prony` to six digits."""
+    own = {spec.name: getattr(values, spec.name) for spec in fields(values)}
     return replace(values, **{k: tuple(map(_short, v)) if isinstance(v, tuple) else _short(v) for k, v in own.items()})

@@ -60,7 +60,7 @@ def next_test(rubber: Rubber | None = None) -> tuple[FloatArray, FloatArray]:
                 strain.append(most * value)
     begin = time_s[-1] + 1 / RATE_HZ
     t = np.arange(round(MULTISINE_S * RATE_HZ)) / RATE_HZ
-    wave = sum(np.sin(2 * np.pi * tone * t + 2.4 * k) for k, tone in enumerate(TONES_HZ))
+    wave = np.sin(2 * np.pi * np.outer(t, TONES_HZ) + 2.4 * np.arange(len(TONES_HZ))).sum(axis=1)
     wave = (wave - wave.min()) / np.ptp(wave) * np.minimum(1.0, np.minimum(t, t[-1] - t) / 5.0)
     times = np.r_[time_s, begin + t, begin + t[-1] + wait_s]
     return times, np.r_[strain, most * wave, 0.0]
