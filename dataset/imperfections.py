@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
-from geometry.design import SensorDesign, quantity
+from dataset.memory import AnyMemory, PillarMemory
+from geometry.design import Memory, SensorDesign, quantity
 from geometry.errors import DesignError
 from geometry.layout import PILLARS, FloatArray
 from geometry.storage.files import stated
@@ -36,6 +37,9 @@ class Imperfections(ReadingError):
     )
     offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within=(0, 1e6))
     specimen: int = quantity(0, "seed of gains and offsets; each is another specimen", within=SEEDS)
+    memory_spread: float = quantity(
+        0.0, "relative standard deviation, from pillar to pillar, of what its rubber remembers", True, within=(0, 1)
+    )
     dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
     dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")
     dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, from 0 to below 2·cols; can be repeated")
@@ -64,6 +68,18 @@ class Imperfections(ReadingError):
         shape = (rows, cols, len(PILLARS))
         gain = 1.0 + self.gain_spread * generator.uniform(-1.0, 1.0, shape)
         return gain, self.offset_ohm * generator.standard_normal(shape)
+
+    def memory_of(self, memory: Memory, rows: int, cols: int) -> AnyMemory:
+        """What the pillars of this specimen remember (rows, cols, 3), of a rubber that remembers so much."""
+        if not self.memory_spread:
+            return memory
+        return PillarMemory.spread(memory, self._factors(1, self.memory_spread, (6, rows, cols, len(PILLARS))))
+
+    def _factors(self, stream: int, spread: float, shape: tuple[int, ...]) -> FloatArray:
+        """Factors of this specimen, log-normal: of mean 1 and this standard deviation; a stream of its own each."""
+        generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(stream,)))
+        sigma = np.sqrt(np.log1p(spread**2))
+        return np.exp(sigma * generator.standard_normal(shape) - sigma**2 / 2.0)
 
     def dead_mask(self, rows: int, cols: int) -> NDArray[np.bool_]:
         """Which pillars cannot be read, shape (rows, cols, 3): broken themselves or on a broken wire.
@@ -98,6 +114,7 @@ class Imperfections(ReadingError):
     ) -> FloatArray:
         """Exact resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
 
+        Series are (n, time, rows, cols, 3).
         They are finite and above 0, `OPEN_OHM` where a pillar cannot be read. A `readout` is electronics in place of a
         converter that reads each pillar alone; a dead pillar is open to them. The generator gives one number of noise a
         resistance whatever the settings. A pillar or wire that the array does not have, an offset that outweighs a
@@ -105,11 +122,11 @@ class Imperfections(ReadingError):
         """
         if readout is not None and readout.bits != self.bits:
             raise DesignError(f"bits={self.bits}, but the readout's converter has {readout.bits}: give both the same.")
-        _, rows, cols, _ = exact_ohm.shape
+        rows, cols = exact_ohm.shape[-3:-1]
         gain, offset = self.gain_and_offset(rows, cols)
         dead = self.dead_mask(rows, cols)
         ohms = gain * exact_ohm + offset
-        ohms[:, dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
+        ohms[..., dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
         if (ohms <= 0).any():
             raise DesignError(
                 f"offset_ohm={self.offset_ohm:g} takes a pillar's resistance to {ohms.min():.4g} Ω: lower it, or "
@@ -119,9 +136,9 @@ class Imperfections(ReadingError):
             ohms = self.read(ohms, generator)
         else:
             ohms = measured(self.drifted(ohms, generator), self.noise, None, generator)
-            ohms[:, dead] = OPEN_OHM
-            ohms = readout.measured(ohms, generator)
-        ohms[:, dead] = OPEN_OHM
+            ohms[..., dead] = OPEN_OHM
+            ohms = readout.measured(ohms.reshape(-1, rows, cols, len(PILLARS)), generator).reshape(ohms.shape)
+        ohms[..., dead] = OPEN_OHM
         return ohms
 
     def of_samples(self, design: SensorDesign) -> dict[str, Any]:

@@ -86,6 +86,15 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
     return resistivity_ohm_mm / volume_mm3 * length_mm**2
 
 
+def exact_resistances(effective_mm: FloatArray, design: SensorDesign, rise: FloatArray | float = 0.0) -> FloatArray:
+    """Resistances (..., 3) [Ω] that a design's pillars show by their `effective_lengths` (..., 3) [mm].
+
+    `rise` is that of ln R by memory, as of `dataset.memory.remembered`.
+    """
+    bulk_ohm = pillar_resistances(effective_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    return bulk_ohm if np.ndim(rise) == 0 and not rise else bulk_ohm * np.exp(rise)
+
+
 def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
     """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, 3) [mm].
 

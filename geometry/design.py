@@ -152,6 +152,40 @@ class Pad:
         require_sound(self)
 
 
+RATES = (0.0, 1e3)  #: of broken contacts, per strain
+LOG_RISES = (-20.0, 20.0)  #: of ln R by memory, or per strain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """What a conductive rubber's resistance remembers of its strain ε; nothing by default.
+
+    ln R = ln R₀ + 2 ln(1 + ε) + g₁ ε + g₂ ε² + a₁ q₁ + a₂ q₂ with shares qᵢ of contacts that strain has broken and that
+    heal: q̇ᵢ = b |ε̇| (1 − qᵢ) − qᵢ/τᵢ, b another one while a pillar lengthens than while it shortens.
+    """
+
+    a: tuple[float, float] = quantity((0.0, 0.0), "rise of ln R with all contacts broken", count=2, within=LOG_RISES)
+    b_lengthen: float = quantity(0.0, "rate at which lengthening breaks contacts, per strain", within=RATES)
+    b_shorten: float = quantity(0.0, "the same of shortening; 4 to 8 times as much in silicone", within=RATES)
+    tau_s: tuple[float, float] = positive((5.0, 100.0), "times in which broken contacts heal [s]", count=2)
+    g1: float = quantity(0.0, "rise of ln R with strain, beside the pillar's shape", within=LOG_RISES)
+    g2: float = quantity(0.0, "the same with its square", within=LOG_RISES)
+
+    def __post_init__(self) -> None:
+        require_sound(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prony:
+    """Relaxation of a rubber's force: F(t) = Y(t) + Σᵢ shareᵢ ∫ exp(−(t − s)/τᵢ) dY(s), Y settled; none by default."""
+
+    share: tuple[float, float] = quantity((0.0, 0.0), "of the settled force, that relax", count=2, within=(0.0, 10.0))
+    tau_s: tuple[float, float] = positive((1.0, 100.0), "times in which they do [s]", count=2)
+
+    def __post_init__(self) -> None:
+        require_sound(self)
+
+
 MODELS = ("linear", "neo-hookean", "mooney-rivlin")
 
 
@@ -167,6 +201,8 @@ class Material:
     model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", True, of=MODELS)
     young_mpa: float = positive(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
+    memory: Memory = quantity(Memory(), "what the resistance of the pillars' rubber remembers", True)
+    prony: Prony = quantity(Prony(), "how its force relaxes, in histories and live", True)
 
     def __post_init__(self) -> None:
         require_sound(self)
@@ -175,6 +211,11 @@ class Material:
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
                 "write 0.49 (the paper's) or up to 0.4999."
             )
+
+    @property
+    def settled(self) -> "Material":
+        """The same without memory: what statics know of it."""
+        return replace(self, memory=Memory(), prony=Prony())
 
     @property
     def lame_mpa(self) -> tuple[float, float]:
@@ -267,6 +308,8 @@ class SensorDesign:
         if self.pillar_material.model != self.matrix_material.model:
             models = f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}"
             raise DesignError(f"{models}: give both the same model.")
+        if self.matrix_material != self.matrix_material.settled:
+            raise DesignError("memory and prony belong to pillar_material: the rubber around conducts nothing.")
         pitch_mm, footprint_mm = self.array.pitch_mm, self.unit.footprint_mm
         if pitch_mm < footprint_mm:
             raise DesignError(
@@ -314,7 +357,12 @@ class SensorDesign:
     @property
     def is_homogeneous(self) -> bool:
         """True if pillars and matrix are of one rubber, so that pillars need no mesh of their own."""
-        return self.pillar_material == self.matrix_material
+        return self.pillar_material.settled == self.matrix_material
+
+
+def bent(design: SensorDesign) -> SensorDesign:
+    """What bends of a sensor: the same of no resistivity of its own, of rubber that remembers nothing."""
+    return replace(design, resistivity_ohm_mm=1.0, pillar_material=design.pillar_material.settled)
 
 
 def with_model(design: SensorDesign, model: str) -> SensorDesign:

@@ -13,7 +13,7 @@ from geometry.tolerances import usual_deviations
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
-BESIDE = ("tolerance", "twin")  #: tables of a design file that are not the design's
+BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are not the design's
 
 
 def design_to_toml(design: SensorDesign) -> str:
@@ -28,12 +28,22 @@ def design_to_toml(design: SensorDesign) -> str:
     for spec in fields(design):
         value = getattr(design, spec.name)
         if is_dataclass(value):
-            tables.append(f"\n[{spec.name}]  # {spec.metadata['meaning']}")
-            tables.extend(_key_line(value, key) for key in _keys(value))
-            tables.extend(f"# {note}" for note in getattr(value, "NOTES", ()))
+            tables += table_lines(value, spec.name, spec.metadata["meaning"])
         else:
             lines.append(_key_line(design, spec))
     return "\n".join([*lines, *tables, ""])
+
+
+def table_lines(values: Any, name: str, meaning: str) -> list[str]:
+    """Lines of a table, and of those in it that are not as by default."""
+    inner = [spec for spec in _keys(values) if is_dataclass(getattr(values, spec.name))]
+    lines = [f"\n[{name}]  # {meaning}"]
+    lines += [_key_line(values, key) for key in _keys(values) if key not in inner]
+    lines += [f"# {note}" for note in getattr(values, "NOTES", ())]
+    for spec in inner:
+        if getattr(values, spec.name) != spec.default:
+            lines += table_lines(getattr(values, spec.name), f"{name}.{spec.name}", spec.metadata["meaning"])
+    return lines
 
 
 def _keys(values: Any) -> list[Any]:
@@ -43,7 +53,8 @@ def _keys(values: Any) -> list[Any]:
 
 
 def _key_line(values: Any, spec: Any) -> str:
-    assignment = f"{spec.name} = {getattr(values, spec.name)!r}"
+    value = getattr(values, spec.name)
+    assignment = f"{spec.name} = {list(value) if isinstance(value, tuple) else value!r}"
     return f"{assignment:27} # {spec.metadata['meaning']}"
 
 
@@ -99,9 +110,11 @@ def _missing(whole: Any, given: dict[str, Any], where: str = "") -> list[str]:
     found = []
     for spec in _keys(whole):
         value = getattr(whole, spec.name)
+        if spec.metadata.get("optional") and spec.name not in given:
+            continue
         if is_dataclass(value):
             found += _missing(value, given.get(spec.name, {}), f" in [{spec.name}]")
-        elif spec.name not in given and not spec.metadata.get("optional"):
+        elif spec.name not in given:
             found.append(f"{spec.name}{where}")
     return found
 

@@ -21,7 +21,7 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, CellBody, DesignCell, lone_unit
 from fem.tetrahedra.mixed import taylor_hood
-from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign, bent
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -83,7 +83,7 @@ def surface_compliance(
     `SolverError` if the mesh or an answer cannot be trusted.
     """
     require_bare(design)
-    plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
+    plain = replace(bent(design), pad=Pad(size_mm=PAD * design.array.pitch_mm))
     cache_key = digest("surface", VERSION, plain)
 
     def make() -> SurfaceCompliance:

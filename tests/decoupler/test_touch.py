@@ -86,7 +86,7 @@ def test_a_changed_press_is_found_again(decoder):
     part = decoder._starts([0], 1)[0]
     true = 0.4 * PRIOR[None] * np.array([1, -1, 1, 1, -1, 1, 1, -1, 1])
     reading = decoder.sensing.reading(part.moved(true))[0]
-    fit = fitted(reading, np.full(len(reading), 1e-3), [part], np.zeros((1, 9)), 20)
+    (fit,) = fitted(reading, np.full(len(reading), 1e-3), [([part], np.zeros((1, 9)))], 20)
     assert fit.chi2 < 0.2 * len(reading)  # of deviations of a micrometre times a millimetre
     found, root = fit.loads()
     expected = part.units(true)[0]
