@@ -265,7 +265,7 @@ class _Past:
     def ahead(self, pose: _Pose) -> State:
         """Where the state comes to if it goes on as in the last step, as far as the pose does: a first guess."""
         last = self.pose.step_mm
-        share = np.clip(last @ pose.step_mm / max(last @ last, np.finfo(float).tiny), 0.0, MAX_AHEAD)
+        share = np.clip(np.vdot(last, pose.step_mm) / (np.vdot(last, last) + np.finfo(float).tiny), 0.0, MAX_AHEAD)
         force, moved = (
             getattr(self.state, name) + share * (getattr(self.state, name) - getattr(self.before, name))
             for name in ("force_n", "moved_mm")
