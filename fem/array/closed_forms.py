@@ -217,7 +217,7 @@ def _differences(target: FloatArray, load: FloatArray) -> tuple[FloatArray, Floa
     middle, weights = (target.mean(axis=1) - load.mean(axis=1))[:, None], np.outer(wt, ws).ravel()
     if np.allclose(half_t, half_s[:1], rtol=1e-9, atol=0) and np.allclose(half_s, half_s[:1], rtol=1e-9, atol=0):
         steps, which = np.unique(np.subtract.outer(t, s).round(12), return_inverse=True)
-        return middle + half_s * steps, np.bincount(which.ravel(), weights)
+        return middle + half_s * steps, np.bincount(which.ravel(), weights).astype(np.float64)
     return middle + (half_t[..., None] * t[:, None] - half_s[..., None] * s).reshape(len(middle), -1), weights
 
 
