@@ -395,6 +395,8 @@ def with_model(design: SensorDesign, model: str) -> SensorDesign:
     >>> with_model(SensorDesign(), "neo-hookean").matrix_material.model
     'neo-hookean'
     """
-    changed = {"model": model} | ({} if model == "yeoh" else {"stiffening": 0.0})
-    pillar, matrix = (replace(rubber, **changed) for rubber in (design.pillar_material, design.matrix_material))
+    rubbers = (design.pillar_material, design.matrix_material)
+    pillar, matrix = (
+        replace(rubber, model=model, stiffening=rubber.stiffening if model == "yeoh" else 0.0) for rubber in rubbers
+    )
     return replace(design, pillar_material=pillar, matrix_material=matrix)
