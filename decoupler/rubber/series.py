@@ -36,6 +36,7 @@ STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS = 3  #: longest glitch of a position
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
+JITTER, MAX_DETOUR = 4.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
 MIN_KEPT = 0.5  #: of a series with gaps that its longest part must be
 
 
@@ -176,6 +177,7 @@ def _mended(path: Path, series: Series) -> Series:
     series = _without_gaps(path, _without_glitches(series))
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
+    series = _without_jitter(series)
     if len(series) > MAX_ROWS:
         count = -(-len(series) // MAX_ROWS)
         series = series.averaged(count, f"averaged over {count} rows each")
@@ -205,6 +207,28 @@ def _without_glitches(series: Series) -> Series:
     strain = np.interp(series.time_s, series.time_s[~bad], x[~bad])
     note = f"position jumps away and back in {bad.sum()} rows: put between their neighbours"
     return replace(series, strain=strain, notes=(*series.notes, note))
+
+
+def _without_jitter(series: Series) -> Series:
+    """Strain whose noise adds to the way that it goes, which breaks contacts, without what turns within the noise."""
+    bend = np.abs(np.diff(series.strain, 2))
+    noise = 1.4826 * float(np.median(bend)) / np.sqrt(6)  # of one reading, from second differences
+    way = np.abs(np.diff(series.strain)).sum()
+    there, back = _followed(series.strain, JITTER * noise), _followed(series.strain[::-1], JITTER * noise)[::-1]
+    strain = (there + back) / 2  # each lags by as much
+    if way < MAX_DETOUR * np.abs(np.diff(strain)).sum():
+        return series
+    note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
+    return replace(series, strain=strain, notes=(*series.notes, note))
+
+
+def _followed(values: FloatArray, slack: float) -> FloatArray:
+    """Values (n,) as something follows them that is pulled along with some slack."""
+    found, place = np.empty_like(values), values[0]
+    for k, value in enumerate(values.tolist()):
+        place = min(max(place, value - slack), value + slack)
+        found[k] = place
+    return found
 
 
 def _without_gaps(path: Path, series: Series) -> Series:
