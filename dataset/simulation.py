@@ -25,7 +25,7 @@ from dataset.resistance import conducted_lengths, exact_resistances, largest_str
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
-from geometry.design import Memory, SensorDesign, quantity
+from geometry.design import Electrics, Memory, SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, rest_lengths
 from geometry.storage.files import digest
@@ -223,6 +223,7 @@ def measured_again(
             imperfections,
             seed,
             readout,
+            electrics=design.electrics,
         ),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
@@ -236,7 +237,12 @@ def require_conducted(response: ArrayResponse) -> None:
 
 
 def read_resistances(
-    exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None, first: int = 0
+    exact_ohm: FloatArray,
+    imperfections: Imperfections,
+    seed: int,
+    readout: Readout | None,
+    first: int = 0,
+    electrics: Electrics | None = None,
 ) -> FloatArray:
     """Exact resistances (n, rows, cols, 3) [Ω] as a sensor of these imperfections reads them, from sample `first` on.
 
@@ -248,6 +254,7 @@ def read_resistances(
             exact_ohm[start : start + size],
             np.random.default_rng([seed, (first + start) // size, MAX_ROUNDS]),
             readout,
+            electrics,
         )
         for start in range(0, len(exact_ohm), size)
     ]
@@ -305,7 +312,7 @@ def labelled(
         "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": read_resistances(exact_ohm, settings, settings.seed, readout, first),
+        "resistance_ohm": read_resistances(exact_ohm, settings, settings.seed, readout, first, design.electrics),
     } | ({} if effective_mm is None else {"effective_length_mm": effective})
 
 

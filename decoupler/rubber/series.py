@@ -36,6 +36,8 @@ STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS = 3  #: longest glitch of a position
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
+JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
+QUIET = 100  #: rows of a part that may be at rest
 MIN_KEPT = 0.5  #: of a series with gaps that its longest part must be
 
 
@@ -176,12 +178,11 @@ def _mended(path: Path, series: Series) -> Series:
     series = _without_gaps(path, _without_glitches(series))
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
+    series = _without_jitter(series)
     if len(series) > MAX_ROWS:
         count = -(-len(series) // MAX_ROWS)
         series = series.averaged(count, f"averaged over {count} rows each")
-    if np.ptp(series.force_n) > 0 and np.corrcoef(series.strain, series.force_n)[0, 1] < 0:
-        note = "force_n falls as strain rises: its sign was turned"
-        series = replace(series, force_n=-series.force_n, notes=(*series.notes, note))
+    series = _signs_agree(series)
     if abs(series.strain[0]) > STRAINED * np.ptp(series.strain):
         note = f"begins at a strain of {series.strain[0]:.3g}: what it remembers of before is found with the rest"
         series = replace(series, settled=False, notes=(*series.notes, note))
@@ -205,6 +206,40 @@ def _without_glitches(series: Series) -> Series:
     strain = np.interp(series.time_s, series.time_s[~bad], x[~bad])
     note = f"position jumps away and back in {bad.sum()} rows: put between their neighbours"
     return replace(series, strain=strain, notes=(*series.notes, note))
+
+
+def _signs_agree(series: Series) -> Series:
+    """Strain and force that rise together; where they do not, the resistance tells which of them is turned."""
+    if np.ptp(series.force_n) == 0 or np.corrcoef(series.strain, series.force_n)[0, 1] >= 0:
+        return series
+    if np.corrcoef(series.strain, series.resistance_ohm)[0, 1] < 0:  # it rises in tension
+        note = "force_n and the resistance rise as strain falls: taken for tension, strain's sign was turned"
+        return replace(series, strain=-series.strain, notes=(*series.notes, note))
+    note = "force_n falls as strain rises, the resistance does not: force_n's sign was turned"
+    return replace(series, force_n=-series.force_n, notes=(*series.notes, note))
+
+
+def _without_jitter(series: Series) -> Series:
+    """Strain whose noise adds to the way that it goes, which breaks contacts, without what turns within the noise."""
+    bend = np.abs(np.diff(series.strain, 2))
+    quiet = np.median(bend[: len(bend) // QUIET * QUIET].reshape(-1, QUIET), axis=1)
+    noise = 1.4826 * float(np.quantile(quiet, 0.25)) / np.sqrt(6)  # of one reading, where the specimen moves least
+    way = np.abs(np.diff(series.strain)).sum()
+    there, back = _followed(series.strain, JITTER * noise), _followed(series.strain[::-1], JITTER * noise)[::-1]
+    strain = (there + back) / 2  # each lags by as much
+    if way < MAX_DETOUR * np.abs(np.diff(strain)).sum():
+        return series
+    note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
+    return replace(series, strain=strain, notes=(*series.notes, note))
+
+
+def _followed(values: FloatArray, slack: float) -> FloatArray:
+    """Values (n,) as something follows them that is pulled along with some slack."""
+    found, place = np.empty_like(values), values[0]
+    for k, value in enumerate(values.tolist()):
+        place = min(max(place, value - slack), value + slack)
+        found[k] = place
+    return found
 
 
 def _without_gaps(path: Path, series: Series) -> Series:
