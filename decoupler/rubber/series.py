@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ COLUMNS = {
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
 }
+TWO_WIRES = {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3}  #: may stand beside those of four wires
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
 MAX_ROWS = 15_000  #: more are averaged
@@ -51,6 +52,7 @@ class Series:
     resistance_ohm: FloatArray
     notes: tuple[str, ...] = ()  #: what was found and mended, a line each
     settled: bool = True  #: whether it begins at rest and unstrained
+    two_wire_ohm: FloatArray | None = None  #: the whole specimen with its contacts, where it was read, too
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -60,15 +62,20 @@ class Series:
         """Times between readings (n − 1,) [s]."""
         return np.diff(self.time_s)
 
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        found = {name: getattr(self, name) for name in COLUMNS}
+        return found if self.two_wire_ohm is None else found | {"two_wire_ohm": self.two_wire_ohm}
+
     def part(self, rows: slice | NDArray, note: str = "") -> Self:
         """Some of its rows, and what is to be said of that."""
-        arrays = {name: getattr(self, name)[rows] for name in COLUMNS}
+        arrays = {name: values[rows] for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=self.notes + (note,) * bool(note))
 
     def averaged(self, count: int, note: str) -> Self:
         """Means of so many rows each."""
         n = len(self) // count * count
-        arrays = {name: getattr(self, name)[:n].reshape(-1, count).mean(axis=1) for name in COLUMNS}
+        arrays = {name: values[:n].reshape(-1, count).mean(axis=1) for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=(*self.notes, note))
 
 
@@ -89,10 +96,10 @@ def read_series(
                 f"{path}: displacement_mm needs the specimen's length between its clamps: length_mm=."
             )
         table["strain"] = {"displacement_mm": table["strain"]["displacement_mm"] / length_mm}
-    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm)) = (
-        next(iter(table[name].items())) for name in COLUMNS
+    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm), *beside) = (
+        next(iter(column.items())) for column in table.values()
     )
-    rows = np.stack([time_s, strain, force_n, ohm])
+    rows = np.stack([time_s, strain, force_n, ohm, *(values for _, values in beside)])
     read = np.isfinite(rows).all(axis=0) & (ohm != 0)
     notes = []
     if not read.all():
@@ -100,13 +107,16 @@ def read_series(
     order = np.argsort(rows[0, read], kind="stable")
     if (order != np.arange(len(order))).any():
         notes.append("rows put in the order of time")
-    time_s, strain, force_n, ohm = rows[:, read][:, order]
+    time_s, strain, force_n, ohm, *two_wires = rows[:, read][:, order]
     later = np.r_[True, np.diff(time_s) > 0][: len(time_s)]
     if not later.all():
         notes.append(f"{(~later).sum()} rows of the same time left out")
     if (ohm < 0).any():
         notes.append(f"{resisted} is negative in {(ohm < 0).mean():.0%} of the rows: its sign was dropped")
-    found = Series(time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes))
+    found = Series(
+        time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes),
+        two_wire_ohm=np.abs(two_wires[0]) if two_wires else None,
+    )  # fmt: skip
     found = found.part(later)
     _require_sense(path, found, time, strained, resisted, as_given)
     return _mended(path, found)
@@ -114,7 +124,7 @@ def read_series(
 
 def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatArray]]:
     """Of each quantity the column that the table has, by its name in `COLUMNS`, in the quantity's unit."""
-    known = [name for units in COLUMNS.values() for name in units]
+    known = [name for units in (*COLUMNS.values(), TWO_WIRES) for name in units]
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
     try:
@@ -125,10 +135,12 @@ def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatA
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     found: dict[str, dict[str, FloatArray]] = {}
-    for quantity, units in COLUMNS.items():
+    for quantity, units in (*COLUMNS.items(), ("two_wire_ohm", TWO_WIRES)):
         names = {unit: named.get(unit, unit) for unit in units}
         there = [unit for unit in units if names[unit] in header]
         there = [unit for unit in there if unit in named] or there
+        if not there and units is TWO_WIRES:
+            continue
         if not there:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
