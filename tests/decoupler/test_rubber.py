@@ -216,7 +216,9 @@ REFUSED = {
     "no strain": (lambda s: {"strain": 0.0 * s.strain}, "a specimen that is not stretched"),
     "column": (lambda s: {"force_n": None}, "the column force_n is missing"),
     "length": (lambda s: {"strain": None, "displacement_mm": 40 * s.strain}, "needs the specimen's length"),
-    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was the meter connected"),
+    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was its meter connected"),
+    "load cell": (lambda s: {"force_n": 0 * s.time_s}, "force_n stays 0: was its meter connected"),
+    "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
     "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 40 rows"),
 }
 
