@@ -24,6 +24,7 @@ PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
 STEP = PRIOR / np.array([35, 30, 30, 10, 10, 10, 12, 12, 10])  #: of one-sided differences
 POINTS = 12  #: along each side of a patch, at which its forces act at most
 INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, their forces taken away
+DAMPING = 0.3  #: of the diagonal, in the first steps
 DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
 MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
 
@@ -220,17 +221,22 @@ def _and_steps(q: FloatArray) -> FloatArray:
 
 
 def fitted(
-    reading: FloatArray, deviation: FloatArray, starts: Sequence[tuple[Sequence[Part], FloatArray]], steps: int
+    reading: FloatArray,
+    deviation: FloatArray,
+    starts: Sequence[tuple[Sequence[Part], FloatArray]],
+    steps: int,
+    kept: int | None = None,
 ) -> list[Fit]:
     """Gauss-Newton on a reading (m,) with deviations (m,) [mm²], in so many steps at most, from all starts at once.
 
-    A start is its parts, as many as of the others, and their q (parts, 9).
+    A start is its parts, as many as of the others, and their q (parts, 9). After the first step only the `kept` best
+    go on.
     """
     parts, q = Part.stacked([own for own, _ in starts]), np.stack([at for _, at in starts])
     shape, sensing = q.shape[1:], parts.sensing
     prior, limit, change = (np.tile(each, shape[0]) for each in (PRIOR**-2.0, PRIOR, STEP))
-    damping, before, going = np.full(len(q), 0.3), np.full(len(q), np.inf), np.arange(len(q))
-    found: list[Any] = [None] * len(q)
+    damping, before, going = np.full(len(q), DAMPING), np.full(len(q), np.inf), np.arange(len(q))
+    found = dict[int, Fit]()
     for step in range(steps + 1):
         each, flat = parts[going].moved(_and_steps(q[going])), q[going].reshape(len(going), -1)
         moved = each[:, :, 0].sum(axis=1)
@@ -257,4 +263,7 @@ def fitted(
         falls = costs[best] < cost
         q[going[falls]], before[going[falls]] = new[best][falls].reshape(-1, *shape), cost[falls]
         damping[going] = np.where(falls, np.maximum(tried[best] / 2, 1e-4), 100 * damping[going])
-    return found
+        if step == 0:
+            going, found = going[np.argsort(np.minimum(costs[best], cost))[:kept]], {}
+            damping[:] = DAMPING
+    return list(found.values())
