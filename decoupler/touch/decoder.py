@@ -18,15 +18,15 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
-STEPS = 4
+STARTS, STEPS = 32, 8  #: presses that are fitted, and steps at most after the first one
+KEPT = 10, 6, 4  #: the best of them after the first three steps, which go on
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 #: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
 #: 1.3, where no press of the library explains the scan
 SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
-SECOND_STARTS = 4
+SECOND_STARTS, SECOND_KEPT, SECOND_STEPS = 4, (4, 2), 5
 RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
 PAUSE = 8  #: scans from one search to the next at least; between them few presses are tried beside the fits before
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
@@ -248,7 +248,7 @@ class TouchDecoder:
             left = reading - self.sensing.reading(one.moved_mm[None])[0]
             more = self._starts(self.regression.nearest(left, NEAREST), SECOND_STARTS)
             starts = [([*one.parts, part], np.vstack([one.q, nothing])) for part in more]
-            for two in fitted(reading, deviation, starts, STEPS):
+            for two in fitted(reading, deviation, starts, SECOND_STEPS, SECOND_KEPT):
                 if two.cost + SECOND_COST < one.cost:
                     fits.append(replace(two, cost=two.cost + SECOND_COST))
         return fits
