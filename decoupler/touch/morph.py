@@ -263,7 +263,7 @@ def fitted(
         falls = costs[best] < cost
         q[going[falls]], before[going[falls]] = new[best][falls].reshape(-1, *shape), cost[falls]
         damping[going] = np.where(falls, np.maximum(tried[best] / 2, 1e-4), 100 * damping[going])
-        if step == 0:
+        if step == 0 and kept:
             going, found = going[np.argsort(np.minimum(costs[best], cost))[:kept]], {}
             damping[:] = DAMPING
     return list(found.values())
