@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import Drifts, quantity
+from geometry.design import Drifts, SensorDesign, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
@@ -28,6 +28,9 @@ class Readout(Protocol):
     @property
     def bits(self) -> int | None:
         """Resolution of its converter; None reads exactly."""
+
+    def seen(self, design: SensorDesign) -> SensorDesign:
+        """The design as it shows: without contacts to electronics that see none."""
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances that it reads of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
@@ -92,15 +95,17 @@ class ReadingError(Drifts):
     def drifted(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, n_pillars) [Ω] with a new drift in every sample; the same if none is stated.
 
+        Series (n, time, rows, cols, n_pillars) have one each.
         Draws come from a child of the generator: what it gives next does not depend on the drift.
         """
         if not self.has_drift:
             return resistance_ohm
         generator = generator.spawn(1)[0]
-        n, rows, cols, _ = resistance_ohm.shape
-        common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
-        own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
-        offset = self.drift_offset_ohm * generator.standard_normal((n, 1, 1, 1))
+        n, *moments, rows, cols, pillars = resistance_ohm.shape
+        once = [n, *[1] * len(moments)]  # of all moments
+        common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(*once, rows, cols, 1)
+        own = self.drift_pillar * generator.standard_normal((*once, rows, cols, pillars))
+        offset = self.drift_offset_ohm * generator.standard_normal((*once, 1, 1, 1))
         return np.maximum(resistance_ohm * (1.0 + common + own) + offset, MIN_LEFT * resistance_ohm)
 
     def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -186,7 +186,7 @@ class Prony:
         require_sound(self)
 
 
-MODELS = ("linear", "neo-hookean", "mooney-rivlin")
+MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,10 @@ class Material:
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", True, of=MODELS)
+    model: str = quantity(
+        "linear", "linear: small strain; neo-hookean, mooney-rivlin, yeoh: finite strain", True, of=MODELS
+    )
+    stiffening: float = quantity(0.0, "c₂/c₁ of yeoh, which stiffens as it is stretched", True, within=(0.0, 10.0))
     young_mpa: float = positive(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
     memory: Memory = quantity(Memory(), "what the resistance of the pillars' rubber remembers", True)
@@ -206,6 +209,8 @@ class Material:
 
     def __post_init__(self) -> None:
         require_sound(self)
+        if self.stiffening and self.model != "yeoh":
+            raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -277,6 +282,13 @@ class Electrics(Drifts):
     elastoresistance_across: float = quantity(
         0.0, "m₁₂ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
     )
+    contact_ohm: float = quantity(
+        0.0, "contact of each electrode; by two wires a pillar shows two of them [Ω]", True, within=(0.0, 1e6)
+    )
+    contact_spread: float = quantity(
+        0.0, "relative standard deviation of contacts, from electrode to electrode", True, within=(0.0, 2.0)
+    )
+    temperature_coefficient: float = quantity(0.0, "relative change of resistivity [1/K]", True, within=(-0.1, 0.1))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -289,6 +301,16 @@ class Electrics(Drifts):
     @property
     def is_conduction(self) -> bool:
         return self.model == "conduction"
+
+    @property
+    def contacts_ohm(self) -> float:
+        """What both its contacts add to a pillar [Ω]."""
+        return 2.0 * self.contact_ohm
+
+    @property
+    def by_four_wires(self) -> "Electrics":
+        """The same read by wires of its own for the current and for the voltage: no contact shows."""
+        return replace(self, contact_ohm=0.0, contact_spread=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,11 +382,21 @@ class SensorDesign:
         return self.pillar_material.settled == self.matrix_material
 
 
+def bent(design: SensorDesign) -> SensorDesign:
+    """What bends of a sensor: the same of no resistivity or contacts of its own, of rubber that remembers nothing."""
+    electrics = replace(design.electrics.by_four_wires, temperature_coefficient=0.0)
+    settled = design.pillar_material.settled
+    return replace(design, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
+
+
 def with_model(design: SensorDesign, model: str) -> SensorDesign:
     """The same sensor, its rubbers of another model.
 
     >>> with_model(SensorDesign(), "neo-hookean").matrix_material.model
     'neo-hookean'
     """
-    pillar, matrix = (replace(rubber, model=model) for rubber in (design.pillar_material, design.matrix_material))
+    rubbers = (design.pillar_material, design.matrix_material)
+    pillar, matrix = (
+        replace(rubber, model=model, stiffening=rubber.stiffening if model == "yeoh" else 0.0) for rubber in rubbers
+    )
     return replace(design, pillar_material=pillar, matrix_material=matrix)

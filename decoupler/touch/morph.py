@@ -41,7 +41,7 @@ class Pillars:
     def designed(cls, design: SensorDesign) -> Self:
         """As designed."""
         own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
-        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own, deviation_ohm=0.0 * own)
+        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own + design.electrics.contacts_ohm, deviation_ohm=0.0 * own)
 
     @classmethod
     def identified(cls, decoder: Decoupler) -> Self:
