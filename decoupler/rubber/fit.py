@@ -27,18 +27,30 @@ ROWS = 3000  #: that a force's law is found from
 
 
 def identified(
-    series: Series, wires: int = 4, section_mm2: float | None = None, electrodes_mm: float | None = None
+    series: Series,
+    wires: int = 4,
+    section_mm2: float | None = None,
+    electrodes_mm: float | None = None,
+    length_mm: float | None = None,
 ) -> Rubber:
-    """The rubber of a series; with the specimen's section, and the distance of its electrodes, in ohms and MPa too."""
+    """The rubber of a series; with the specimen's section, and the distance of its electrodes, in ohms and MPa too.
+
+    A series read by two wires as well, between the clamps `length_mm` apart, tells what its contacts are.
+    """
     fit = fit_memory(series)
     elastic, force_noise_n = fit_elastic(series)
     numbers, covariance = as_stated(fit.numbers, fit.covariance)
     least, most = float(series.strain.min()), float(series.strain.max())
+    contact_ohm, contact_spread = None, None
+    if series.two_wire_ohm is not None and electrodes_mm and length_mm:
+        contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
+        contact_ohm = max(float(np.median(contacts_ohm)), 0.0)
+        contact_spread = float(np.std(contacts_ohm)) / contact_ohm if contact_ohm else 0.0
     return Rubber(
         memory=memory_of(numbers), covariance=covariance, noise=fit.noise, correlation_s=fit.correlation_s,
         elastic=elastic, force_noise_n=force_noise_n, max_strain=most, min_strain=least,
         rest_ohm=float(np.exp(fit.numbers[LINEAR])), wires=wires,
-        section_mm2=section_mm2, electrodes_mm=electrodes_mm,
+        section_mm2=section_mm2, electrodes_mm=electrodes_mm, contact_ohm=contact_ohm, contact_spread=contact_spread,
         unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, (least, most))),
     )  # fmt: skip
 

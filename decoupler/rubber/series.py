@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ COLUMNS = {
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
 }
+TWO_WIRES = {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3}  #: may stand beside those of four wires
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
 MAX_ROWS = 15_000  #: more are averaged
@@ -33,7 +34,8 @@ MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, a
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, and over their usual distance
 STILL = 0.02  #: of the range: strain that has hardly moved
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
-GLITCH_ROWS = 3  #: longest glitch of a position
+GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
+FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
 JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
@@ -51,6 +53,7 @@ class Series:
     resistance_ohm: FloatArray
     notes: tuple[str, ...] = ()  #: what was found and mended, a line each
     settled: bool = True  #: whether it begins at rest and unstrained
+    two_wire_ohm: FloatArray | None = None  #: the whole specimen with its contacts, where it was read, too
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -60,15 +63,20 @@ class Series:
         """Times between readings (n − 1,) [s]."""
         return np.diff(self.time_s)
 
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        found = {name: getattr(self, name) for name in COLUMNS}
+        return found if self.two_wire_ohm is None else found | {"two_wire_ohm": self.two_wire_ohm}
+
     def part(self, rows: slice | NDArray, note: str = "") -> Self:
         """Some of its rows, and what is to be said of that."""
-        arrays = {name: getattr(self, name)[rows] for name in COLUMNS}
+        arrays = {name: values[rows] for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=self.notes + (note,) * bool(note))
 
     def averaged(self, count: int, note: str) -> Self:
         """Means of so many rows each."""
         n = len(self) // count * count
-        arrays = {name: getattr(self, name)[:n].reshape(-1, count).mean(axis=1) for name in COLUMNS}
+        arrays = {name: values[:n].reshape(-1, count).mean(axis=1) for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=(*self.notes, note))
 
 
@@ -89,10 +97,10 @@ def read_series(
                 f"{path}: displacement_mm needs the specimen's length between its clamps: length_mm=."
             )
         table["strain"] = {"displacement_mm": table["strain"]["displacement_mm"] / length_mm}
-    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm)) = (
-        next(iter(table[name].items())) for name in COLUMNS
+    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm), *beside) = (
+        next(iter(column.items())) for column in table.values()
     )
-    rows = np.stack([time_s, strain, force_n, ohm])
+    rows = np.stack([time_s, strain, force_n, ohm, *(values for _, values in beside)])
     read = np.isfinite(rows).all(axis=0) & (ohm != 0)
     notes = []
     if not read.all():
@@ -100,13 +108,16 @@ def read_series(
     order = np.argsort(rows[0, read], kind="stable")
     if (order != np.arange(len(order))).any():
         notes.append("rows put in the order of time")
-    time_s, strain, force_n, ohm = rows[:, read][:, order]
+    time_s, strain, force_n, ohm, *two_wires = rows[:, read][:, order]
     later = np.r_[True, np.diff(time_s) > 0][: len(time_s)]
     if not later.all():
         notes.append(f"{(~later).sum()} rows of the same time left out")
     if (ohm < 0).any():
         notes.append(f"{resisted} is negative in {(ohm < 0).mean():.0%} of the rows: its sign was dropped")
-    found = Series(time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes))
+    found = Series(
+        time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes),
+        two_wire_ohm=np.abs(two_wires[0]) if two_wires else None,
+    )  # fmt: skip
     found = found.part(later)
     _require_sense(path, found, time, strained, resisted, as_given)
     return _mended(path, found)
@@ -114,7 +125,7 @@ def read_series(
 
 def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatArray]]:
     """Of each quantity the column that the table has, by its name in `COLUMNS`, in the quantity's unit."""
-    known = [name for units in COLUMNS.values() for name in units]
+    known = [name for units in (*COLUMNS.values(), TWO_WIRES) for name in units]
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
     try:
@@ -125,10 +136,12 @@ def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatA
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     found: dict[str, dict[str, FloatArray]] = {}
-    for quantity, units in COLUMNS.items():
+    for quantity, units in (*COLUMNS.items(), ("two_wire_ohm", TWO_WIRES)):
         names = {unit: named.get(unit, unit) for unit in units}
         there = [unit for unit in units if names[unit] in header]
         there = [unit for unit in there if unit in named] or there
+        if not there and units is TWO_WIRES:
+            continue
         if not there:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
@@ -175,7 +188,7 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
 
 def _mended(path: Path, series: Series) -> Series:
     """The series without glitches, gaps and alternating readings; the signs agree."""
-    series = _without_gaps(path, _without_glitches(series))
+    series = _without_gaps(path, _without_glitches(_without_glitches(series)))  # twice: some hide behind others
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
     series = _without_jitter(series)
@@ -190,21 +203,23 @@ def _mended(path: Path, series: Series) -> Series:
 
 
 def _without_glitches(series: Series) -> Series:
-    """Positions that jump away and come back within a few rows are put between their neighbours."""
-    x, least = series.strain, STILL * np.ptp(series.strain)
-    jump, bad = np.diff(x), np.zeros(len(x), dtype=bool)
-    for width in range(1, GLITCH_ROWS + 1):
-        away, back = jump[1 : -width - 1], jump[1 + width : -1]
-        usual = np.maximum(np.abs(jump[: -width - 2]), np.abs(jump[width + 2 :]))
-        size = np.minimum(np.abs(away), np.abs(back))
-        left = np.abs(x[2 + width : -1] - x[1 : -width - 2])
-        found = np.flatnonzero((away * back < 0) & (size > 3 * usual + least) & (left < size / 2)) + 2
-        for more in range(width):
-            bad[found + more] = True
+    """Positions that jump away and soon come back while the force stays are put between their neighbours."""
+    from scipy.ndimage import label, median_filter
+
+    x, f, t = series.strain, series.force_n, series.time_s
+    usual, pull = median_filter(x, 2 * GLITCH_ROWS + 1, mode="nearest"), float(np.polyfit(x, f, 1)[0])
+    runs, count = label(np.abs(x - usual) > JUMP * np.ptp(x))
+    bad = np.zeros(len(x), dtype=bool)
+    for number in range(1, count + 1):
+        run = np.flatnonzero(runs == number)
+        ends = [max(run[0] - 1, 0), min(run[-1] + 1, len(x) - 1)]
+        away, pulled = (v[run] - np.interp(t[run], t[ends], v[ends]) for v in (x, f))
+        stayed = pull * (pulled @ away) < FOLLOWED * pull**2 * (away @ away)
+        bad[run] = stayed and np.abs(away).max() > JUMP * np.ptp(x)
     if not bad.any():
         return series
-    strain = np.interp(series.time_s, series.time_s[~bad], x[~bad])
-    note = f"position jumps away and back in {bad.sum()} rows: put between their neighbours"
+    strain = np.interp(t, t[~bad], x[~bad])
+    note = f"position jumps away and back in {bad.sum()} rows, the force does not: put between their neighbours"
     return replace(series, strain=strain, notes=(*series.notes, note))
 
 

@@ -28,7 +28,9 @@ OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS, SECOND_KEPT, SECOND_STEPS = 4, (4, 2), 5
 RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
-PAUSE = 8  #: scans from one search to the next at least; between them few presses are tried beside the fits before
+#: scans from one search to the next at least, if it explains its scan and if not; between them few presses are tried
+#: beside the fits before
+PAUSES = 4, 30
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
@@ -65,7 +67,7 @@ class Touched:
     chi2: float  #: of the best fit over the number of readings; of rest, at rest
     contacts: tuple[TouchContact, ...] = ()  #: none at rest
     fits: tuple[Fit, ...] = ()
-    age: int = 0  #: scans since fits were last sought among all presses
+    wait: int = 0  #: scans until fits may be sought among all presses again
 
     @property
     def force_n(self) -> FloatArray:
@@ -181,11 +183,11 @@ class TouchDecoder:
 
     def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
         """Touch of one reading (m,) [mm²]; the best fits of the scan before go on, if they still hold."""
-        age, own = PAUSE if last is None else last.age + 1, self.sensing.deviation(reading, self.errors)
+        wait, own = max(last.wait - 1, 0) if last else 0, self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
         if at_rest < chdtri(len(reading), AT_REST):
             chi2, none = at_rest / len(reading), np.zeros((self.rows * self.cols, 5))
-            return Touched(load=none, factors=self._alone(self.hidden_n), chi2=chi2, age=age)
+            return Touched(load=none, factors=self._alone(self.hidden_n), chi2=chi2, wait=wait)
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
         best = sorted(last.fits if last else (), key=lambda fit: fit.cost)[:FOLLOWED]
         fits = list[Fit]()
@@ -193,14 +195,15 @@ class TouchDecoder:
             alike = [(fit.parts, fit.q) for fit in best if len(fit.parts) == parts]
             fits += fitted(reading, deviation, alike, FOLLOWED_STEPS)
         if fits and min(fit.cost for fit in fits) <= best[0].cost + RISE:
-            return replace(self._weighed(at_rest, fits), age=age)
+            return replace(self._weighed(at_rest, fits), wait=wait)
         rows = self.regression.nearest(reading, NEAREST)
         near = self.regression.answer(reading, rows)
-        if age < PAUSE:
+        if wait:
             starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
             fits += fitted(reading, deviation, starts, FOLLOWED_STEPS)
-            return replace(self._weighed(at_rest, fits, *near), age=age)
-        return self._weighed(at_rest, self._fits(reading, deviation, rows), *near)
+            return replace(self._weighed(at_rest, fits, *near), wait=wait)
+        found = self._weighed(at_rest, self._fits(reading, deviation, rows), *near)
+        return replace(found, wait=PAUSES[int(found.chi2 > SECOND)])
 
     def _weighed(
         self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0

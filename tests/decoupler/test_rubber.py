@@ -120,6 +120,15 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
         read_rubber(tmp_path / "cut.toml")
 
 
+def test_two_ways_of_reading_tell_contacts(series):
+    """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
+    read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
+    found = identified(read.averaged(8, ""), electrodes_mm=20.0, length_mm=40.0)
+    assert found.contact_ohm == pytest.approx(15e3)
+    assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
+    assert identified(read.averaged(8, "")).contact_ohm is None
+
+
 def test_published_silicones_state_their_source_and_surround_the_pillars():
     assert all(re.search(r"\(\d{4}\)|\.com/", silicone.source) for silicone in SILICONES.values())
     design = surrounded(SensorDesign(), "elastosil-m4601")

@@ -54,7 +54,7 @@ def rubber(
     columns : str
         List of names that columns have in the table, such as time_ms=t,displacement_mm=x,resistance_kohm=R.
     length_mm : float, optional
-        Length of the specimen between its clamps [mm]; of displacements.
+        Length of the specimen between its clamps [mm]; of displacements, and of what two wires read.
     section_mm2 : float, optional
         Section of the specimen at rest [mm²]: gives Young's modulus.
     electrodes_mm : float, optional
@@ -100,7 +100,7 @@ def rubber(
             stages.draw_rubber(known, series, Path(picture))
         caller.answer(lambda: asdict(judged), _told(asdict(judged)), picture)
         return judged
-    found = stages.rubber_of(series, wires, section_mm2, electrodes_mm)
+    found = stages.rubber_of(series, wires, section_mm2, electrodes_mm, length_mm)
     if out is not None:
         stages.write_rubber(found, Path(out))
     if next_test is not None:
@@ -129,6 +129,8 @@ def _as_plain(found: "stages.Rubber", series: "stages.Series") -> dict[str, Any]
         "young_mpa": found.young_mpa,
         "resistivity_ohm_mm": found.resistivity_ohm_mm,
         "rest_ohm": found.rest_ohm,
+        "contact_ohm": found.contact_ohm,
+        "contact_spread": found.contact_spread,
         "noise": found.noise,
         "correlation_s": found.correlation_s,
         "resistance_nrmse_pct": stages.of_range(resistance_ohm, series.resistance_ohm),

@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
-    from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
+    from hardware.readout.crossbar_readout import CrossbarReadout, seen_by, shunts_of
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
     from hardware.readout.known_loads import calibrated, doubt_about
