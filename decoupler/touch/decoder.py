@@ -18,7 +18,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-STARTS, STEPS = 32, 8  #: presses that are fitted, and steps at most after the first one
+STARTS, STEPS = 32, 8  #: presses that are fitted, and steps after the first one at most
 KEPT = 10, 6, 4  #: the best of them after the first three steps, which go on
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
 #: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
@@ -26,7 +26,7 @@ FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by h
 SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
-SECOND_STARTS, SECOND_KEPT, SECOND_STEPS = 4, (4, 2), 5
+SECOND_STARTS, SECOND_STEPS, SECOND_KEPT = 4, 5, (4, 2)  #: of it, as `STARTS`, `STEPS` and `KEPT`
 RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
 #: scans from one search to the next at least, if it explains its scan and if not; between them few presses are tried
 #: beside the fits before
