@@ -274,8 +274,8 @@ def fitted(
                 for old, better in ((moved, tried_mm), (chi2, each_chi2), (cost, costs))
             )
         if step == 1 and kept:
-            found = {k: found[k] for k in going}
-        for k, *values in zip(going, q[going], cost, chi2, curvature, moved, strict=True):
+            found = {k: found[k] for k in going.tolist()}
+        for k, *values in zip(going.tolist(), q[going], cost, chi2, curvature, moved, strict=True):
             found[k] = Fit(tuple(starts[k][0]), *values)
         if steps:
             order = np.argsort(cost)[: kept[step] if step < len(kept) else None]
