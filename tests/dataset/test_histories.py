@@ -100,6 +100,13 @@ def test_forces_relax_and_strains_do_not(remembering, series):
     assert np.abs(relaxing.force_n - series.force_n).max() > 1.0
 
 
+def test_learning_takes_series_moment_by_moment(response):
+    plain = simulate(response, asked(samples=2, rate_hz=2.0))
+    of_series, of_moments = (tp.train(each, hidden=4) for each in (plain, plain.at_moments()))
+    assert np.array_equal(of_series.forces(plain.resistance_ohm[0]), of_moments.forces(plain.resistance_ohm[0]))
+    assert tp.evaluate(of_series, plain)["fz"].errors.rmse_n < 1.0
+
+
 def test_a_drift_stays_over_a_series_and_noise_does_not(remembering, series):
     drifted = simulate(remembering, asked(drift=0.01, drift_pillar=0.01, drift_offset_ohm=0.0))
     ratio = drifted.resistance_ohm / series.resistance_ohm
@@ -199,8 +206,6 @@ def test_what_makes_no_series_is_refused(series, remembering, tmp_path):
     ):
         with pytest.raises(DesignError, match=said):
             asked(**more)
-    with pytest.raises(SampleError, match=r"series over time.*at_moments\(\)"):
-        tp.train(series)
     with pytest.raises(SampleError, match=r"series over time.*at_moments\(\)"):
         tp.identify(series)
     with pytest.raises(SampleError, match=r"expected \(n_series, 300, rows, cols, 3\)"):
