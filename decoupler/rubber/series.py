@@ -34,7 +34,8 @@ MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, a
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, and over their usual distance
 STILL = 0.02  #: of the range: strain that has hardly moved
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
-GLITCH_ROWS = 3  #: longest glitch of a position
+GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
+FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
 JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
@@ -187,7 +188,7 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
 
 def _mended(path: Path, series: Series) -> Series:
     """The series without glitches, gaps and alternating readings; the signs agree."""
-    series = _without_gaps(path, _without_glitches(series))
+    series = _without_gaps(path, _without_glitches(_without_glitches(series)))  # twice: some hide behind others
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
     series = _without_jitter(series)
@@ -202,21 +203,23 @@ def _mended(path: Path, series: Series) -> Series:
 
 
 def _without_glitches(series: Series) -> Series:
-    """Positions that jump away and come back within a few rows are put between their neighbours."""
-    x, least = series.strain, STILL * np.ptp(series.strain)
-    jump, bad = np.diff(x), np.zeros(len(x), dtype=bool)
-    for width in range(1, GLITCH_ROWS + 1):
-        away, back = jump[1 : -width - 1], jump[1 + width : -1]
-        usual = np.maximum(np.abs(jump[: -width - 2]), np.abs(jump[width + 2 :]))
-        size = np.minimum(np.abs(away), np.abs(back))
-        left = np.abs(x[2 + width : -1] - x[1 : -width - 2])
-        found = np.flatnonzero((away * back < 0) & (size > 3 * usual + least) & (left < size / 2)) + 2
-        for more in range(width):
-            bad[found + more] = True
+    """Positions that jump away and soon come back while the force stays are put between their neighbours."""
+    from scipy.ndimage import label, median_filter
+
+    x, f, t = series.strain, series.force_n, series.time_s
+    usual, pull = median_filter(x, 2 * GLITCH_ROWS + 1, mode="nearest"), float(np.polyfit(x, f, 1)[0])
+    runs, count = label(np.abs(x - usual) > JUMP * np.ptp(x))
+    bad = np.zeros(len(x), dtype=bool)
+    for number in range(1, count + 1):
+        run = np.flatnonzero(runs == number)
+        ends = [max(run[0] - 1, 0), min(run[-1] + 1, len(x) - 1)]
+        away, pulled = (v[run] - np.interp(t[run], t[ends], v[ends]) for v in (x, f))
+        stayed = pull * (pulled @ away) < FOLLOWED * pull**2 * (away @ away)
+        bad[run] = stayed and np.abs(away).max() > JUMP * np.ptp(x)
     if not bad.any():
         return series
-    strain = np.interp(series.time_s, series.time_s[~bad], x[~bad])
-    note = f"position jumps away and back in {bad.sum()} rows: put between their neighbours"
+    strain = np.interp(t, t[~bad], x[~bad])
+    note = f"position jumps away and back in {bad.sum()} rows, the force does not: put between their neighbours"
     return replace(series, strain=strain, notes=(*series.notes, note))
 
 
