@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler.rubber.fit import fit_elastic, identified, of_range, resistance_from_strain
+from decoupler.rubber.check import checked, of_range, resistance_from_strain
+from decoupler.rubber.fit import fit_elastic, identified
 from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import Series, read_series
@@ -118,6 +119,16 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
     with pytest.raises(DesignError, match="lacks 'tau2_s'"):
         read_rubber(tmp_path / "cut.toml")
+
+
+def test_a_check_zeroes_forces_and_counts_what_deviations_hold(found, series):
+    """Forces 3 N off all along and then right to 1 % of the range: an offset is none, deviations hold as they say."""
+    size = np.ptp(series.force_n)
+    off = 0.01 * size * np.random.default_rng(0).standard_normal(len(series))
+    judged = checked(found, series, (series.force_n + off + 3.0, np.full(len(series), 0.01 * size)))
+    assert judged.force_nrmse_pct == pytest.approx(1.0, abs=0.1)  # with the noise of the first 2 s
+    assert judged.coverage == pytest.approx((68, 95), abs=4)
+    assert checked(found, series).coverage is None
 
 
 def test_two_ways_of_reading_tell_contacts(series):
