@@ -4,6 +4,7 @@
 ones: gain and offset of each pillar, drift, noise, then the converter, and last what is dead reads as open.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
-from geometry.design import SensorDesign, quantity
+from dataset.memory import AnyMemory, PillarMemory
+from geometry.design import Electrics, Memory, SensorDesign, quantity
 from geometry.errors import DesignError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import PILLARS, SONG2018, FloatArray
 from geometry.storage.files import stated
 from geometry.wiring import crossing_of_pillar, crossings
 
@@ -36,6 +38,12 @@ class Imperfections(ReadingError):
     )
     offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within=(0, 1e6))
     specimen: int = quantity(0, "seed of gains and offsets; each is another specimen", within=SEEDS)
+    memory_spread: float = quantity(
+        0.0, "relative standard deviation, from pillar to pillar, of what its rubber remembers", True, within=(0, 1)
+    )
+    temperature_rise: float = quantity(
+        0.0, "temperature above that of the stated resistivity [K]", True, within=(-200.0, 300.0)
+    )
     dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
     dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")
     dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, from 0 to below 2·cols; can be repeated")
@@ -54,16 +62,53 @@ class Imperfections(ReadingError):
             if not (isinstance(wires, tuple) and all(map(_is_index, wires))):
                 raise DesignError(f"{name}={wires!r} must hold numbers of wires from 0 on, such as (4, 5).")
 
-    def gain_and_offset(self, rows: int, cols: int) -> tuple[FloatArray, FloatArray]:
+    def gain_and_offset(
+        self, rows: int, cols: int, electrics: Electrics | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Factor [1] and offset [Ω] of every pillar of this specimen, each of shape (rows, cols, 3).
 
-        Both are drawn whatever their size, so that a wider spread is the same specimen with larger deviations.
+        Both are drawn whatever their size, so that a wider spread is the same specimen with larger deviations. Factors
+        are of the rubber: with `electrics` they are those at its temperature, and offsets make of the contacts that are
+        in a design's exact resistances those of its own electrodes. A pillar with two contacts shares each with the
+        pillars of that electrode.
         """
         # a spawn key keeps this stream apart from those of loads and noise, which have none, whatever their seed
         generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(0,)))
         shape = (rows, cols, len(PILLARS))
         gain = 1.0 + self.gain_spread * generator.uniform(-1.0, 1.0, shape)
-        return gain, self.offset_ohm * generator.standard_normal(shape)
+        offset = self.offset_ohm * generator.standard_normal(shape)
+        if electrics is None:
+            return gain, offset
+        gain = self.warmed(gain, electrics)
+        if electrics.contact_ohm:
+            offset = offset + self._contacts(rows, cols, electrics) - gain * electrics.contacts_ohm
+        return gain, offset
+
+    def warmed(self, gain: Any, electrics: Electrics) -> Any:
+        """Factors of the rubber (...) at its temperature; a `DesignError` if none is left."""
+        factor = 1.0 + electrics.temperature_coefficient * self.temperature_rise
+        if factor <= 0.0:
+            raise DesignError(
+                f"temperature_rise={self.temperature_rise:g} leaves no resistance at temperature_coefficient="
+                f"{electrics.temperature_coefficient:g}: lower one of the two."
+            )
+        return gain if factor == 1.0 else factor * gain
+
+    def _contacts(self, rows: int, cols: int, electrics: Electrics) -> FloatArray:
+        """Resistances of both contacts of each pillar together (rows, cols, 3) [Ω]."""
+        factors = self._factors(2, electrics.contact_spread, (rows, cols, len(SONG2018.terminals)))
+        return np.asarray(electrics.contact_ohm * of_both_ends(factors))
+
+    def memory_of(self, memory: Memory, rows: int, cols: int) -> AnyMemory:
+        """What the pillars of this specimen remember (rows, cols, 3), of a rubber that remembers so much."""
+        if not self.memory_spread:
+            return memory
+        return PillarMemory.spread(memory, self._factors(1, self.memory_spread, (6, rows, cols, len(PILLARS))))
+
+    def _factors(self, stream: int, spread: float, shape: tuple[int, ...]) -> FloatArray:
+        """Factors of this specimen, as of `log_normal`; each kind has a stream of its own."""
+        generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(stream,)))
+        return np.asarray(log_normal(generator.standard_normal(shape), spread))
 
     def dead_mask(self, rows: int, cols: int) -> NDArray[np.bool_]:
         """Which pillars cannot be read, shape (rows, cols, 3): broken themselves or on a broken wire.
@@ -94,10 +139,15 @@ class Imperfections(ReadingError):
         return dead | on_dead_wire[crossing_of_pillar(rows, cols)]
 
     def apply(
-        self, exact_ohm: FloatArray, generator: np.random.Generator, readout: Readout | None = None
+        self,
+        exact_ohm: FloatArray,
+        generator: np.random.Generator,
+        readout: Readout | None = None,
+        electrics: Electrics | None = None,
     ) -> FloatArray:
         """Exact resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
 
+        Series are (n, time, rows, cols, 3). With `electrics` contacts and temperature are as of `gain_and_offset`.
         They are finite and above 0, `OPEN_OHM` where a pillar cannot be read. A `readout` is electronics in place of a
         converter that reads each pillar alone; a dead pillar is open to them. The generator gives one number of noise a
         resistance whatever the settings. A pillar or wire that the array does not have, an offset that outweighs a
@@ -105,11 +155,11 @@ class Imperfections(ReadingError):
         """
         if readout is not None and readout.bits != self.bits:
             raise DesignError(f"bits={self.bits}, but the readout's converter has {readout.bits}: give both the same.")
-        _, rows, cols, _ = exact_ohm.shape
-        gain, offset = self.gain_and_offset(rows, cols)
+        rows, cols = exact_ohm.shape[-3:-1]
+        gain, offset = self.gain_and_offset(rows, cols, electrics)
         dead = self.dead_mask(rows, cols)
         ohms = gain * exact_ohm + offset
-        ohms[:, dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
+        ohms[..., dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
         if (ohms <= 0).any():
             raise DesignError(
                 f"offset_ohm={self.offset_ohm:g} takes a pillar's resistance to {ohms.min():.4g} Ω: lower it, or "
@@ -119,9 +169,9 @@ class Imperfections(ReadingError):
             ohms = self.read(ohms, generator)
         else:
             ohms = measured(self.drifted(ohms, generator), self.noise, None, generator)
-            ohms[:, dead] = OPEN_OHM
-            ohms = readout.measured(ohms, generator)
-        ohms[:, dead] = OPEN_OHM
+            ohms[..., dead] = OPEN_OHM
+            ohms = readout.measured(ohms.reshape(-1, rows, cols, len(PILLARS)), generator).reshape(ohms.shape)
+        ohms[..., dead] = OPEN_OHM
         return ohms
 
     def of_samples(self, design: SensorDesign) -> dict[str, Any]:
@@ -132,6 +182,18 @@ class Imperfections(ReadingError):
         """Every field as a NetCDF attribute can hold it; what is None, empty or no drift is left out."""
         plain = stated(self) | {"dead_pillars": [",".join(map(str, place)) for place in self.dead_pillars]}
         return {name: value for name, value in plain.items() if value is not None and value != []}
+
+
+def log_normal(draws: Any, spread: float) -> Any:
+    """Factors above 0 of mean 1 and this standard deviation, by standard normal draws (...), an array or a tensor."""
+    sigma = math.sqrt(math.log1p(spread**2))
+    logarithms = sigma * draws - sigma**2 / 2.0
+    return logarithms.exp() if hasattr(logarithms, "exp") else np.exp(logarithms)
+
+
+def of_both_ends(electrodes: Any) -> Any:
+    """Values of a unit's electrodes (..., 4), upper ones first, summed over both ends of each pillar (..., 3)."""
+    return electrodes[..., SONG2018.pillar_terminals].sum(-1)
 
 
 def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int) -> Imperfections:

@@ -10,11 +10,11 @@ from threading import Lock
 
 import numpy as np
 
-from dataset.resistance import largest_strains, pillar_lengths, pillar_resistances
+from dataset.resistance import exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_volumes
+from geometry.layout import FloatArray
 from geometry.storage.netcdf import write_netcdf
 
 #: ranges of an indentation's sizes, in heights of the slab
@@ -60,7 +60,7 @@ def samples_of(contacts: Sequence[Contact]) -> Samples:
         displacement_mm=moved,
         moment_nmm=np.stack([contact.unit_moment_nmm for contact in contacts]),
         length_mm=length,
-        resistance_ohm=pillar_resistances(length, pillar_volumes(design.unit), design.resistivity_ohm_mm),
+        resistance_ohm=exact_resistances(length, design),
         design=design,
     )
 

@@ -1,5 +1,7 @@
 """Samples in a zarr directory: leaves of `LEAF` samples, each a chunk of every variable with the hash of its numbers.
 
+Series over time have leaves of fewer, `LEAF` moments or one series.
+
 Leaves can be made in any order, by any process; whoever reads one checks its hash, so that no reader needs them all.
 Format 2 of zarr, since format 3 has no stable type for labels yet; xarray, and all that reads zarr, opens them.
 """
@@ -17,8 +19,9 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from dataset.variables import VARIABLES, coordinates
+from dataset.variables import TIME, VARIABLES, coordinates
 from geometry.errors import FileFormatError
+from geometry.layout import FloatArray
 from geometry.storage.files import digest, reported, require_folder
 from geometry.storage.netcdf import chosen_variables
 from geometry.storage.unfinished import unfinished_folder
@@ -26,7 +29,7 @@ from geometry.storage.unfinished import unfinished_folder
 if TYPE_CHECKING:
     import xarray as xr
 
-LEAF = 8192  #: samples of a leaf: 3.5 MB of a variable of 6 × 6 units in float32
+LEAF = 8192  #: samples of a leaf: 3.5 MB of a variable of 6 × 6 units in float32; of series, moments
 HASHES = "leaf_hashes"  #: attribute of a variable: a hash of each leaf's numbers
 LEAF_SIZE = "leaf_samples"  #: attribute of a directory
 HEADER_HASH = "header_hash"  #: attribute of a directory: a hash of its other attributes
@@ -42,24 +45,30 @@ LEVEL = 3  #: of zstd: 5 takes twice as long for 2 % less, 1 is no faster to rea
 
 @dataclass(frozen=True, kw_only=True)
 class Leaf:
-    """One leaf as it is stored, by variable."""
+    """One leaf as it is stored."""
 
-    content: dict[str, bytes]  #: of its files
-    hashes: dict[str, str]  #: of its numbers
-
-
-def n_leaves(samples: int) -> int:
-    """Leaves of so many samples."""
-    return -(-samples // LEAF)
+    content: dict[str, bytes]  #: of its files, by their names below the directory
+    hashes: dict[str, str]  #: of its numbers, by variable
 
 
-def packed(arrays: Mapping[str, np.ndarray], samples: int, dtype: str) -> Leaf:
-    """A leaf of variables (up to `LEAF`, ...) of a dataset of so many samples."""
+def leaf_size(moments: int | None = None) -> int:
+    """Samples of a leaf, or series of so many moments."""
+    return LEAF if moments is None else max(1, LEAF // moments)
+
+
+def n_leaves(samples: int, size: int = LEAF) -> int:
+    """Leaves of so many samples, `size` in each."""
+    return -(-samples // size)
+
+
+def packed(arrays: Mapping[str, np.ndarray], number: int, chunk: int, dtype: str) -> Leaf:
+    """Leaf `number`: variables (up to `chunk`, ...), stored in chunks of so many samples or series."""
     typed = {name: np.ascontiguousarray(values, dtype=dtype) for name, values in arrays.items()}
     content = {}
     for name, values in typed.items():
-        missing = np.zeros((min(LEAF, samples) - len(values), *values.shape[1:]), dtype)  # chunks are alike in size
-        content[name] = _compressor().encode(np.concatenate([values, missing]) if len(missing) else values)
+        missing = np.zeros((chunk - len(values), *values.shape[1:]), dtype)  # chunks are alike in size
+        whole = np.concatenate([values, missing]) if len(missing) else values
+        content[f"{name}/{number}{'.0' * (values.ndim - 1)}"] = _compressor().encode(whole)
     return Leaf(content=content, hashes={name: digest(values) for name, values in typed.items()})
 
 
@@ -70,16 +79,11 @@ def _compressor() -> Any:
     return Blosc(cname="zstd", clevel=LEVEL, shuffle=Blosc.SHUFFLE)
 
 
-def chunk_name(variable: str, number: int) -> str:
-    """File of a variable's leaf, below its directory."""
-    return f"{variable}/{number}{'.0' * (len(VARIABLES[variable].dims) - 1)}"
-
-
-def write_leaf(folder: Path, number: int, leaf: Leaf) -> None:
+def write_leaf(folder: Path, leaf: Leaf) -> None:
     """Write the files of a leaf, each whole or not at all, by way of a file beside the folder."""
     temporary = folder.with_name("chunk.new")
     for name, content in leaf.content.items():
-        path = folder / chunk_name(name, number)
+        path = folder / name
         with reported(folder, temporary):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_bytes(content)
@@ -92,50 +96,69 @@ def write_header(
     hashes: Mapping[str, Sequence[str]],
     attributes: Mapping[str, Any],
     dtype: str,
+    time_s: FloatArray | None = None,
 ) -> None:
-    """Write all of a directory but its leaves, of samples of rows × cols units and the variables that have `hashes`."""
+    """Write all of a directory but its leaves, of samples of rows × cols units and the variables that have `hashes`.
+
+    Series have times (t,) [s].
+    """
     import zarr
 
-    n, rows, cols = shape
+    (n, rows, cols), is_timed, moments = shape, time_s is not None, None if time_s is None else len(time_s)
+    size = leaf_size(moments)
     said = {name: getattr(value, "tolist", lambda value=value: value)() for name, value in attributes.items()}
-    said |= {LEAF_SIZE: LEAF, "content_hash": leaves_hash(hashes)}
+    said |= {LEAF_SIZE: size, "content_hash": leaves_hash(hashes, size)}
     said[HEADER_HASH] = digest(said)
     group = zarr.create_group(folder, zarr_format=2, overwrite=False, attributes=said)
     for name, of_leaves in hashes.items():
-        dims, notes, _ = VARIABLES[name]
-        of_one = VARIABLES[name].shape(rows, cols)
+        dims, notes = list(VARIABLES[name].dims_in(is_timed)), VARIABLES[name].notes
+        of_one = VARIABLES[name].shape(rows, cols, moments)
         group.create_array(
             name,
             shape=(n, *of_one),
             dtype=dtype,
-            chunks=(min(LEAF, n), *of_one),
+            chunks=(min(size, n), *of_one),
             compressors=_compressor(),
             fill_value=None,
-            attributes={"_ARRAY_DIMENSIONS": list(dims), **notes, HASHES: list(of_leaves)},
+            attributes={"_ARRAY_DIMENSIONS": dims, **notes, HASHES: list(of_leaves)}
+            | ({"coordinates": "time_s"} if is_timed else {}),
         )
+    if is_timed:
+        group.create_array("time_s", data=time_s, fill_value=None, attributes={"_ARRAY_DIMENSIONS": ["time"], **TIME})
     for dim, labels in coordinates(hashes).items():
         group.create_array(dim, data=np.array(labels), fill_value=None, attributes={"_ARRAY_DIMENSIONS": [dim]})
     zarr.consolidate_metadata(group.store, zarr_format=2)
 
 
-def leaves_hash(hashes: Mapping[str, Sequence[str]]) -> str:
-    """Hash of forces and resistances by the hashes of their leaves."""
-    return digest("leaves", LEAF, list(hashes["force_n"]), list(hashes["resistance_ohm"]))
+def leaves_hash(hashes: Mapping[str, Sequence[str]], size: int = LEAF) -> str:
+    """Hash of forces and resistances by the hashes of their leaves of so many samples."""
+    return digest("leaves", size, list(hashes["force_n"]), list(hashes["resistance_ohm"]))
 
 
-def write_leaves(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any], dtype: str) -> None:
-    """Write variables (samples, ...) as a zarr directory, whole or not at all; errors as of `Samples.write`."""
+def write_leaves(
+    path: Path,
+    arrays: Mapping[str, np.ndarray],
+    attributes: Mapping[str, Any],
+    dtype: str,
+    time_s: FloatArray | None = None,
+) -> None:
+    """Write variables (samples, ...), or (series, time, ...), as a zarr directory, whole or not at all.
+
+    Series have times (t,) [s]. Errors as of `Samples.write`.
+    """
     require_zarr_place(path)
-    n, rows, cols, _ = arrays["force_n"].shape
+    n, *_, rows, cols, _ = arrays["force_n"].shape
+    size = leaf_size(None if time_s is None else len(time_s))
     hashes: dict[str, list[str]] = {name: [] for name in arrays}
     with replacing_folder(path) as folder:
-        for number in range(n_leaves(n)):
-            of_leaf = slice(number * LEAF, (number + 1) * LEAF)
-            leaf = packed({name: values[of_leaf] for name, values in arrays.items()}, n, dtype)
-            write_leaf(folder, number, leaf)
+        for number in range(n_leaves(n, size)):
+            of_leaf = slice(number * size, (number + 1) * size)
+            part = {name: values[of_leaf] for name, values in arrays.items()}
+            leaf = packed(part, number, min(size, n), dtype)
+            write_leaf(folder, leaf)
             for name, one in leaf.hashes.items():
                 hashes[name].append(one)
-        write_header(folder, (n, rows, cols), hashes, attributes, dtype)
+        write_header(folder, (n, rows, cols), hashes, attributes, dtype, time_s)
 
 
 def is_zarr(path: Path) -> bool:
@@ -175,7 +198,11 @@ def put(folder: Path, path: Path) -> None:
 
 
 def open_zarr(
-    path: Path, wanted: Mapping[str, tuple[str, ...]], made_by: str, optional: Mapping[str, tuple[str, ...]]
+    path: Path,
+    wanted: Mapping[str, tuple[str, ...]],
+    made_by: str,
+    optional: Mapping[str, tuple[str, ...]],
+    instead: Mapping[str, tuple[str, ...]],
 ) -> "xr.Dataset":
     """The variables of a directory as `read_netcdf` gives those of a file, but read when used; errors as there.
 
@@ -197,7 +224,7 @@ def open_zarr(
             opened = xr.open_zarr(path, chunks=None, consolidated=False, decode_times=False)
         for header in headers:
             opened[header.parent.name]  # a damaged one is left out without a word
-        found = chosen_variables(opened, path, wanted, made_by, optional)
+        found = chosen_variables(opened, path, wanted, made_by, optional, instead)
         for labels in found.coords.values():
             _ = labels.values  # which decodes them
     except (FileFormatError, MemoryError):

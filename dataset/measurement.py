@@ -92,15 +92,17 @@ class ReadingError(Drifts):
     def drifted(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, n_pillars) [Ω] with a new drift in every sample; the same if none is stated.
 
+        Series (n, time, rows, cols, n_pillars) have one each.
         Draws come from a child of the generator: what it gives next does not depend on the drift.
         """
         if not self.has_drift:
             return resistance_ohm
         generator = generator.spawn(1)[0]
-        n, rows, cols, _ = resistance_ohm.shape
-        common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(n, rows, cols, 1)
-        own = self.drift_pillar * generator.standard_normal(resistance_ohm.shape)
-        offset = self.drift_offset_ohm * generator.standard_normal((n, 1, 1, 1))
+        n, *moments, rows, cols, pillars = resistance_ohm.shape
+        once = [n, *[1] * len(moments)]  # of all moments
+        common = (generator.standard_normal((n, 3)) @ self._patterns(rows, cols).T).reshape(*once, rows, cols, 1)
+        own = self.drift_pillar * generator.standard_normal((*once, rows, cols, pillars))
+        offset = self.drift_offset_ohm * generator.standard_normal((*once, 1, 1, 1))
         return np.maximum(resistance_ohm * (1.0 + common + own) + offset, MIN_LEFT * resistance_ohm)
 
     def read(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -86,6 +86,17 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
     return resistivity_ohm_mm / volume_mm3 * length_mm**2
 
 
+def exact_resistances(effective_mm: FloatArray, design: SensorDesign, rise: FloatArray | float = 0.0) -> FloatArray:
+    """Resistances (..., 3) [Ω] of a design's pillars and their contacts, by `effective_lengths` (..., 3) [mm].
+
+    `rise` is that of ln R by memory, as of `dataset.memory.remembered`.
+    """
+    bulk_ohm = pillar_resistances(effective_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    if not (np.ndim(rise) == 0 and rise == 0.0):
+        bulk_ohm = bulk_ohm * np.exp(rise)
+    return bulk_ohm + design.electrics.contacts_ohm
+
+
 def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
     """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, 3) [mm].
 
@@ -119,8 +130,8 @@ def rest_resistances(design: SensorDesign) -> FloatArray:
     [10000.0, 14142.1, 14142.1]
     """
     if design.electrics.is_conduction:
-        return _conducted_at_rest(design.unit) * design.resistivity_ohm_mm
-    return pillar_resistances(rest_lengths(design.unit), pillar_volumes(design.unit), design.resistivity_ohm_mm)
+        return _conducted_at_rest(design.unit) * design.resistivity_ohm_mm + design.electrics.contacts_ohm
+    return exact_resistances(rest_lengths(design.unit), design)
 
 
 @cache

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.imperfections import stated_imperfections
-from dataset.leaves import LEAF, is_zarr, write_leaves
+from dataset.leaves import is_zarr, leaf_size, write_leaves
 from dataset.measurement import ReadingError
-from dataset.variables import LABELS, VARIABLES, coordinates
+from dataset.variables import LABELS, TIME, VARIABLES, coordinates
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
@@ -42,6 +42,7 @@ class AnySamples:
     dead: NDArray[np.bool_] | None  #: (rows, cols, 3): pillars that cannot be read; None if all can
     made_from: dict[str, Any]  #: other attributes of the file: seed, protocol, hashes ...
     strain_model: FloatArray | None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
+    time_s: FloatArray | None  #: (t,): of each moment since the series began [s]; None of samples without a time
     shape: tuple[int, int]  #: rows and columns of the array
     variables: tuple[str, ...]  #: names of the variables that are held
     dtype: np.dtype[Any]  #: of the numbers
@@ -54,9 +55,20 @@ class AnySamples:
         """Some of the samples in memory, chosen as in an array; of a single number, that one."""
         raise NotImplementedError
 
-    def blocks(self, size: int = LEAF) -> Iterator["Samples"]:
-        """All samples in order, so many at a time; on disk a multiple of `LEAF` reads each leaf once."""
-        return (self[start : start + size] for start in range(0, len(self), size))
+    def blocks(self, size: int | None = None) -> Iterator["Samples"]:
+        """All samples in order, so many at a time; by default `leaf_size`, whose multiples read a leaf on disk once."""
+        step = size or self.leaf_size
+        return (self[start : start + step] for start in range(0, len(self), step))
+
+    @property
+    def moments(self) -> int | None:
+        """Number of moments of a series; None of samples without a time."""
+        return None if self.time_s is None else len(self.time_s)
+
+    @property
+    def leaf_size(self) -> int:
+        """Samples, or series, of a leaf on disk."""
+        return leaf_size(self.moments)
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:
@@ -101,14 +113,15 @@ class AnySamples:
         """Variables that are held and attributes that are known, by name, in words."""
         held = {}
         for name in self.variables:
-            dims, notes, _ = VARIABLES[name]
+            dims, notes = VARIABLES[name].dims_in(self.time_s is not None), VARIABLES[name].notes
             held[name] = f"{', '.join(dims)} [{notes.get('units', '1')}]: {notes['note']}"
         told = {name: str(value) for name, value in self.attributes().items() if name != "design"}
         return held | told | ({"design": "not known"} if self.design is None else {})
 
     def _title(self) -> str:
         rows, cols = self.shape
-        return f"{len(self):,} samples of {rows} × {cols} units, {self.made_from.get('protocol', 'protocol not known')}"
+        kind = "samples" if self.moments is None else f"series of {self.moments:,} moments"
+        return f"{len(self):,} {kind} of {rows} × {cols} units, {self.made_from.get('protocol', 'protocol not known')}"
 
     def __repr__(self) -> str:
         return "\n".join([self._title(), *(f"  {name:19} {text}" for name, text in self.described().items())])
@@ -124,8 +137,9 @@ class Samples(AnySamples):
     """Labelled samples: resistances of a sensor, the forces that cause them, and what lies between.
 
     `dataset.simulate` makes them, `read_samples` reads them, training and evaluation take them; ``len(samples)`` and
-    ``samples[:100]`` work as with an array. Samples of others may hold resistances and forces alone. An array of
-    another shape than the others ask for is a `SampleError`.
+    ``samples[:100]`` work as with an array. Samples of others may hold resistances and forces alone. With `time_s` each
+    is a series over time, and its arrays are (n, t, ...). An array of another shape than the others ask for is a
+    `SampleError`.
 
     Examples
     --------
@@ -144,6 +158,7 @@ class Samples(AnySamples):
     strain_model: FloatArray | None = None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     error_estimate: FloatArray | None = None  #: (n,): of the displacements, relative; None if not known
     iterations: FloatArray | None = None  #: (n,): of the solution at finite strain
+    time_s: FloatArray | None = None  #: (t,): of each moment [s], of series over time
     design: SensorDesign | None = None
     noise: float = 0.0
     bits: int | None = None
@@ -151,17 +166,18 @@ class Samples(AnySamples):
     made_from: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.force_n)
-        if len(shape) != 4 or shape[3] != 3:
-            raise SampleError(f"force_n has shape {shape}, expected (n_samples, rows, cols, 3): axes x, y, z last.")
-        n, rows, cols, _ = shape
+        shape, moments = np.shape(self.force_n), self.moments
+        if len(shape) != 4 + (moments is not None) or shape[-1] != 3 or (moments is not None and shape[1] != moments):
+            wanted = "(n_samples, rows, cols, 3)" if moments is None else f"(n_series, {moments}, rows, cols, 3)"
+            raise SampleError(f"force_n has shape {shape}, expected {wanted}: axes x, y, z last.")
+        n, *_, rows, cols, _ = shape
         for name, values in self.arrays().items():
-            expected = (n, *VARIABLES[name].shape(rows, cols))
+            expected = (n, *VARIABLES[name].shape(rows, cols, moments))
             if np.shape(values) != expected:
                 raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
             object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
-        if self.dead is not None and np.shape(self.dead) != shape[1:]:
-            raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[1:]}: one entry a pillar.")
+        if self.dead is not None and np.shape(self.dead) != shape[-3:]:
+            raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[-3:]}: one entry a pillar.")
 
     def __len__(self) -> int:
         return len(self.force_n)
@@ -173,7 +189,7 @@ class Samples(AnySamples):
 
     @property
     def shape(self) -> tuple[int, int]:  # type: ignore[override]  # of the base an attribute, which nobody sets
-        rows, cols = self.force_n.shape[1:3]
+        rows, cols = self.force_n.shape[-3:-1]
         return rows, cols
 
     @property
@@ -199,6 +215,15 @@ class Samples(AnySamples):
         """Variables that are held, by name."""
         return {name: values for name in VARIABLES if (values := getattr(self, name)) is not None}
 
+    def at_moments(self) -> "Samples":
+        """The moments of series as samples without a time, series after series; samples without a time as they are."""
+        if self.time_s is None:
+            return self
+        arrays: dict[str, Any] = {
+            name: values.reshape(-1, *values.shape[2:]) for name, values in self.arrays().items() if values.ndim > 1
+        }
+        return replace(self, **arrays, time_s=None, made_from=self._of_part)
+
     def labels(self) -> "Samples":
         """A copy without tractions, displacements and lengths, which training does not need."""
         return self.only("strain_model")
@@ -214,9 +239,10 @@ class Samples(AnySamples):
         import xarray as xr
 
         held = self.arrays()
+        timed = self.time_s is not None
         return xr.Dataset(
-            {name: (VARIABLES[name].dims, values, VARIABLES[name].notes) for name, values in held.items()},
-            coords=coordinates(held),
+            {name: (VARIABLES[name].dims_in(timed), values, VARIABLES[name].notes) for name, values in held.items()},
+            coords=coordinates(held) | ({"time_s": ("time", self.time_s, TIME)} if timed else {}),
             attrs={**self.attributes(), "content_hash": self.content_hash},
         )
 
@@ -229,7 +255,7 @@ class Samples(AnySamples):
         path = Path(path)
         require_dtype(dtype, path)
         if is_zarr(path):
-            write_leaves(path, self.arrays(), self.attributes(), dtype)
+            write_leaves(path, self.arrays(), self.attributes(), dtype, self.time_s)
         else:
             write_netcdf(self.to_xarray(), path)
 
@@ -276,6 +302,8 @@ def require_dtype(dtype: str, path: Path) -> None:
         raise DesignError(f"dtype={dtype} belongs to zarr directories, NetCDF is float64: end {path} in .zarr.")
 
 
-def require_samples(name: str, value: object, kind: type[AnySamples] = Samples) -> None:
-    """Refuse an argument that is no samples of that kind."""
+def require_samples(name: str, value: object, kind: type[AnySamples] = Samples, timed: bool = False) -> None:
+    """Refuse an argument that is no samples of that kind, or series over time unless these are `timed`."""
     require_type(name, value, kind, "make them with dataset.simulate, or read them with dataset.read_samples")
+    if not timed and getattr(value, "time_s", None) is not None:
+        raise SampleError(f"{name} holds series over time, which this cannot use: give series.at_moments().")

@@ -15,22 +15,25 @@ from typing import Any, cast
 import numpy as np
 import psutil
 
+from dataset.histories import between, programme
 from dataset.imperfections import SEEDS, Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
-from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces
-from dataset.resistance import conducted_lengths, largest_strains, pillar_lengths, pillar_resistances
+from dataset.memory import relaxed_forces, remembered
+from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces, pad_protocol
+from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
-from geometry.design import SensorDesign, quantity
+from geometry.design import Electrics, Memory, SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
-from geometry.layout import AXES, FloatArray, pillar_volumes
+from geometry.layout import AXES, FloatArray, rest_lengths
 from geometry.storage.files import digest
 from geometry.threads import one_blas_thread
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
+MAX_MOMENTS = 1_000_000  #: of a history
 MAX_SAMPLES = 1_000_000_000  #: of 36 units: 700 GB of forces and resistances in float32, compressed
 IN_WORK = 1.2  #: memory that samples take while they are made and written, of their numbers alone
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
@@ -50,6 +53,33 @@ class DatasetSettings(Imperfections):
     cap: float = quantity(
         0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample", above_0=True, within=(0, 1), below=True
     )
+    history_s: float = quantity(0.0, "seconds of history that a sample goes through; 0: none", True, within=(0, 1e6))
+    rate_hz: float = quantity(50.0, "moments of a history a second", True, above_0=True, within=(1e-6, 1e4))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.moments is not None and not 2 <= self.moments <= MAX_MOMENTS:
+            raise DesignError(
+                f"history_s={self.history_s:g} at rate_hz={self.rate_hz:g} are {self.moments} moments: 2 to "
+                f"{MAX_MOMENTS} are allowed; change one of the two."
+            )
+        if self.moments is not None and self.protocol == INDENT:
+            raise DesignError(f"history_s={self.history_s:g} takes loads on pads, protocol '{INDENT}' has none.")
+
+    @property
+    def moments(self) -> int | None:
+        """Number of moments of a history; None without one."""
+        return round(self.history_s * self.rate_hz) if self.history_s else None
+
+    @property
+    def time_s(self) -> FloatArray | None:
+        """Times of a history's moments (t,) [s]; None without one."""
+        return None if self.moments is None else np.arange(self.moments) / self.rate_hz
+
+    @property
+    def block(self) -> int:
+        """Samples drawn with one generator; a series has its own."""
+        return BLOCK if self.moments is None else 1
 
 
 def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
@@ -100,17 +130,18 @@ def simulate_part(
     only: Sequence[str] | None = None,
     threads: int = 1,
 ) -> Samples:
-    """Those samples of `simulate` that have these numbers, of which the first is a multiple of `BLOCK`."""
+    """Those samples of `simulate` that have these numbers, of which the first is a multiple of `settings.block`."""
     require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_conducted(response)
     require_variables(only or ())
-    design, n = response.design, len(numbers)
-    shapes = _kept_shapes(design, only, settings.protocol)
+    design, n, size = response.design, len(numbers), settings.block
+    shapes = _kept_shapes(design, only, settings.protocol, settings.moments)
+    make = _block if settings.moments is None else _series
     arrays: dict[str, Any] = {name: np.empty((n, *shape)) for name, shape in shapes.items()}
 
     def fill(start: int) -> tuple[int, int]:
-        kept = min(BLOCK, n - start)
-        block, redrawn = _block(response, settings, (numbers.start + start) // BLOCK, readout, kept)
+        kept = min(size, n - start)
+        block, redrawn = make(response, settings, (numbers.start + start) // size, readout, kept)
         for name, values in arrays.items():
             values[start : start + kept] = block[name][:kept]
         return kept, int(redrawn[:kept].sum())
@@ -118,12 +149,13 @@ def simulate_part(
     redrawn = 0
     # a block's matrix product is too small for two BLAS threads to share; two blocks side by side are not
     with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
-        for kept, again in pool.map(fill, range(0, n, BLOCK)):
+        for kept, again in pool.map(fill, range(0, n, size)):
             redrawn += again
             progress(kept)
     return Samples(
         design=design,
         **arrays,
+        time_s=settings.time_s,
         **settings.of_samples(design),
         made_from={
             **origin(response, settings, redrawn, readout),
@@ -132,22 +164,25 @@ def simulate_part(
     )
 
 
-def _kept_shapes(design: SensorDesign, only: Sequence[str] | None, protocol: str = "") -> dict[str, tuple[int, ...]]:
-    """Shape of one sample of each variable that `simulate` keeps."""
+def _kept_shapes(
+    design: SensorDesign, only: Sequence[str] | None, protocol: str = "", moments: int | None = None
+) -> dict[str, tuple[int, ...]]:
+    """Shape of one sample, or series, of each variable that `simulate` keeps."""
     absent = {"effective_length_mm": not design.electrics.is_conduction, "moment_nmm": protocol != INDENT}
     by_design = [name for name in ARRAYS if not absent.get(name)]
     names = [name for name in by_design if only is None or name in (*LABELS, *only)]
-    return {name: VARIABLES[name].shape(design.array.rows, design.array.cols) for name in names}
+    return {name: VARIABLES[name].shape(design.array.rows, design.array.cols, moments) for name in names}
 
 
-def require_memory(design: SensorDesign, samples: int, only: Sequence[str] | None = None) -> None:
+def require_memory(design: SensorDesign, settings: DatasetSettings, only: Sequence[str] | None = None) -> None:
     """Refuse more samples than memory holds, of all variables or those of `simulate`'s `only`."""
-    needed = IN_WORK * samples * 8 * sum(map(math.prod, _kept_shapes(design, only).values()))
+    kind, shapes = "samples" if settings.moments is None else "series", _kept_shapes(design, only, "", settings.moments)
+    needed = IN_WORK * settings.samples * 8 * sum(map(math.prod, shapes.values()))
     free = psutil.virtual_memory().available
     if needed > free:
         raise DesignError(
-            f"{samples} samples take {needed / 1e9:.0f} GB of memory on their way to a NetCDF file, {free / 1e9:.0f} "
-            "GB are free: end the file's name in .zarr, or keep less of them by --only."
+            f"{settings.samples} {kind} take {needed / 1e9:.0f} GB of memory on their way to a NetCDF file, "
+            f"{free / 1e9:.0f} GB are free: end the file's name in .zarr, or keep less of them by --only."
         )
 
 
@@ -172,7 +207,7 @@ def measured_again(
     From the lengths, which are exact: to the last bit what `simulate` gives with the same loads, imperfections, seed
     and readout. Samples without lengths or design are a `SampleError`; other errors are those of `Imperfections.apply`.
     """
-    require_samples("samples", samples)
+    require_samples("samples", samples, timed=True)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
     design, lengths = samples.design, samples.length_mm
     if design is not None and design.electrics.is_conduction:
@@ -183,7 +218,13 @@ def measured_again(
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
-        resistance_ohm=read_resistances(_exact(lengths, design), imperfections, seed, readout),
+        resistance_ohm=read_resistances(
+            exact_resistances(lengths, design, _rise(samples.length_mm, design, imperfections, samples.time_s)),
+            imperfections,
+            seed,
+            readout,
+            electrics=design.electrics,
+        ),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
@@ -196,26 +237,40 @@ def require_conducted(response: ArrayResponse) -> None:
 
 
 def read_resistances(
-    exact_ohm: FloatArray, imperfections: Imperfections, seed: int, readout: Readout | None, first: int = 0
+    exact_ohm: FloatArray,
+    imperfections: Imperfections,
+    seed: int,
+    readout: Readout | None,
+    first: int = 0,
+    electrics: Electrics | None = None,
 ) -> FloatArray:
     """Exact resistances (n, rows, cols, 3) [Ω] as a sensor of these imperfections reads them, from sample `first` on.
 
-    Each block has a stream of noise that no loads use.
+    Each block, and each of series (n, time, rows, cols, 3), has a stream of noise that no loads use.
     """
+    size = BLOCK if exact_ohm.ndim == 4 else 1
     blocks = [
         imperfections.apply(
-            exact_ohm[start : start + BLOCK],
-            np.random.default_rng([seed, (first + start) // BLOCK, MAX_ROUNDS]),
+            exact_ohm[start : start + size],
+            np.random.default_rng([seed, (first + start) // size, MAX_ROUNDS]),
             readout,
+            electrics,
         )
-        for start in range(0, len(exact_ohm), BLOCK)
+        for start in range(0, len(exact_ohm), size)
     ]
     return np.concatenate(blocks)
 
 
-def _exact(length_mm: FloatArray, design: SensorDesign) -> FloatArray:
-    """Resistances [Ω] of pillars of these lengths, effective ones of conduction."""
-    return pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+def _rise(
+    length_mm: FloatArray | None, design: SensorDesign, specimen: Imperfections, time_s: FloatArray | None
+) -> FloatArray | float:
+    """Rise of ln R by a specimen's memory over series of lengths (n, time, rows, cols, 3) [mm]; 0 without a time."""
+    memory = design.pillar_material.memory
+    if length_mm is None or time_s is None or memory == Memory():
+        return 0.0
+    strain = length_mm / rest_lengths(design.unit) - 1.0
+    own = specimen.memory_of(memory, design.array.rows, design.array.cols)
+    return np.stack([remembered(one, np.diff(time_s), own) for one in strain])
 
 
 def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
@@ -239,17 +294,25 @@ def labelled(
     readout: Readout | None,
     first: int = 0,
 ) -> dict[str, Any]:
-    """All variables (n, rows, cols, ...) of samples from number `first` on; of conduction with effective lengths."""
-    grid = (len(traction_mpa), design.array.rows, design.array.cols)
+    """All variables (n, rows, cols, ...) of samples from number `first` on; of conduction with effective lengths.
+
+    Of series (n, time, ...) tractions are those that displace electrodes so, once the rubber has settled.
+    """
+    grid = (*traction_mpa.shape[:-2], design.array.rows, design.array.cols)
     traction, displacement = traction_mpa.reshape(*grid, 3), displacement_mm.reshape(*grid, 2, 3)
+    prony = design.pillar_material.prony
     length = pillar_lengths(displacement, design.unit)
     effective = length if effective_mm is None else effective_mm.reshape(length.shape)
+    rise = _rise(length, design, settings, settings.time_s)
+    if settings.time_s is not None:
+        traction = np.stack([relaxed_forces(one, np.diff(settings.time_s), prony) for one in traction])
+    exact_ohm = exact_resistances(effective, design, rise)
     return {
         "traction_mpa": traction,
         "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": read_resistances(_exact(effective, design), settings, settings.seed, readout, first),
+        "resistance_ohm": read_resistances(exact_ohm, settings, settings.seed, readout, first, design.electrics),
     } | ({} if effective_mm is None else {"effective_length_mm": effective})
 
 
@@ -306,6 +369,37 @@ def _block(
     if moment:  # of contacts
         found["moment_nmm"] = moment[0].reshape(-1, design.array.rows, design.array.cols, 2)
     return found, redrawn
+
+
+def _series(
+    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int = 1
+) -> tuple[dict[str, FloatArray], np.ndarray]:
+    """All of one series (1, time, ...) by variable, and how many of its loads were redrawn (1,)."""
+    design, time_s, again = response.design, settings.time_s, np.zeros(1, dtype=np.int64)
+    assert time_s is not None
+    protocol = pad_protocol(settings.protocol)
+    generator = np.random.default_rng([settings.seed, number, MAX_ROUNDS + 1])
+    corner_s, level, load = programme(generator, settings.history_s)
+
+    def draw(_: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
+        def draw_loads(waiting: np.ndarray, attempted: int) -> tuple[list[FloatArray], np.ndarray]:
+            generator = np.random.default_rng([settings.seed, number, attempt, attempted])
+            traction = protocol.draw(generator, len(waiting), design)
+            moved = displacements(response, traction, protocol.axes)
+            return [traction, moved], ~(largest_strains(moved, design.unit) > settings.cap)
+
+        drawn, redrawn = below_cap(draw_loads, load.max() + 1, MAX_ROUNDS, settings, design)
+        again[:] += redrawn.sum()
+        at = level.reshape(-1, 1)
+        series = [between(time_s, corner_s, at * one.reshape(len(one), -1)[load]) for one in drawn]
+        traction, moved = (one.reshape(-1, *like.shape[1:]) for one, like in zip(series, drawn, strict=True))
+        return [traction[None], moved[None]], np.array([largest_strains(moved, design.unit).max() <= settings.cap])
+
+    (traction, moved), redrawn = below_cap(draw, 1, MAX_ROUNDS, settings, design)
+    effective = None
+    if response.conducted is not None:
+        effective = conducted_lengths(response.conducted, traction[0] * design.pad.size_mm**2)
+    return labelled(traction, moved, effective, design, settings, readout, number), again + redrawn
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset.imperfections import stated_imperfections
-from dataset.leaves import HASHES, HEADER_HASH, LEAF, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
+from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
-from dataset.variables import COORDINATES, LABELS, VARIABLES, senseless
+from dataset.variables import COORDINATES, LABELS, TIMED, VARIABLES, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
@@ -42,6 +42,7 @@ class StoredSamples(AnySamples):
         self._data = _contract(self.path, open_zarr(self.path, *_variables(labels_only)))
         self._last: tuple[int, dict[str, np.ndarray]] | None = None
         self.shape = self._data.sizes["row"], self._data.sizes["col"]
+        self.time_s = _times(self.path, self._data)
         self.variables = tuple(name for name in VARIABLES if name in self._data)
         is_short = all(self._data[name].dtype == np.float32 for name in LABELS)
         self.dtype = np.dtype(np.float32 if is_short else np.float64)
@@ -50,7 +51,12 @@ class StoredSamples(AnySamples):
         self._hashes = self._stated_hashes()
 
     def __len__(self) -> int:
-        return int(self._data.sizes["sample"])
+        return int(self._data.sizes[self._first])
+
+    @property
+    def _first(self) -> str:
+        """Dim of the samples, or of the series."""
+        return "sample" if self.time_s is None else "series"
 
     @cached_property
     def strain_model(self) -> FloatArray | None:  # type: ignore[override]  # of the base an attribute, which nobody sets
@@ -64,11 +70,11 @@ class StoredSamples(AnySamples):
             raise FileFormatError(
                 f"{self.path}: its attributes do not match '{HEADER_HASH}': drop it if you changed them on purpose."
             )
-        if self._data.attrs.get(LEAF_SIZE) != LEAF:
+        if self._data.attrs.get(LEAF_SIZE) != self.leaf_size:
             return {}
         hashes = {name: notes[HASHES] for name, notes in attributes.items() if HASHES in notes}
-        is_whole = all(isinstance(each, list) and len(each) == n_leaves(len(self)) for each in hashes.values())
-        found = leaves_hash(hashes) if is_whole and set(LABELS) <= hashes.keys() else None
+        is_whole = all(isinstance(each, list) and len(each) == self._n_leaves for each in hashes.values())
+        found = leaves_hash(hashes, self.leaf_size) if is_whole and set(LABELS) <= hashes.keys() else None
         if not is_whole or found not in (None, self._data.attrs.get("content_hash", found)):
             raise FileFormatError(_changed(self.path))
         return hashes
@@ -77,29 +83,33 @@ class StoredSamples(AnySamples):
     def content_hash(self) -> str:  # type: ignore[override]  # of the base an attribute, which nobody sets
         """Hash of those of the leaves of forces and resistances; computed from all where none is stated."""
         if set(LABELS) <= self._hashes.keys():
-            return leaves_hash(self._hashes)
-        leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(n_leaves(len(self))))
-        return leaves_hash(dict(zip(LABELS, zip(*leaves, strict=True), strict=True)))
+            return leaves_hash(self._hashes, self.leaf_size)
+        leaves = ([digest(self.leaf(number)[name]) for name in LABELS] for number in range(self._n_leaves))
+        return leaves_hash(dict(zip(LABELS, zip(*leaves, strict=True), strict=True)), self.leaf_size)
+
+    @property
+    def _n_leaves(self) -> int:
+        return n_leaves(len(self), self.leaf_size)
 
     def __getitem__(self, which: Choice) -> Samples:
         rows, whole = self._rows(which), range(len(self))
         numbers = np.array(whole[rows], int) if isinstance(rows, slice) else np.arange(len(self))[rows]
-        shapes = {name: (len(numbers), *VARIABLES[name].shape(*self.shape)) for name in self.variables}
+        shapes = {name: (len(numbers), *VARIABLES[name].shape(*self.shape, self.moments)) for name in self.variables}
         arrays: dict[str, Any] = {name: np.empty(shape) for name, shape in shapes.items()}
-        of_leaf = numbers // LEAF
+        of_leaf = numbers // self.leaf_size
         for number in np.unique(of_leaf):
             places = np.flatnonzero(of_leaf == number)
             leaf = self.leaf(int(number))
             for name, values in arrays.items():
-                values[places] = leaf[name][numbers[places] - number * LEAF]
-        return Samples(**arrays, **self._described | {"made_from": self._of_part})
+                values[places] = leaf[name][numbers[places] - number * self.leaf_size]
+        return Samples(**arrays, time_s=self.time_s, **self._described | {"made_from": self._of_part})
 
     def leaf(self, number: int) -> dict[str, np.ndarray]:
         """Variables (up to `LEAF`, ...) of a leaf in the type they are stored in, checked; the last read is kept."""
         if self._last is None or self._last[0] != number:
-            start = number * LEAF
+            start = number * self.leaf_size
             try:
-                part = self._data.isel(sample=slice(start, start + LEAF))
+                part = self._data.isel({self._first: slice(start, start + self.leaf_size)})
                 arrays = {str(name): np.ascontiguousarray(values) for name, values in part.data_vars.items()}
             except MemoryError:
                 raise
@@ -154,14 +164,15 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     if is_zarr(path):
         return StoredSamples(path, labels_only)
     attributes: Mapping[str, Any] = {}
+    time_s: FloatArray | None = None
     if path.suffix == ".csv":
         arrays: dict[str, Any] = read_csv(path)
     else:
         data = _contract(path, read_netcdf(path, *_variables(labels_only)))
-        attributes = data.attrs
+        attributes, time_s = data.attrs, _times(path, data)
         arrays = {str(name): values.to_numpy().astype(float, copy=False) for name, values in data.data_vars.items()}
     _require_sound(path, arrays)
-    samples = Samples(**arrays, **_described(path, attributes, *arrays["force_n"].shape[1:3]))
+    samples = Samples(**arrays, time_s=time_s, **_described(path, attributes, *arrays["force_n"].shape[-3:-1]))
     if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
         raise FileFormatError(_changed(path))
     return samples
@@ -181,11 +192,21 @@ def is_current(path: Path, cache_key: str) -> bool:
         return False
 
 
-def _variables(labels_only: bool) -> tuple[dict[str, tuple[str, ...]], str, dict[str, tuple[str, ...]]]:
-    """Dims of the variables that must be there, who makes them, and dims of those that are read where they are."""
+def _variables(labels_only: bool) -> tuple[dict[str, Any], str, dict[str, Any], dict[str, tuple[str, ...]]]:
+    """Dims of variables that must be there, who makes them, dims of those read where they are, and those of series."""
     others = ["strain_model"] if labels_only else [name for name in VARIABLES if name not in LABELS]
     wanted, optional = ({name: VARIABLES[name].dims for name in names} for names in (LABELS, others))
-    return wanted, MADE_BY, optional
+    return wanted, MADE_BY, optional, {"sample": TIMED}
+
+
+def _times(path: Path, data: "xr.Dataset") -> FloatArray | None:
+    """Times of the moments of series [s]; None of samples without a time."""
+    if "series" not in data.dims:
+        return None
+    time_s = np.asarray(data.coords["time_s"], np.float64) if "time_s" in data.coords else np.zeros(0)
+    if not (len(time_s) and np.isfinite(time_s).all() and (np.diff(time_s) > 0).all()):
+        raise FileFormatError(f"{path}: series need a coordinate 'time_s' on 'time', growing [s]: add it.")
+    return time_s
 
 
 def _contract(path: Path, data: "xr.Dataset") -> "xr.Dataset":

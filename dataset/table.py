@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.leaves import LEAF
 from dataset.samples import AnySamples
 from dataset.variables import COORDINATES, LABELS, VARIABLES
 from geometry.errors import FileFormatError
@@ -39,6 +38,7 @@ def columns_of(variables: Iterable[str], rows: int, cols: int) -> list[str]:
 def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = lambda samples: None) -> list[str]:
     """Write samples as CSV, whole or not at all, with the digits that give back each number; its columns.
 
+    Of series each moment is a row, which begins with the number of its series and its time.
     `counted` is told the number of samples of each block. A path that ends otherwise, or that cannot be written to, is
     a `FileFormatError` or a `NotWrittenError`.
     """
@@ -47,11 +47,16 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
         raise FileFormatError(f"{path}: no form of a table: end the name in .csv.")
     import pandas as pd
 
-    columns = columns_of(data.variables, *data.shape)
+    columns, first = columns_of(data.variables, *data.shape), 0
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        for block in data.blocks(4 * LEAF):
-            numbers = [values.reshape(len(block), -1) for values in block.arrays().values()]
+        for block in data.blocks(4 * data.leaf_size):
+            flat = block.at_moments()
+            numbers = [values.reshape(len(flat), -1) for values in flat.arrays().values()]
             rows = pd.DataFrame(np.concatenate(numbers, axis=1, dtype=data.dtype), columns=columns)
+            if data.time_s is not None:
+                rows.insert(0, "time_s", np.tile(data.time_s, len(block)))
+                rows.insert(0, "series", np.repeat(np.arange(first, first + len(block)), len(data.time_s)))
+                first += len(block)
             rows.to_csv(file, index=False, header=file.tell() == 0)
             counted(len(block))
     return columns

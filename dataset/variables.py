@@ -12,6 +12,8 @@ COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(EL
 #: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 _UNIT = ("sample", "row", "col")
+TIMED = ("series", "time")  #: in the place of the samples, of series over time
+TIME = {"units": "s", "note": "since the series began"}  #: attributes of the coordinate `time`
 
 
 class Variable(NamedTuple):
@@ -21,10 +23,14 @@ class Variable(NamedTuple):
     notes: dict[str, Any]  #: its attributes
     limits: tuple[float, float] | None = None  #: beyond which no sensor gives a number; None: any finite one will do
 
-    def shape(self, rows: int, cols: int) -> tuple[int, ...]:
-        """Shape of one sample of an array."""
+    def shape(self, rows: int, cols: int, moments: int | None = None) -> tuple[int, ...]:
+        """Shape of one sample of an array, or of a series of so many moments."""
         sizes = {"row": rows, "col": cols} | {dim: len(labels) for dim, labels in COORDINATES.items()}
-        return tuple(sizes[dim] for dim in self.dims[1:])
+        return (*([] if moments is None else [moments]), *(sizes[dim] for dim in self.dims[1:]))
+
+    def dims_in(self, is_timed: bool) -> tuple[str, ...]:
+        """Dims of samples, or of series over time."""
+        return (*TIMED, *self.dims[1:]) if is_timed else self.dims
 
 
 VARIABLES = {
@@ -65,9 +71,11 @@ def senseless(
 ) -> str | None:
     """The first number of a variable (n, ...) that no sensor gives, and what is allowed; None if there is none.
 
-    `labels` of its last dim where it holds some of the pillars or axes alone; `first` is the number of its sample 0.
+    Series over time have one more dim. `labels` are of the last dim where it holds some of the pillars or axes alone;
+    `first` is the number of sample 0.
     """
-    dims, notes, limits = VARIABLES[name]
+    _, notes, limits = VARIABLES[name]
+    dims = VARIABLES[name].dims_in(values.ndim > len(VARIABLES[name].dims))
     low, high = limits or (-np.finfo(float).max, np.finfo(float).max)
     if not values.size or low <= values.min() <= values.max() <= high:  # NaN is neither
         return None

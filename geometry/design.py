@@ -277,6 +277,13 @@ class Electrics(Drifts):
     elastoresistance_across: float = quantity(
         0.0, "m₁₂ of the pillars' rubber, conduction only", True, within=ELASTORESISTANCES
     )
+    contact_ohm: float = quantity(
+        0.0, "contact of each electrode; by two wires a pillar shows two of them [Ω]", True, within=(0.0, 1e6)
+    )
+    contact_spread: float = quantity(
+        0.0, "relative standard deviation of contacts, from electrode to electrode", True, within=(0.0, 2.0)
+    )
+    temperature_coefficient: float = quantity(0.0, "relative change of resistivity [1/K]", True, within=(-0.1, 0.1))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -289,6 +296,16 @@ class Electrics(Drifts):
     @property
     def is_conduction(self) -> bool:
         return self.model == "conduction"
+
+    @property
+    def contacts_ohm(self) -> float:
+        """What both its contacts add to a pillar [Ω]."""
+        return 2.0 * self.contact_ohm
+
+    @property
+    def by_four_wires(self) -> "Electrics":
+        """The same read by wires of its own for the current and for the voltage: no contact shows."""
+        return replace(self, contact_ohm=0.0, contact_spread=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -358,6 +375,13 @@ class SensorDesign:
     def is_homogeneous(self) -> bool:
         """True if pillars and matrix are of one rubber, so that pillars need no mesh of their own."""
         return self.pillar_material.settled == self.matrix_material
+
+
+def bent(design: SensorDesign) -> SensorDesign:
+    """What bends of a sensor: the same of no resistivity or contacts of its own, of rubber that remembers nothing."""
+    electrics = replace(design.electrics.by_four_wires, temperature_coefficient=0.0)
+    settled = design.pillar_material.settled
+    return replace(design, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
 
 
 def with_model(design: SensorDesign, model: str) -> SensorDesign:

@@ -13,7 +13,7 @@ from geometry.tolerances import usual_deviations
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
-BESIDE = ("tolerance", "twin")  #: tables of a design file that are not the design's
+BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are not the design's
 
 
 def design_to_toml(design: SensorDesign) -> str:

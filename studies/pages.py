@@ -59,18 +59,16 @@ def truths_table(found: Numbers) -> str:
 
 
 def readings_table(found: Numbers) -> str:
-    """Errors by noise and bits."""
+    """Errors of the net from the response, by noise and bits."""
     rows = []
     for part in ("noise", "converter"):
-        chosen = [row for row in found["rows"] if row["part"] == part]
+        chosen = [row for row in found["rows"] if (row["part"], row["net"]) == (part, "inverse")]
         for case in dict.fromkeys(row["case"] for row in chosen):
-            ours, root = (
-                [row for row in chosen if (row["case"], row["net"]) == (case, n)] for n in ("inverse", "root")
-            )
+            ours = [row for row in chosen if row["case"] == case]
             errors = [_slashed((row[name] for row in ours), ".3g") for name in ("error_pct", "limit_pct")]
             within = _slashed((100 * min(row["coverage"][k] for row in ours) for k in (0, 1)), ".0f")
-            rows.append([case.replace("%", " %"), *errors, within, _slashed((row["error_pct"] for row in root), ".2g")])
-    return markdown(("readings", "error", "limit", "least within 68 / 95 %", "net on √R"), rows, 5)
+            rows.append([case.replace("%", " %"), *errors, within])
+    return markdown(("readings", "error", "limit", "least within 68 / 95 %"), rows, 4)
 
 
 def dead_table(found: Numbers) -> str:

@@ -47,7 +47,7 @@ class SensorModel:
     top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar; itself if each has its own B
     rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
     ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1, times the gain of one sensor's own pillar
-    offset_ohm: FloatArray  #: o, (n_pillars,): of one sensor's own pillars; 0 of the design's
+    offset_ohm: FloatArray  #: o, (n_pillars,): of one sensor's own pillars; contacts of the design's
     maps: StrainMaps | None = None  #: of finite strain; None: linear, where states are forces
     sign: FloatArray | None = None  #: s, (n_components, n_pillars) in the place of 3; None: all are 1
 
@@ -77,7 +77,7 @@ class SensorModel:
             top=places.reshape(-1),
             rest_mm=rest_mm,
             ohm_per_mm2=np.tile(c[pillars], n_units),
-            offset_ohm=np.zeros(n_units * len(pillars)),
+            offset_ohm=np.full(n_units * len(pillars), design.electrics.contacts_ohm),
             sign=sign,
         )
 

@@ -30,7 +30,8 @@ def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Co
     pillar_columns(resistance_ohm, component)  # refuses what is no resistance
     pillars = [PILLARS.index(axis) for axis in component.axes]
     sign = np.array([_LENGTHENS[axis] for axis in component.axes])
-    length_mm = np.sqrt(resistance_ohm[..., pillars] * V[pillars] / design.resistivity_ohm_mm)
+    bulk_ohm = resistance_ohm[..., pillars] - design.electrics.contacts_ohm
+    length_mm = np.sqrt(bulk_ohm.clip(0.0) * V[pillars] / design.resistivity_ohm_mm)
     return sign * E * S * (length_mm - rest_mm[pillars]) / rest_mm[pillars]
 
 

@@ -264,7 +264,7 @@ class Decoupler:
         designed = replace(
             forward,
             ohm_per_mm2=np.tile(self.design.resistivity_ohm_mm / volumes[own], self.rows * self.cols),
-            offset_ohm=np.zeros(forward.n_pillars),
+            offset_ohm=np.full(forward.n_pillars, self.design.electrics.contacts_ohm),
         )
         return bool(np.abs(forward.at_rest_ohm() / designed.at_rest_ohm() - 1.0).max() > ALIKE)
 

@@ -190,7 +190,7 @@ class TouchDecoder:
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
         if last:
             best = sorted(last, key=lambda fit: fit.cost)[:FOLLOWED]
-            fits = [fitted(reading, deviation, fit.parts, fit.q, FOLLOWED_STEPS) for fit in best]
+            fits = [one for fit in best for one in fitted(reading, deviation, [(fit.parts, fit.q)], FOLLOWED_STEPS)]
             if min(fit.cost for fit in fits) <= best[0].cost + RISE:
                 return self._weighed(at_rest, fits)
         regression = self.regression
@@ -236,14 +236,15 @@ class TouchDecoder:
     def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
-        first = [fitted(reading, deviation, [part], nothing, 1) for part in self._starts(rows, STARTS)]
+        first = fitted(reading, deviation, [([part], nothing) for part in self._starts(rows, STARTS)], 1)
         best = sorted(first, key=lambda fit: fit.cost)[:KEPT]
-        fits = [fitted(reading, deviation, fit.parts, fit.q, STEPS) for fit in best]
+        fits = fitted(reading, deviation, [(fit.parts, fit.q) for fit in best], STEPS)
         one = min(fits, key=lambda fit: fit.cost)
         if one.chi2 > SECOND * len(reading):
             left = reading - self.sensing.reading(one.moved_mm[None])[0]
-            for part in self._starts(self.regression.nearest(left, CONSIDERED), SECOND_STARTS):
-                two = fitted(reading, deviation, [*one.parts, part], np.vstack([one.q, nothing]), STEPS)
+            more = self._starts(self.regression.nearest(left, CONSIDERED), SECOND_STARTS)
+            starts = [([*one.parts, part], np.vstack([one.q, nothing])) for part in more]
+            for two in fitted(reading, deviation, starts, STEPS):
                 if two.cost + SECOND_COST < one.cost:
                     fits.append(replace(two, cost=two.cost + SECOND_COST))
         return fits

@@ -49,7 +49,7 @@ def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> 
         part = Part.of(sensing, *_drawn(generator, array.pitch_mm, force_n))
         zero = np.zeros((1, len(PRIOR)))
         reading = sensing.reading(part.moved(zero))[0]
-        values, slopes = fitted(reading, sensing.deviation(reading, errors), [part], zero, 0).contacts()
+        values, slopes = fitted(reading, sensing.deviation(reading, errors), [([part], zero)], 0)[0].contacts()
         deviation = np.sqrt((slopes[0] ** 2).sum(axis=-1))
         found.append((100 * deviation[2] / values[0, 2], np.hypot(*deviation[3:5])))
     net, place = np.median(found, axis=0)

@@ -4,10 +4,11 @@ The numbers q are the logarithm of the amplitude, the place along x and y, the l
 y, the turn, drag added as a share of the pressure along x and y, and the logarithm of a factor on the shear.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class Pillars:
     def designed(cls, design: SensorDesign) -> Self:
         """As designed."""
         own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
-        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own, deviation_ohm=0.0 * own)
+        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own + design.electrics.contacts_ohm, deviation_ohm=0.0 * own)
 
     @classmethod
     def identified(cls, decoder: Decoupler) -> Self:
@@ -83,10 +84,19 @@ class Sensing:
         own = errors.deviation(self.ohms(reading))
         return np.hypot(own, self.pillars.deviation_ohm) / self.pillars.ohm_per_mm2
 
+    @cached_property
+    def by_electrode(self) -> FloatArray:
+        """Squared lengths of a unit's pillars by displacements of its electrodes and by their squares, (2, 6, 3)."""
+        found = np.zeros((2, 2, 3, 3))
+        for pillar, top in enumerate(PILLAR_TOP):
+            found[:, top, :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
+        return found.reshape(2, 6, 3)
+
     def reading(self, moved_mm: FloatArray) -> FloatArray:
-        """Changes of the pillars' squared lengths (n, 3 units) [mm²] by displacements (n, e) of electrodes [mm]."""
-        tops = moved_mm.reshape(len(moved_mm), -1, 2, 3)[:, :, PILLAR_TOP]
-        return (2 * (tops * self.rest_mm).sum(axis=-1) + (tops**2).sum(axis=-1)).reshape(len(moved_mm), -1)
+        """Changes of the pillars' squared lengths (..., 3 units) [mm²] by displacements (..., e) of electrodes [mm]."""
+        linear, square = self.by_electrode.astype(moved_mm.dtype)
+        tops = moved_mm.reshape(-1, len(linear))
+        return (tops @ linear + tops**2 @ square).reshape(*moved_mm.shape[:-1], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,52 +119,69 @@ class Part:
         place = [np.bincount(group, forces[2] * each)[on] / pressing[on] for each in (x, y)]
         return cls(sensing, np.stack(place), np.stack([np.bincount(group, each)[on] for each in forces]))
 
+    @classmethod
+    def stacked(cls, fits: Sequence[Sequence["Part"]]) -> "Part":
+        """Parts of fits (s, p) as one; a press of fewer points than others bears nothing at more of them."""
+        n = max(len(part.force_n[2]) for parts in fits for part in parts)
+        place, force = np.empty((len(fits), len(fits[0]), 2, n)), np.zeros((len(fits), len(fits[0]), 3, n))
+        for k, parts in enumerate(fits):
+            for j, part in enumerate(parts):
+                own = slice(len(part.force_n[2]))
+                place[k, j], place[k, j, :, own], force[k, j, :, own] = part.middle_mm, part.place_mm, part.force_n
+        return cls(fits[0][0].sensing, place, force)
+
+    def __getitem__(self, which: Any) -> "Part":
+        """Some of many."""
+        return Part(self.sensing, self.place_mm[which], self.force_n[which])
+
     @cached_property
     def middle_mm(self) -> FloatArray:
-        """Centre of pressure, (2, 1)."""
-        return (self.place_mm * self.force_n[2]).sum(axis=1, keepdims=True) / self.force_n[2].sum()
+        """Centre of pressure, (..., 2, 1)."""
+        pressing = self.force_n[..., 2:, :]
+        return (self.place_mm * pressing).sum(axis=-1, keepdims=True) / pressing.sum(axis=-1, keepdims=True)
 
     def changed(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Places (b, 2, n) and forces (b, 3, n) by q (b, 9); what leaves the slab bears nothing."""
+        """Places (..., b, 2, n) and forces (..., b, 3, n) by q (..., b, 9); what leaves the slab bears nothing."""
         half = self.sensing.grid.slab_mm[:, None] / 2
-        x, y = self.place_mm - self.middle_mm
-        cos, sin, (fx, fy, pressing) = np.cos(q[:, 5, None]), np.sin(q[:, 5, None]), self.force_n
-        along = (cos * x - sin * y) * np.exp(q[:, 3, None]), (sin * x + cos * y) * np.exp(q[:, 4, None])
-        place = np.stack(along, axis=1) + self.middle_mm + self.sensing.design.unit.height_mm * q[:, 1:3, None]
-        shear = np.exp(q[:, 8, None])
-        force = np.stack([
-            shear * (cos * fx - sin * fy) + q[:, 6, None] * pressing,
-            shear * (sin * fx + cos * fy) + q[:, 7, None] * pressing,
-            np.broadcast_to(pressing, (len(q), len(pressing))),
-        ], axis=1)  # fmt: skip
-        force *= np.exp(q[:, :1, None]) * (np.abs(place) < half).all(axis=1, keepdims=True)
+        cos, sin = np.cos(q[..., 5]), np.sin(q[..., 5])
+        turn = np.stack([cos, -sin, sin, cos], axis=-1).reshape(*q.shape[:-1], 2, 2)
+        borne = np.zeros((*q.shape[:-1], 3, 3))
+        borne[..., :2, :2] = np.exp(q[..., 8, None, None]) * turn
+        borne[..., :2, 2], borne[..., 2, 2] = q[..., 6:8], 1.0
+        borne *= np.exp(q[..., 0, None, None])
+        place = (np.exp(q[..., 3:5, None]) * turn) @ (self.place_mm - self.middle_mm)[..., None, :, :]
+        place += self.middle_mm[..., None, :, :] + self.sensing.design.unit.height_mm * q[..., 1:3, None]
+        force = borne @ self.force_n[..., None, :, :]
+        force *= (np.abs(place) < half).all(axis=-2, keepdims=True)
         inside = (1 - INSIDE) * half
         return np.clip(place, -inside, inside), force
 
     def moved(self, q: FloatArray) -> FloatArray:
-        """Displacements (b, e) of the electrodes [mm]."""
+        """Displacements (..., b, e) of the electrodes [mm]."""
         return self.sensing.grid.moved_mm(*self.changed(q))
 
     def contact(self, q: FloatArray) -> FloatArray:
-        """Force [N], centre of pressure [mm] and half axes along x and y of the pressed ellipse [mm], (b, 7)."""
+        """Force [N], centre of pressure [mm] and half axes along x and y of the pressed ellipse [mm], (..., b, 7)."""
         place, force = self.changed(q)
-        total = np.maximum(force[:, 2].sum(axis=-1), 1e-9)[:, None]
-        centre = (place * force[:, 2:]).sum(axis=-1) / total
-        spread = ((place - centre[..., None]) ** 2 * force[:, 2:]).sum(axis=-1) / total
-        return np.concatenate([force.sum(axis=-1), centre, 2 * np.sqrt(spread)], axis=1)
+        pressing = force[..., 2:, :]
+        total = np.maximum(pressing.sum(axis=-1), 1e-9)
+        centre = (place * pressing).sum(axis=-1) / total
+        spread = ((place - centre[..., None]) ** 2 * pressing).sum(axis=-1) / total
+        return np.concatenate([force.sum(axis=-1), centre, 2 * np.sqrt(spread)], axis=-1)
 
     def units(self, q: FloatArray) -> FloatArray:
-        """Loads of units, (b, units, 5), as `Patch.unit_loads`."""
+        """Loads of units, (..., b, units, 5), as `Patch.unit_loads`."""
         place, force = self.changed(q)
         array = self.sensing.design.array
         rows, cols, pitch = array.rows, array.cols, array.pitch_mm
-        count = np.array([[cols], [rows]])
-        unit = np.clip(np.floor(place / pitch + count / 2), 0, count - 1).astype(np.int64)
+        count, shape = np.array([[cols], [rows]]), force.shape[:-2]
+        unit = np.clip(np.floor(place / pitch + count / 2), 0, count - 1)
         off = place - (unit - (count - 1) / 2) * pitch
-        index = (unit[:, 1] * cols + unit[:, 0] + rows * cols * np.arange(len(q))[:, None]).ravel()
-        values = [*force.swapaxes(0, 1), force[:, 2] * off[:, 0], force[:, 2] * off[:, 1]]
-        found = [np.bincount(index, each.ravel(), rows * cols * len(q)) for each in values]
-        return np.stack(found, axis=1).reshape(len(q), rows * cols, 5).astype(float)
+        each = np.arange(math.prod(shape)).reshape(*shape, 1)
+        index = (unit[..., 1, :] * cols + unit[..., 0, :] + rows * cols * each).astype(np.int64).ravel()
+        values = np.concatenate([force, force[..., 2:, :] * off], axis=-2)
+        found = [np.bincount(index, values[..., k, :].ravel(), rows * cols * each.size) for k in range(5)]
+        return np.stack(found, axis=-1).reshape(*shape, rows * cols, 5).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,44 +215,46 @@ class Fit:
 
 
 def _and_steps(q: FloatArray) -> FloatArray:
-    """A q (9,), and it with each number changed by its step, (10, 9)."""
-    return q + np.vstack([np.zeros(len(STEP)), np.diag(STEP)])
+    """Each q (..., 9), and it with each number changed by its step, (..., 10, 9)."""
+    return q[..., None, :] + np.vstack([np.zeros(len(STEP)), np.diag(STEP)])
 
 
-def fitted(reading: FloatArray, deviation: FloatArray, parts: Sequence[Part], q: FloatArray, steps: int) -> Fit:
-    """Gauss-Newton from q (parts, 9) on a reading (m,) with deviations (m,) [mm²], in so many steps at most."""
-    sensing, prior = parts[0].sensing, np.tile(PRIOR**-2.0, len(parts))
+def fitted(
+    reading: FloatArray, deviation: FloatArray, starts: Sequence[tuple[Sequence[Part], FloatArray]], steps: int
+) -> list[Fit]:
+    """Gauss-Newton on a reading (m,) with deviations (m,) [mm²], in so many steps at most, from all starts at once.
 
-    def costs(read: FloatArray, at: FloatArray) -> FloatArray:
-        return np.asarray((((reading - read) / deviation) ** 2).sum(axis=-1) + (at**2 * prior).sum(axis=-1))
-
-    damping, before = 0.3, np.inf
+    A start is its parts, as many as of the others, and their q (parts, 9).
+    """
+    parts, q = Part.stacked([own for own, _ in starts]), np.stack([at for _, at in starts])
+    shape, sensing = q.shape[1:], parts.sensing
+    prior, limit, change = (np.tile(each, shape[0]) for each in (PRIOR**-2.0, PRIOR, STEP))
+    damping, before, going = np.full(len(q), 0.3), np.full(len(q), np.inf), np.arange(len(q))
+    found: list[Any] = [None] * len(q)
     for step in range(steps + 1):
-        each = [part.moved(_and_steps(own)) for part, own in zip(parts, q, strict=True)]
-        moved = np.sum([one[0] for one in each], axis=0)
-        read = sensing.reading(np.concatenate([moved[None], *(moved + one[1:] - one[0] for one in each)]))
-        slopes = ((read[1:] - read[0]) / np.tile(STEP, len(parts))[:, None] / deviation).T
-        cost, flat, left = float(costs(read[0], q.ravel())), q.ravel(), (reading - read[0]) / deviation
-        curvature = slopes.T @ slopes + np.diag(prior)
-        if step == steps or before - cost < MIN_GAIN:
+        each, flat = parts[going].moved(_and_steps(q[going])), q[going].reshape(len(going), -1)
+        moved = each[:, :, 0].sum(axis=1)
+        changed = moved[:, None] + (each[:, :, 1:] - each[:, :, :1]).reshape(*flat.shape, -1)
+        read = sensing.reading(np.concatenate([moved[:, None], changed], axis=1))
+        slopes, left = (read[:, 1:] - read[:, :1]) / change[:, None] / deviation, (reading - read[:, 0]) / deviation
+        chi2, curvature = (left**2).sum(axis=1), slopes @ slopes.swapaxes(1, 2) + np.diag(prior)
+        cost = chi2 + flat**2 @ prior
+        for k, *values in zip(going, q[going], cost, chi2, curvature, moved, strict=True):
+            found[k] = Fit(tuple(starts[k][0]), *values)
+        gains = before[going] - cost >= MIN_GAIN
+        if step == steps or not gains.any():
             break
-        downhill = slopes.T @ left - prior * flat
-        for _ in range(3):
-            tried = damping * DAMPINGS
-            damped = curvature + tried[:, None, None] * np.diag(curvature.diagonal())
-            limit = np.tile(PRIOR, len(parts))
-            change = np.linalg.solve(damped, np.broadcast_to(downhill, (len(tried), len(flat)))[..., None])[..., 0]
-            new = flat + np.clip(change, -limit, limit)
-            by_part = new.reshape(len(new), -1, len(PRIOR)).swapaxes(0, 1)
-            found = costs(
-                sensing.reading(np.sum([part.moved(own) for part, own in zip(parts, by_part, strict=True)], axis=0)),
-                new,
-            )
-            best = int(found.argmin())
-            if found[best] < cost:
-                break
-            damping *= 100.0
-        else:
-            break
-        before, q, damping = cost, new[best].reshape(q.shape), max(float(tried[best]) / 2, 1e-4)
-    return Fit(tuple(parts), q, cost, float((left**2).sum()), curvature, moved)
+        downhill = ((slopes @ left[:, :, None])[..., 0] - prior * flat)[gains]
+        going, flat, cost, curvature = (values[gains] for values in (going, flat, cost, curvature))
+        tried = damping[going, None] * DAMPINGS
+        damped = curvature[:, None] * (1 + tried[..., None, None] * np.eye(len(prior)))
+        by = np.linalg.solve(damped, downhill[:, None, :, None])[..., 0]
+        new = flat[:, None] + np.clip(by, -limit, limit)
+        by_part = new.reshape(*tried.shape, *shape).swapaxes(1, 2)
+        left = (reading - sensing.reading(parts[going].moved(by_part).sum(axis=1))) / deviation
+        costs = (left**2).sum(axis=-1) + new**2 @ prior
+        best = np.arange(len(new)), costs.argmin(axis=1)
+        falls = costs[best] < cost
+        q[going[falls]], before[going[falls]] = new[best][falls].reshape(-1, *shape), cost[falls]
+        damping[going] = np.where(falls, np.maximum(tried[best] / 2, 1e-4), 100 * damping[going])
+    return found

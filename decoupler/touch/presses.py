@@ -71,33 +71,38 @@ class Grid:
         return self.slab_mm / np.array(self.by_cell.shape[1::-1])
 
     def moved_mm(self, place_mm: FloatArray, force_n: FloatArray) -> FloatArray:
-        """Displacements (b, e) [mm] of the electrodes by forces (b, 3, n) [N], z positive in compression, at points.
+        """Displacements (..., e) [mm] of electrodes by forces (..., 3, n) [N], z positive in compression, at points.
 
-        Forces at points (b, 2, n) [mm] from the slab's middle are put on the nearest 3 × 3 cells; their moments up to
+        Forces at points (..., 2, n) [mm] from the slab's middle are put on the nearest 3 × 3 cells; their moments up to
         the second stay.
         """
-        b = len(force_n)
+        shape, n = force_n.shape[:-2], force_n.shape[-1]
         count = np.array(self.by_cell.shape[1::-1])[:, None]
-        at = place_mm / self.cell_mm[:, None] + (count - 1) / 2
-        cell = np.clip(np.rint(at).astype(np.int64), 1, count - 2)
+        at = place_mm.reshape(-1, 2, n) / self.cell_mm[:, None] + (count - 1) / 2
+        cell = np.clip(np.rint(at), 1, count - 2)
         off = at - cell
         square = off**2 - 1 / 12
         share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2])  # (3, b, 2, n)
-        low, high = cell.min(axis=(0, 2)) - 1, cell.max(axis=(0, 2)) + 2
+        low, high = cell.min(axis=(0, 2)).astype(int) - 1, cell.max(axis=(0, 2)).astype(int) + 2
         wide, deep = (high - low).tolist()
-        first = np.arange(b)[:, None] * wide * deep + (cell[:, 1] - low[1]) * wide + cell[:, 0] - low[0]
-        steps = [(i, j) for i in range(3) for j in range(3)]
-        index = np.concatenate([(first + (i - 1) * wide + j - 1).ravel() for i, j in steps])
-        weight = np.stack([share[i, :, 1] * share[j, :, 0] for i, j in steps])
+        steps = np.arange(3) + wide * np.arange(3)[:, None]  # to a point's cells from the first of them
+        first = ((cell[:, 1] - low[1] - 1) * wide + cell[:, 0] - low[0] - 1).astype(np.int64)
         used = np.zeros(wide * deep, dtype=bool)
-        used[index % (wide * deep)] = True
-        on_cells = np.empty((b, np.count_nonzero(used), 3), np.float32)
+        used[first] = True
+        used[np.flatnonzero(used)[:, None] + steps.ravel()] = True
+        number = np.cumsum(used) - 1
+        cells = int(number[-1]) + 1
+        index = number[first + steps[:, :, None, None]] + cells * np.arange(len(first))[:, None]
+        weight = share[:, None, :, 1] * share[:, :, 0]
+        force = force_n.reshape(-1, 3, n)
+        on_cells = np.empty((len(first), cells, 3), np.float32)
         for axis in range(3):
-            values = np.bincount(index, (weight * (UPWARDS[axis] * force_n[:, axis])).ravel(), b * wide * deep)
-            on_cells[:, :, axis] = values.reshape(b, -1)[:, used]
+            values = (weight * (UPWARDS[axis] * force[:, axis])).ravel()
+            on_cells[..., axis] = np.bincount(index.ravel(), values, on_cells[..., axis].size).reshape(-1, cells)
         row, column = np.divmod(np.flatnonzero(used), wide)
         part = self.by_cell[row + low[1], column + low[0]]
-        return (on_cells.reshape(b, -1) @ part.reshape(-1, part.shape[-1])).astype(float)
+        moved = on_cells.reshape(len(first), -1) @ part.reshape(-1, part.shape[-1])
+        return moved.astype(float).reshape(*shape, -1)
 
     def pressed_mm(self, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
         """Displacement (e,) [mm] of the electrodes by forces (3, ny, nx) [N], z positive in compression, on a box."""

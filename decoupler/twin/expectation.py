@@ -229,7 +229,7 @@ class Expectation:
 
     def offset_ohm(self, state: State) -> FloatArray:
         """Offset of each pillar, (P,) [Ω]."""
-        return self.widths.offset * self.rest_ohm * state.own[:, 1]
+        return self.forward.offset_ohm + self.widths.offset * self.rest_ohm * state.own[:, 1]
 
     def sensor(self, state: State) -> SensorModel:
         """A sensor, each pillar with an influence of its own."""

@@ -207,13 +207,18 @@ def layer_response(design: SensorDesign) -> ArrayResponse:
 
 
 def _differences(target: FloatArray, load: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Differences (n_pairs, n) of Gauss points of intervals (n_pairs, 2) on an axis, and their weights (n,), sum 1."""
-    (t, wt), (s, ws) = (_gauss(float(np.max(side[:, 1] - side[:, 0], initial=1e-3))) for side in (target, load))
-    at, of = (
-        side.mean(axis=1, keepdims=True) + (side[:, 1:] - side[:, :1]) / 2 * nodes
-        for side, nodes in ((target, t), (load, s))
+    """Differences (n_pairs, n) of Gauss points of intervals (n_pairs, 2) on an axis, and their weights (n,), sum 1.
+
+    Of intervals of one size many differences are the same: they count once.
+    """
+    (half_t, t, wt), (half_s, s, ws) = (
+        (half := np.diff(side) / 2, *_gauss(float(np.max(2 * half, initial=1e-3)))) for side in (target, load)
     )
-    return (at[:, :, None] - of[:, None, :]).reshape(len(target), len(t) * len(s)), np.outer(wt, ws).ravel()
+    middle, weights = (target.mean(axis=1) - load.mean(axis=1))[:, None], np.outer(wt, ws).ravel()
+    if np.allclose(half_t, half_s[:1], rtol=1e-9, atol=0) and np.allclose(half_s, half_s[:1], rtol=1e-9, atol=0):
+        steps, which = np.unique(np.subtract.outer(t, s).round(12), return_inverse=True)
+        return middle + half_s * steps, np.bincount(which.ravel(), weights).astype(np.float64)
+    return middle + (half_t[..., None] * t[:, None] - half_s[..., None] * s).reshape(len(middle), -1), weights
 
 
 def _gauss(size: float) -> tuple[FloatArray, FloatArray]:

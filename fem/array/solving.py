@@ -10,7 +10,7 @@ from fem.array.closed_forms import layer_response
 from fem.array.conducted import conducted_pillars
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
-from geometry.design import Electrics, SensorDesign
+from geometry.design import Electrics, SensorDesign, bent
 from geometry.errors import DesignError
 from geometry.storage.cache import kept
 from geometry.storage.files import digest
@@ -63,9 +63,9 @@ def array_response(
 
 
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
-    """Hash of all that a response depends on: the design without its resistivity, the settings, the version."""
+    """Hash of all that a response depends on: what bends of the design, the settings, the version."""
     stated = asdict(settings.suited(design)) | {"element": "Q2", "far": True, "mesh": None}  # as in older files
-    return digest("response", VERSION, replace(design, resistivity_ohm_mm=1.0), stated)
+    return digest("response", VERSION, bent(design), stated)
 
 
 def solve_response(

@@ -17,7 +17,7 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.response import ArrayResponse
-from geometry.design import Electrics, SensorDesign
+from geometry.design import Electrics, SensorDesign, bent
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
@@ -151,8 +151,8 @@ def usual_tolerance(design: SensorDesign) -> float:
 def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
     array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
-    bent = replace(design, array=array, resistivity_ohm_mm=1.0, electrics=Electrics())
-    return digest("cell", VERSION, bent, tolerance)
+    cell = replace(bent(design), array=array, electrics=Electrics())
+    return digest("cell", VERSION, cell, tolerance)
 
 
 def refined_cell(

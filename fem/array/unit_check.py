@@ -19,7 +19,7 @@ from fem.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.patch import patch_means
 from fem.tetrahedra.system import TetrahedralSystem
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, bent
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
 from geometry.storage.cache import kept
@@ -48,8 +48,7 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     alone = lone_unit(design)
     progress("mesh")
     mesh, mesh_path, meshed_before = sensor_mesh(alone, suited_settings(alone))
-    bent = replace(alone, resistivity_ohm_mm=1.0)
-    cache_key = digest("unit", VERSION, bent, mesh.content_hash)
+    cache_key = digest("unit", VERSION, bent(alone), mesh.content_hash)
 
     def make() -> ArrayResponse:
         progress("Taylor-Hood")

@@ -1,7 +1,7 @@
 """Contact as fast as simulators step: a shape that is moved a little at a time over an array's top."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ FIRST_DEPTH = 0.01  #: of that search, in heights of the slab
 POWER, MIN_POWER = 1.5, 0.5  #: of the depth, that a force is of a ball, and that it has at least
 MIN_NORMAL, MAX_LOG = 1e-3, 1.5  #: of the force, that counts as found; of the depth's logarithm, in one step
 MAX_WINDOWS = 8  #: that are tried in a step
+MAX_AHEAD = 1.5  #: of the last step, that the next one is taken to go on like it
 TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 
 
@@ -114,16 +115,18 @@ class Stepper:
             self.lift()
             return None
         before = State.at_rest(window.patch, self.friction) if past is None else past.state
+        ahead = None if past is None else past.ahead(pose)
         for left in reversed(range(MAX_WINDOWS)):
-            after, above_mm = window.balanced(pose, before, self.friction)
+            after, above_mm = window.balanced(pose, before, self.friction, ahead)
             better = window.better(before.touches, after.touches)
             if better is None or not left:
                 break
-            window, before = better, better.taken_over(window, before)
+            before, ahead = (better.taken_over(window, state) for state in (before, after))
+            window = better
         if not after.touches.any():
             self.lift()
             return None
-        self._past = _Past(pose, window, after)
+        self._past = _Past(pose, window, after, before)
 
         def contact(window: _Window, after: State, above_mm: FloatArray) -> Contact:
             return Contact(
@@ -147,17 +150,20 @@ class _Pose:
     shape: Shape
     place_mm: FloatArray
     depth_mm: float
-    carried_mm: FloatArray  #: of its surface along the top since the last step, (2,)
+    step_mm: FloatArray  #: of its surface along the top, and of its depth, since the last step, (3,)
     spin_rad: float  #: about z since then
 
     @classmethod
     def after(cls, last: "_Past | None", shape: Shape, place_mm: FloatArray) -> "_Pose":
         depth_mm = float(-place_mm[2] - shape.lowest_mm)
         if last is None:
-            return cls(shape, place_mm, depth_mm, np.zeros(2), 0.0)
+            return cls(shape, place_mm, depth_mm, np.zeros(3), 0.0)
+        step = np.array([*(place_mm - last.pose.place_mm)[:2], depth_mm - last.pose.depth_mm])
+        if (shape.turn == last.pose.shape.turn).all():
+            return cls(shape, place_mm, depth_mm, step, 0.0)
         x, y, z = Rotation.from_matrix(shape.turn @ last.pose.shape.turn.T).as_rotvec()
-        rolled = place_mm[2] * np.array([-y, x])  # the top lies below its origin by that
-        return cls(shape, place_mm, depth_mm, (place_mm - last.pose.place_mm)[:2] + rolled, float(z))
+        rolled = place_mm[2] * np.array([-y, x, 0.0])  # the top lies below its origin by that
+        return cls(shape, place_mm, depth_mm, step + rolled, float(z))
 
 
 class _Window:
@@ -198,15 +204,17 @@ class _Window:
         low, high = np.array(self.patch.low_mm), np.array(self.patch.high_mm)
         return low + MARGIN * self.cell_mm, high - MARGIN * self.cell_mm
 
-    def balanced(self, pose: _Pose, before: State, friction: float) -> tuple[State, FloatArray]:
+    def balanced(
+        self, pose: _Pose, before: State, friction: float, ahead: State | None = None
+    ) -> tuple[State, FloatArray]:
         """The state after a shape moved there, and the shape's underside above the undeformed top (ny, nx)."""
         x, y = self.patch.x_mm - pose.place_mm[0], self.patch.y_mm[:, None] - pose.place_mm[1]
-        step = pose.carried_mm
+        step = pose.step_mm[:2]
         if pose.spin_rad:
             step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
         drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
         above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm
-        return before.carried(step).balanced(self.give, above, friction, TOLERANCE), above
+        return before.carried(step).balanced(self.give, above, friction, TOLERANCE, ahead), above
 
     def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":
         """A window that suits what touches, (ny, nx), before and after a step; None if this one does."""
@@ -218,7 +226,7 @@ class _Window:
         inside = (low > 0) | (self.first == 0), (high < self.count - 1) | (self.first + self.count == self.whole)
         along = max(np.ptp(np.flatnonzero(after.any(axis=axis))) + 1 for axis in (0, 1))
         across = after.sum() / along
-        is_coarse = across < MIN_ACROSS and 2 * along <= ALONG and self.level < FINEST
+        is_coarse = across < MIN_ACROSS and 2 * along <= ALONG - BLOCK and self.level < FINEST
         is_fine = (across > MAX_ACROSS or along > ALONG) and self.level > COARSEST
         if np.all(inside) and not is_coarse and not is_fine:
             return None
@@ -252,3 +260,14 @@ class _Past:
     pose: _Pose
     window: _Window
     state: State
+    before: State  #: on that window, a step earlier
+
+    def ahead(self, pose: _Pose) -> State:
+        """Where the state comes to if it goes on as in the last step, as far as the pose does: a first guess."""
+        last = self.pose.step_mm
+        share = np.clip(np.vdot(last, pose.step_mm) / (np.vdot(last, last) + np.finfo(float).tiny), 0.0, MAX_AHEAD)
+        force, moved = (
+            getattr(self.state, name) + share * (getattr(self.state, name) - getattr(self.before, name))
+            for name in ("force_n", "moved_mm")
+        )
+        return replace(self.state, force_n=force, moved_mm=moved)

@@ -21,7 +21,7 @@ from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, CellBody, DesignCell, lone_unit
 from fem.tetrahedra.mixed import taylor_hood
-from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.design import Array, Material, Pad, SensorDesign, bent
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -36,6 +36,7 @@ ROUND = 8.0  #: heights beyond the array after which the endless one repeats its
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+SHARED = 32  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
@@ -82,7 +83,7 @@ def surface_compliance(
     `SolverError` if the mesh or an answer cannot be trusted.
     """
     require_bare(design)
-    plain = replace(design, resistivity_ohm_mm=1.0, pad=Pad(size_mm=PAD * design.array.pitch_mm))
+    plain = replace(bent(design), pad=Pad(size_mm=PAD * design.array.pitch_mm))
     cache_key = digest("surface", VERSION, plain)
 
     def make() -> SurfaceCompliance:
@@ -377,12 +378,19 @@ def _layer_spectrum(
     nx: int, ny: int, dx: float, dy: float, height_mm: float, material: Material
 ) -> tuple[FloatArray, tuple[int, int]]:
     """Fourier transform of the layer's influence between cells, (3, 3, ...), and the size that forces are padded to."""
-    x, y = np.arange(nx) * dx, np.arange(ny)[:, None] * dy
-    targets = np.stack(np.broadcast_arrays(x - dx / 2, y - dy / 2, x + dx / 2, y + dy / 2), axis=-1)
-    quarter = layer_mean_compliance(targets, np.array([-dx, -dy, dx, dy]) / 2, height_mm, material)
+    quarter = _layer_quarter(SHARED * -(-max(nx, ny) // SHARED), dx, dy, height_mm, material)[:, :, :ny, :nx]
     my, mx = fft.next_fast_len(2 * ny - 1, real=True), fft.next_fast_len(2 * nx - 1, real=True)
-    whole = np.zeros((my, mx, 3, 3))
-    whole[:ny, :nx] = quarter
-    whole[:ny, mx - nx + 1 :] = quarter[:, :0:-1] * np.outer(MIRROR_X, MIRROR_X)
-    whole[my - ny + 1 :] = whole[ny - 1 : 0 : -1] * np.outer(MIRROR_Y, MIRROR_Y)
-    return fft.rfft2(whole.transpose(2, 3, 0, 1)), (my, mx)
+    whole = np.zeros((3, 3, my, mx))
+    whole[..., :ny, :nx] = quarter
+    whole[..., :ny, mx - nx + 1 :] = quarter[..., :0:-1] * np.outer(MIRROR_X, MIRROR_X)[..., None, None]
+    whole[..., my - ny + 1 :, :] = whole[..., ny - 1 : 0 : -1, :] * np.outer(MIRROR_Y, MIRROR_Y)[..., None, None]
+    return fft.rfft2(whole), (my, mx)
+
+
+@lru_cache(maxsize=32)
+def _layer_quarter(n: int, dx: float, dy: float, height_mm: float, material: Material) -> FloatArray:
+    """The layer's influence of a cell on those up to n rows and columns further, (3, 3, n, n)."""
+    x, y = np.arange(n) * dx, np.arange(n)[:, None] * dy
+    targets = np.stack(np.broadcast_arrays(x - dx / 2, y - dy / 2, x + dx / 2, y + dy / 2), axis=-1)
+    found = layer_mean_compliance(targets, np.array([-dx, -dy, dx, dy]) / 2, height_mm, material)
+    return found.transpose(2, 3, 0, 1)

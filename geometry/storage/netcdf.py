@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from itertools import chain
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from types import MappingProxyType
@@ -51,9 +52,11 @@ def read_netcdf(
     wanted: Mapping[str, tuple[str, ...]],
     made_by: str,
     optional: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+    instead: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> "xr.Dataset":
     """Read the variables named in `wanted`, {variable: dims}, and those of `optional` that are there, on these dims.
 
+    `instead` names dims that stand in the place of a dim in files that have them.
     `FileFormatError` if the file is missing, damaged or no NetCDF file, lacks a variable or has it on other dims; it
     says which command such files are `made_by`.
     """
@@ -63,7 +66,7 @@ def read_netcdf(
     require_intact(path, f"give a file made by '{made_by}'")
     try:
         with uninterrupted(), xr.open_dataset(path, engine="netcdf4", decode_times=False) as opened:
-            return chosen_variables(opened, path, wanted, made_by, optional).load()
+            return chosen_variables(opened, path, wanted, made_by, optional, instead).load()
     except (OSError, RuntimeError, ValueError, AttributeError, LookupError) as error:  # all that damage raises
         if isinstance(error, FileFormatError):
             raise
@@ -78,11 +81,14 @@ def chosen_variables(
     wanted: Mapping[str, tuple[str, ...]],
     made_by: str,
     optional: Mapping[str, tuple[str, ...]],
+    instead: Mapping[str, tuple[str, ...]],
 ) -> "xr.Dataset":
     """The variables of an open file that `read_netcdf` reads, unread yet; errors as there."""
     import xarray as xr
 
     wanted = {**wanted, **{name: dims for name, dims in optional.items() if name in opened}}
+    there = {dim: others for dim, others in instead.items() if {*others} <= {*opened.dims}}
+    wanted = {name: tuple(chain(*(there.get(dim, (dim,)) for dim in dims))) for name, dims in wanted.items()}
     for name, dims in wanted.items():
         if name not in opened:
             said = f" has no variable '{name}', only {sorted(map(str, opened.data_vars))}"

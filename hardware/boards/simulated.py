@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.imperfections import OPEN_OHM, Imperfections
+from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import forces
-from dataset.resistance import effective_lengths, pillar_resistances
+from dataset.resistance import effective_lengths, exact_resistances, pillar_lengths
 from dataset.simulation import displacements, require_conducted
-from geometry.design import SensorDesign
+from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
+from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.storage.files import cache_folder, digest
 from geometry.storage.netcdf import write_netcdf
 from geometry.wiring import crossings
@@ -84,14 +85,26 @@ class PressAndSlide:
         return np.concatenate([bell[..., None] * (drag[:, None, None] * along), -bell[..., None]], axis=2)
 
 
-def press_and_slide(response: "ArrayResponse", script: PressAndSlide) -> Motion:
-    """One period of a script, by superposing the array's response."""
+def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: Imperfections | None = None) -> Motion:
+    """One period of a script, by superposing the array's response.
+
+    Rubber that remembers or relaxes has gone through it for ever; `specimen` says how its pillars' memories differ.
+    """
     require_conducted(response)
     design, sizes = response.design, (-1, response.design.array.rows, response.design.array.cols, 3)
     traction = script.tractions(STEP_S * np.arange(round(script.seconds / STEP_S), dtype=np.float64), design)
-    newtons = traction * design.pad.size_mm**2
-    lengths = effective_lengths(response, displacements(response, traction), newtons)
-    ohms = pillar_resistances(lengths, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+    newtons, rubber = traction * design.pad.size_mm**2, design.pillar_material
+    moved = displacements(response, traction)
+    lengths = effective_lengths(response, moved, newtons)
+    rise: FloatArray | float = 0.0
+    if rubber != rubber.settled:
+        around = [*range(len(traction)), 0]  # back to where it began
+        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3])
+        strain = pillar_lengths(moved, design.unit)[around].reshape(sizes) / rest_lengths(design.unit) - 1.0
+        whole = remembered(strain, STEP_S, memory, is_cycle=True)
+        rise = whole if isinstance(whole, float) else whole[:-1].reshape(lengths.shape)
+        traction = relaxed_forces(traction[around], STEP_S, rubber.prony, is_cycle=True)[:-1]
+    ohms = exact_resistances(lengths, design, rise)
     return Motion(resistance_ohm=ohms.reshape(sizes), force_n=forces(traction, design).reshape(sizes))
 
 
@@ -105,12 +118,14 @@ def write_truth(motion: Motion, path: Path) -> None:
     write_netcdf(xr.Dataset({"force_n": force_n}, coordinates), path)
 
 
-def counts_over_time(exact_ohm: FloatArray, crossbar: Crossbar, sensor: Imperfections) -> NDArray[np.int64]:
+def counts_over_time(
+    exact_ohm: FloatArray, crossbar: Crossbar, sensor: Imperfections, electrics: Electrics | None = None
+) -> NDArray[np.int64]:
     """Counts of the board's converter at every step of a motion, (n, rows, cols, 3) [Ω] -> (n, rows·cols·3).
 
-    Of the imperfections gain, offset and dead pillars count; `crossbar` has the noise and the converter.
+    Of the imperfections gain, offset, temperature and dead pillars count; `crossbar` has the noise and the converter.
     """
-    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols)
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics)
     ohms = gain * exact_ohm + offset
     ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))

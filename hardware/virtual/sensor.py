@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dataset.imperfections import OPEN_OHM, Imperfections
+from dataset.imperfections import OPEN_OHM, Imperfections, log_normal, of_both_ends
 from dataset.measurement import SENSE_OHM
-from dataset.resistance import pillar_lengths, pillar_resistances
+from dataset.resistance import exact_resistances, pillar_lengths
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
@@ -29,9 +29,10 @@ from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_comp
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import AXES, PILLARS, pillar_volumes, rest_lengths
+from geometry.layout import AXES, PILLARS, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.wrench import pad_positions
+from hardware.virtual.rubber import RubberState
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -55,7 +56,8 @@ class VirtualSensor:
 
     Contact forces at points go to the pads, by the array's response and eq. 1 (or conduction) into resistances; each
     specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these, and a trained
-    model forces. Loads are quasi-static and the rubber linear.
+    model forces. Loads are quasi-static and the rubber linear; what its resistance remembers (`Memory`) is kept from
+    reading to reading. Forces are those that act: they do not relax.
 
     Parameters
     ----------
@@ -77,6 +79,8 @@ class VirtualSensor:
         Each pillar's resistance has a factor, uniform in 1 ± gain_spread.
     offset_ohm : float
         Standard deviation of what is added to each pillar's resistance [Ω].
+    memory_spread, temperature_rise : float
+        As of `dataset.Imperfections`: of a rubber with memory, relative; above that of the design's resistivity [K].
     dead_probability : float
         Of each pillar to be broken; it reads as open. A model that was not trained so takes that for forces.
     seed : int
@@ -118,6 +122,8 @@ class VirtualSensor:
         correct: bool = True,
         gain_spread: float = 0.0,
         offset_ohm: float = 0.0,
+        memory_spread: float = 0.0,
+        temperature_rise: float = 0.0,
         dead_probability: float = 0.0,
         seed: int = 0,
         dtype: torch.dtype = torch.float64,
@@ -131,7 +137,13 @@ class VirtualSensor:
         self.design = design.design if isinstance(design, TwinFile) else design
         self.shape = self.design.array.rows, self.design.array.cols  #: rows, cols
         self._imperfections = Imperfections(
-            noise=noise, bits=bits, gain_spread=gain_spread, offset_ohm=offset_ohm, specimen=seed
+            noise=noise,
+            bits=bits,
+            gain_spread=gain_spread,
+            offset_ohm=offset_ohm,
+            memory_spread=memory_spread,
+            temperature_rise=temperature_rise,
+            specimen=seed,
         )  # refuses what makes no sense
         if environments < 1 or not 0.0 <= dead_probability < 1.0:
             given = f"environments={environments}, dead_probability={dead_probability}"
@@ -164,26 +176,31 @@ class VirtualSensor:
             self._found = Corrector(host).correct if correct else host.uncorrected
         if decoder is None:
             self._twin = None
-            self._forward = in_torch(self._designed(response), self._like)
+            solved = self._designed(response)
+            self._forward = in_torch(SensorModel.of(solved, COMPONENTS["all"]), self._like)
+            self._shape = self._forward  # whose lengths are the pillars' own
+            if solved.conducted is not None:
+                self._shape = in_torch(SensorModel.of(replace(solved, conducted=None), COMPONENTS["all"]), self._like)
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
             self._twin = _Twin(decoder, self._like)
-            self._forward = self._twin.forward
+            self._forward = self._shape = self._twin.forward
         self._gain = self._like.new_ones((environments, *self.shape, 3))
         self._offset = torch.zeros_like(self._gain)
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, 3)
         self._member = torch.zeros(environments, dtype=torch.int64, device=self.device)
         self._steppers: list[dict[Hashable, Stepper]] = [{} for _ in range(environments)]
+        self._rubber = RubberState(self.design, self._gain, memory_spread)
         self.reset()
 
-    def _designed(self, response: "ArrayResponse | None") -> SensorModel:
+    def _designed(self, response: "ArrayResponse | None") -> "ArrayResponse":
         if response is None:
             response, *_ = array_response(self.design, ResponseSettings())
         elif response.design != self.design:
             raise ArgumentError("the response is of another design: leave it out, or give that of the design.")
         require_conducted(response)
-        return SensorModel.of(response, COMPONENTS["all"])
+        return response
 
     @cached_property
     def _pads(self) -> tuple[Tensor, Tensor]:
@@ -192,7 +209,7 @@ class VirtualSensor:
         return places[0, :, 0], places[:, 0, 1]
 
     def reset(self, which: Tensor | None = None, seed: int | None = None) -> None:
-        """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior.
+        """Draw gains, offsets and dead pillars anew; of a twin another sensor of its posterior. Rubber forgets.
 
         `which` are numbers of environments or a mask (e,), default: all; a `seed` starts all that is drawn from here on
         anew, noise included. An offset that outweighs a resistance is a DesignError.
@@ -202,9 +219,16 @@ class VirtualSensor:
         everywhere = torch.arange(self.environments, device=self._like.device)
         chosen = everywhere if which is None else everywhere[which]
         settings, like = self._imperfections, self._like.new_empty((len(chosen), *self.shape, 3))
+        electrics = self.design.electrics
         self._gain[chosen] = 1.0 + settings.gain_spread * like.uniform_(-1.0, 1.0, generator=self._generator)
         self._offset[chosen] = settings.offset_ohm * like.normal_(generator=self._generator)
         self.dead = self.dead.index_copy(0, chosen, like.uniform_(generator=self._generator) < self.dead_probability)
+        self._gain[chosen] = settings.warmed(self._gain[chosen], electrics)
+        if electrics.contact_ohm and self._twin is None:
+            drawn = self._normal((len(chosen), *self.shape, len(self.design.unit.layout.terminals)))
+            contacts = electrics.contact_ohm * of_both_ends(log_normal(drawn, electrics.contact_spread))
+            self._offset[chosen] += contacts - self._gain[chosen] * electrics.contacts_ohm
+        self._rubber.forget(chosen, self._normal)
         if self._twin is not None:
             numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
             self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
@@ -235,16 +259,27 @@ class VirtualSensor:
         by_col, by_row = (_shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
         return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
 
-    def resistances(self, force_n: Tensor) -> Tensor:
+    def resistances(self, force_n: Tensor, seconds: float | None = None) -> Tensor:
         """Exact resistances (e, rows, cols, 3) [Ω] under forces on the pads (e, rows, cols, 3) [N].
 
-        A twin's are those of the environment's own sensor, gains and offsets included.
+        A twin's are those of the environment's own sensor, gains and offsets included. With `seconds` since these were
+        asked for last, rubber with memory remembers; without, resistances are those of rubber that does not.
         """
         self._require(force_n, "force_n")
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            return self._twin.resistances(columns, self._member).reshape(force_n.shape)
-        return self._forward.resistances(columns).reshape(force_n.shape)
+            ohms = self._twin.resistances(columns, self._member).reshape(force_n.shape)
+        else:
+            ohms = self._forward.resistances(columns).reshape(force_n.shape)
+        if seconds is None or not self._rubber.remembers:
+            return ohms
+        self._rubber.require(seconds)
+        return self._remembered(ohms, self._shape.lengths(columns).reshape(force_n.shape), seconds)
+
+    def _remembered(self, resistance_ohm: Tensor, length_mm: Tensor, seconds: float) -> Tensor:
+        """Resistances of pillars of these lengths that were read so many seconds ago; contacts do not remember."""
+        contacts_ohm = self.design.electrics.contacts_ohm
+        return contacts_ohm + self._rubber.step(length_mm, seconds) * (resistance_ohm - contacts_ohm)
 
     def strains(self, force_n: Tensor) -> Tensor:
         """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
@@ -283,13 +318,19 @@ class VirtualSensor:
         decoded = self._decoder.first_answers(columns.reshape(self.environments, -1))
         return decoded.reshape(self.environments, *self.shape, -1)
 
-    def touch(self, points_mm: Tensor, force_n: Tensor) -> Reading:
-        """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`."""
+    def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:
+        """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`.
+
+        Rubber with memory needs the `seconds` since the last reading; they are an `ArgumentError` if missing.
+        """
+        self._rubber.require(seconds)
         applied_n = self.pad_loads(points_mm, force_n)
-        resistance_ohm = self.read(self.resistances(applied_n))
+        resistance_ohm = self.read(self.resistances(applied_n, seconds))
         return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=self._decoded(resistance_ohm))
 
-    def press(self, bodies: Sequence[Mapping[Hashable, "Pressing"]], friction: float = 0.5) -> Reading:
+    def press(
+        self, bodies: Sequence[Mapping[Hashable, "Pressing"]], friction: float = 0.5, seconds: float | None = None
+    ) -> Reading:
         """Bodies pressed into bare rubber to one reading, without derivatives; each goes on from where it was before.
 
         Parameters
@@ -300,6 +341,8 @@ class VirtualSensor:
             not named any more has gone.
         friction : float
             Coulomb's coefficient.
+        seconds : float, optional
+            Since the last reading, as of `touch`.
 
         Returns
         -------
@@ -317,6 +360,7 @@ class VirtualSensor:
             raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")
         if self._twin is not None:
             raise ArgumentError("a twin's own sensors know loads on pads alone: press a design, with gain_spread.")
+        self._rubber.require(seconds)
         surface, grid = self._top
         force, moved = (np.zeros((self.environments, surface.design.n_units, k, 3)) for k in (1, 2))
         contacts: list[Contact] = []
@@ -330,11 +374,12 @@ class VirtualSensor:
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
                     box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
                     moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, 2, 3)
-        unit = self.design.unit
-        exact = pillar_resistances(pillar_lengths(moved, unit), pillar_volumes(unit), self.design.resistivity_ohm_mm)
-        sizes = (self.environments, *self.shape, 3)
+        lengths, sizes = pillar_lengths(moved, self.design.unit), (self.environments, *self.shape, 3)
         with torch.no_grad():
-            resistance_ohm = self.read(self._like.new_tensor(exact).reshape(sizes))
+            exact_ohm = self._like.new_tensor(exact_resistances(lengths, self.design)).reshape(sizes)
+            if seconds is not None and self._rubber.remembers:
+                exact_ohm = self._remembered(exact_ohm, self._like.new_tensor(lengths).reshape(sizes), seconds)
+            resistance_ohm = self.read(exact_ohm)
             decoded_n = self._decoded(resistance_ohm)
         applied_n = self._like.new_tensor(force).reshape(sizes)
         return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n, contacts=tuple(contacts))
@@ -351,7 +396,7 @@ class VirtualSensor:
         surface, *_ = surface_compliance(self.design)
         return surface, Grid.of(surface)
 
-    def _normal(self, shape: torch.Size) -> Tensor:
+    def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)
 
     def _require(self, values: Tensor, name: str) -> None:

@@ -67,7 +67,7 @@ def as_markdown(computed: Computed) -> str:
         networks=experiments.NETWORKS, HOOKE=HOOKE, LINEAR=LINEAR, loads=LOADS, rings=RINGS, disturbed=disturbed,
         pressed_n=PRESSED_N, ALIKE=ALIKE, VISIBLE=VISIBLE, QUIET=QUIET, cap=CAP, normal_mpa=NORMAL_MPA,
         tangential_mpa=TANGENTIAL_MPA, rest_mm=rest_lengths(design.unit), middle=middle_unit(design), error=error,
-        best_width=best_width, zip=zip, max=max, min=min, sum=sum, len=len, abs=abs,
+        best_width=best_width, max=max, min=min,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, Pillars, fitted
+from decoupler.touch.presses import Grid, middles
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, Turned, press, surface_compliance
@@ -66,12 +67,26 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
     assert spread == pytest.approx(moved, abs=0.02 * float(np.abs(moved).max()))
 
 
+def test_forces_at_points_keep_their_moments_on_the_cells_of_a_grid():
+    """Up to the second, of cells that spread them: electrodes that move as 1, x, y, x², x y and y² do in their mean."""
+    generator = np.random.default_rng(4)
+    slab_mm, (ny, nx) = np.array([8.0, 6.0]), (12, 16)
+    x, y = middles(np.array([-4.0, -3.0, 4.0, 3.0]), np.zeros((ny, nx)))
+    own = (slab_mm / (nx, ny)) ** 2 / 12  # of a cell about its middle
+    half = np.stack([0 * x + 1, x, y, x**2 + own[0], x * y, y**2 + own[1]], axis=1).reshape(ny, nx, 1, 6)
+    grid = Grid(slab_mm=slab_mm, half=np.repeat(half, 3, axis=2))
+    x, y = place_mm = generator.uniform(-0.5, 0.5, (2, 40)) * slab_mm[:, None]
+    force_n = generator.uniform(0.0, 1.0, (3, 40))
+    expected = np.stack([0 * x + 1, x, y, x**2, x * y, y**2], axis=1).T @ (force_n[0] + force_n[1] - force_n[2])
+    assert grid.moved_mm(place_mm[None], force_n[None])[0] == pytest.approx(expected, rel=1e-5, abs=1e-4)  # of float32
+
+
 def test_a_changed_press_is_found_again(decoder):
     """Moved, stretched, turned, heavier and dragged: exact readings lead back to its forces."""
     part = decoder._starts([0], 1)[0]
     true = 0.4 * PRIOR[None] * np.array([1, -1, 1, 1, -1, 1, 1, -1, 1])
     reading = decoder.sensing.reading(part.moved(true))[0]
-    fit = fitted(reading, np.full(len(reading), 1e-3), [part], np.zeros((1, 9)), 20)
+    (fit,) = fitted(reading, np.full(len(reading), 1e-3), [([part], np.zeros((1, 9)))], 20)
     assert fit.chi2 < 0.2 * len(reading)  # of deviations of a micrometre times a millimetre
     found, root = fit.loads()
     expected = part.units(true)[0]

@@ -41,6 +41,15 @@ def test_commands_and_options_exist(page):
         assert given <= known | {"--help"}, line
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_are_whole(page):
+    """A blank line between rows ends a table: the rows after it are shown as text."""
+    for table in re.findall(r"(?:^\|.*\n)+", page.read_text(encoding="utf-8"), re.MULTILINE):
+        rows = table.splitlines()
+        assert re.fullmatch(r"\|( :?-+:? \|)+", "".join(rows[1:2])), rows[0]
+        assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1, rows[0]
+
+
 def test_the_reference_of_commands_is_what_they_say():
     """`make docs` writes it; it is there without, and the same."""
     made = runpy.run_path(str(ROOT / "docs" / "site-parts" / "command_reference.py"))

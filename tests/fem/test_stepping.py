@@ -20,6 +20,7 @@ from fem.contact import (
     Turned,
     press,
 )
+from fem.contact.surface import PatchCompliance
 
 BALL_MM, DEPTH_MM, FRICTION = 8.0, 0.6, 0.5
 BOX_MM = np.array([[x, y, z] for x in (-4.0, 4.0) for y in (-3.0, 3.0) for z in (0.0, 5.0)])
@@ -124,3 +125,20 @@ def test_turned_shapes_are_what_they_are_made_of():
     assert heights.min() == pytest.approx(0.0, abs=0.06)
     with pytest.raises(ShapeError, match="no volume"):
         Convex.hull(BOX_MM[:, :2] @ np.eye(2, 3))
+
+
+def test_a_small_step_takes_few_products_on_one_grid_after_the_other(
+    pair: SurfaceCompliance, monkeypatch: pytest.MonkeyPatch
+):
+    """Of a bar that is too long for a finer grid and narrow for a coarse one; counted, since clocks tell of machines.
+
+    Steps begun from the last state, not where it leads, take nearly 9 products on average.
+    """
+    products, cells_mm = [], []
+    give = PatchCompliance.pressed_mm
+    monkeypatch.setattr(PatchCompliance, "pressed_mm", lambda self, force: products.append(1) or give(self, force))
+    stepper, bar = Stepper(pair, friction=FRICTION), Turned(Cylinder(11.0, 11.4), 84.0)
+    for depth_mm in np.arange(1, 81) * 0.01:
+        cells_mm.append(stepper.step(bar, (-5.0, 0.0, -depth_mm)).patch.cell_mm[0])
+    assert len(products) < 7 * len(cells_mm)
+    assert (np.diff(cells_mm) >= 0).all()

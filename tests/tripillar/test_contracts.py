@@ -34,9 +34,10 @@ NEEDED = {
     "evaluate": MODEL | DATA, "identify": DATA | {"out": "m.safetensors"}, "export": {"out": "m.h"} | MODEL,
     "view": {"save": "p.png"}, "sweep": {"file": "block.toml"}, "live": {"port": "text.txt"} | MODEL,
     "record": {"port": "text.txt", "out": "y.frames"}, "replay": {"recording": "text.txt"} | MODEL,
-    "tare": {"port": "text.txt", "out": "x.json"}, "info": {"port": "text.txt"}, "board": {"chip": "python"},
+    "tare": {"port": "text.txt", "out": "x.json"},
+    "rubber": {"next_test": "next.csv"}, "info": {"port": "text.txt"}, "board": {"chip": "python"},
 }  # fmt: skip
-WRITTEN = {"out", "twin", "vtu", "picture", "save", "mcap", "rrd", "keep", "link", "truth"}
+WRITTEN = {"out", "twin", "vtu", "picture", "save", "mcap", "rrd", "keep", "link", "truth", "next_test"}
 FILES = {
     "unknown.toml": "[array]\nrowz = 3\n",
     "sphere.toml": "[body]\nkind = 'sphere'\n",
@@ -47,6 +48,7 @@ FILES = {
     "stiff.toml": SMALL + "[pad]\nkind = 'stiff'\n",
     "square.toml": SMALL.replace("rows = 1", "rows = 3").replace("cols = 2", "cols = 3"),
     "semi.csv": "fz_n_0_0;r_0_0\n1,5;2\n",
+    "bare.csv": "time_s,force_n,resistance_ohm\n0,1,2\n",
     "text.txt": "hello\n",
     "text.json": "hello\n",
 }
@@ -219,6 +221,14 @@ identify --data data.nc --port p -o x.safetensors -> give --data or --port, not 
 identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 4: there are no more
 identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
 identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
+rubber -o r.toml -> give --data of a bench series
+rubber --data semi.csv -> separate them by commas, decimals by points
+rubber --data bare.csv -> bare.csv: the column strain is missing (or strain_pct, displacement_mm); it has time_s,
+rubber --data bare.csv --columns speed=v -> --columns speed=... names no quantity
+rubber --data bare.csv --check small.toml -o r.toml -> --check judges a rubber that there is
+rubber --data bare.csv --wires 3 -> --wires 3 must be 2 or 4
+rubber --data bare.csv --out r.csv -> --out r.csv must be a file that ends in .toml
+design --extend small.toml -> small.toml: has no table [rubber]
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
 export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm

@@ -22,7 +22,7 @@ COMMANDS = {
     },
     "From data to a model": {
         "dataset": "samples", "train": "learning", "evaluate": "learning", "identify": "identifying",
-        "export": "exporting",
+        "export": "exporting", "rubber": "rubbers",
     },
     "Studies, pictures, help": {
         "run": "studying", "view": "viewing", "sweep": "studying", "doctor": "studying",

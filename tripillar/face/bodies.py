@@ -16,7 +16,9 @@ from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, s
 
 
 @job(out="")
-def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols) -> SensorDesign:
+def design(
+    *, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols, extend: File | None = None
+) -> SensorDesign:
     """Write a design file: the paper's sensor, every number with its meaning.
 
     Parameters
@@ -27,6 +29,8 @@ def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array
         Number of units along y.
     cols : int
         Number of units along x.
+    extend : path, optional
+        Rubber file (.toml) of `tripillar rubber` for its pillars: memory, relaxation, modulus and resistivity.
 
     Examples
     --------
@@ -34,6 +38,8 @@ def design(*, out: File | None = None, rows: int = Array.rows, cols: int = Array
     6
     """
     sensor = SensorDesign(array=Array(rows=rows, cols=cols))
+    if extend is not None:
+        sensor = stages.extended(sensor, stages.read_rubber(Path(extend)))
     if out is not None:
         write_design(sensor, Path(out))
     text = "" if out is not None else design_to_toml(sensor).removesuffix("\n")

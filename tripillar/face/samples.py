@@ -41,6 +41,8 @@ def dataset(
     out: Annotated[File | None, NEEDED] = None,
     seed: int = 0,
     cap: float = 0.3,
+    history: float | None = None,
+    rate: float | None = None,
     crossbar: Literal["zero-potential", "grounded", "divider"] | None = None,
     sense_ohm: float | None = None,
     correct: Annotated[bool, Parameter(negative="--no-correct")] = True,
@@ -69,6 +71,11 @@ def dataset(
         Seed of the random loads and noise.
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
+    history : float, optional
+        Seconds of a series of presses, holds, releases, ramps and touches that each sample becomes; the design's rubber
+        remembers and relaxes. Default: samples without a time.
+    rate : float, optional
+        Moments of a series a second [Hz]; default: 50.
     crossbar : str, optional
         Circuit to read the array through, as a board does; default: each pillar alone.
     sense_ohm : float, optional
@@ -93,8 +100,8 @@ def dataset(
     Returns
     -------
     Samples
-        ``force_n`` and ``resistance_ohm``, shape (samples, rows, cols, 3), and what lies between; of a zarr directory
-        the samples as stored.
+        ``force_n`` and ``resistance_ohm``, shape (samples, rows, cols, 3), of series (samples, time, rows, cols, 3),
+        and what lies between; of a zarr directory the samples as stored.
 
     Examples
     --------
@@ -117,6 +124,10 @@ def dataset(
     }
     if "dead_pillars" in read:
         read["dead_pillars"] = tuple(map(_place, read["dead_pillars"]))
+    if rate is not None and history is None:
+        raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
+    asked = {"history_s": history, "rate_hz": rate}
+    read |= {name: value for name, value in asked.items() if value is not None}
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
     settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
     wires = WIRES.of(more) | ({} if sense_ohm is None else {"sense_ohm": sense_ohm})
@@ -125,11 +136,13 @@ def dataset(
     if not (is_finite or in_leaves):
         if workers is not None or scheduler is not None:
             raise DesignError("workers= and scheduler= belong to strain='finite' and to directories, out=data.zarr.")
-        stages.require_memory(sensor, samples, names)
+        stages.require_memory(sensor, settings, names)
     if is_finite or twin is not None:
         stages.pad_protocol(protocol)
     elif protocol == stages.INDENT:
         stages.require_bare(sensor)
+    if history is not None and (is_finite or twin is not None):
+        raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
     if is_finite and twin is not None:
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
@@ -155,8 +168,9 @@ def dataset(
             made.write(path, dtype)
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
-    line = f"{samples} samples, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
-    line += f"; {story['kept']} samples are of earlier runs" if story.get("kept") else ""
+    kind = "samples" if history is None else "series"
+    line = f"{samples} {kind}, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
+    line += f"; {story['kept']} {kind} are of earlier runs" if story.get("kept") else ""
     if is_finite and (errors := stages.in_memory(made).error_estimate) is not None:
         result |= {"strain": "finite", "unsolved": story["unsolved"], "error_estimate": float(errors.mean())}
         line += (

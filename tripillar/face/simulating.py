@@ -22,7 +22,8 @@ else:
     SensorLike = Path
 
 OFFSET = Annotated[float, Parameter(name="--offset")]
-SPECIMEN = Options(Imperfections, "gain_spread", "offset_ohm", "specimen", offset_ohm=OFFSET)
+KNOWN = ("gain_spread", "offset_ohm", "specimen", "memory_spread", "temperature_rise")  #: of a specimen
+SPECIMEN = Options(Imperfections, *KNOWN, offset_ohm=OFFSET)
 
 
 @job(link=None, truth=".nc")
@@ -75,7 +76,8 @@ def board(
     truth : path, optional
         NetCDF file to write: the true forces of one period.
     **more
-        The fields gain_spread, offset_ohm and specimen of `dataset.Imperfections`, and those of `inputs.Wires`.
+        The fields gain_spread, offset_ohm, specimen, memory_spread and temperature_rise of `dataset.Imperfections`,
+        and those of `inputs.Wires`.
 
     Yields
     ------
@@ -111,13 +113,13 @@ def board(
         response = stages.respond(design_of(design), caller.bars)[1]
     else:
         response = design
-    motion, shunts = stages.press_and_slide(response, script), stages.shunts_of(response.design)
+    motion, shunts = stages.press_and_slide(response, script, own), stages.shunts_of(response.design)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
     crossbar = replace(electronics.crossbar(told), noise=noise, shunt_siemens=shunts)
-    counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own)
+    counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own, response.design.electrics)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
     with stages.run_board(suited, told, counts, kept) as running:

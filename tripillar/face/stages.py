@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
+    from decoupler.rubber.fit import identified as rubber_of, of_range, resistance_from_strain
+    from decoupler.rubber.law import Rubber
+    from decoupler.rubber.pictures import draw_rubber
+    from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
+    from decoupler.rubber.series import Series, read_series
+    from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import assess_touch
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library

@@ -40,6 +40,7 @@ class _Touch:
                     "gymnasium's MujocoEnv."
                 )
         self._readers = [ContactReader(world.model, **slab) for world in self._worlds]
+        self._read_s = np.array([world.data.time for world in self._worlds])
         self._like: dict[str, Any] = {"dtype": sensor.dtype, "device": sensor.device}
         if observe == "newtons":
             rest_ohm = sensor.resistances(torch.zeros((len(envs), *sensor.shape, 3), **self._like))
@@ -59,13 +60,20 @@ class _Touch:
         """Observation and info with what some of the sensors tell, and with the net forces of MuJoCo's contacts."""
         contacts = [reader.read(world.data) for reader, world in zip(self._readers, self._worlds, strict=True)]
         with torch.no_grad():
-            reading = self.sensor.touch(*(torch.as_tensor(values, **self._like) for values in stacked(contacts)))
+            where, how = (torch.as_tensor(values, **self._like) for values in stacked(contacts))
+            reading = self.sensor.touch(where, how, self._seconds())
         told = reading.decoded_n if self._observe == "newtons" else reading.resistance_ohm
         assert told is not None
         within = told.cpu().numpy().clip(self._space.low.flat[0], self._space.high.flat[0]).astype(np.float32)
         held = dict(observation) if isinstance(observation, dict) else {"observation": observation}
         net_n = np.array([one.net_n for one in contacts])
         return held | {KEY: within[which]}, info | {KEY: net_n[which]}
+
+    def _seconds(self) -> float:
+        """Since the last reading, in simulations that step together; a time step where all were reset."""
+        now_s = np.array([world.data.time for world in self._worlds])
+        passed_s, self._read_s = float((now_s - self._read_s).max()), now_s
+        return passed_s if passed_s > 0.0 else float(self._worlds[0].model.opt.timestep)
 
 
 class TactileObservation(gymnasium.Wrapper):

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dataset.leaves import LEAF, Leaf, chunk_name, n_leaves, packed, put, write_header, write_leaf
+from dataset.leaves import Leaf, leaf_size, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, dataset_cache_key, simulate, simulate_part
@@ -45,7 +45,17 @@ class LeafJob:
         """Hash of all that leaves depend on: not the number of samples, of which the last leaf alone knows."""
         of_one = dataset_cache_key(self.response, replace(self.settings, samples=1), self.readout)
         more = [] if self.twin is None else [self.twin.decoder_hash]
-        return digest("leaves", LEAF, of_one, self.named, self.dtype, *more)
+        return digest("leaves", self.leaf_size, of_one, self.named, self.dtype, *more)
+
+    @property
+    def leaf_size(self) -> int:
+        """Samples, or series, of a leaf."""
+        return leaf_size(self.settings.moments)
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of all leaves."""
+        return range(n_leaves(self.settings.samples, self.leaf_size))
 
     @property
     def named(self) -> list[str] | None:
@@ -54,7 +64,7 @@ class LeafJob:
 
     def size(self, number: int) -> int:
         """Number of samples of a leaf."""
-        return min(LEAF, self.settings.samples - number * LEAF)
+        return min(self.leaf_size, self.settings.samples - number * self.leaf_size)
 
     def key(self, number: int) -> str:
         """Where a journal keeps a leaf: the last one of another number of samples is another one."""
@@ -79,9 +89,10 @@ class LeafJob:
 def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
     """Make a leaf, in a worker; it, and how often its samples were redrawn."""
     # products of a twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
-    samples = job.part(number * LEAF, LEAF if job.twin is not None else job.size(number))
+    samples = job.part(number * job.leaf_size, job.leaf_size if job.twin is not None else job.size(number))
     arrays = {name: values[: job.size(number)] for name, values in samples.arrays().items()}
-    return packed(arrays, job.settings.samples, job.dtype), samples.made_from["redrawn"]
+    chunk = min(job.leaf_size, job.settings.samples)
+    return packed(arrays, number, chunk, job.dtype), samples.made_from["redrawn"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,18 +140,18 @@ def make_directory(
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
         return Made(recipe=recipe, redrawn=int(read_samples(out).made_from["redrawn"]), kept=job.settings.samples)
-    journal, numbers = Journal(folder), range(n_leaves(job.settings.samples))
+    journal, numbers = Journal(folder), job.numbers
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
     with reported(out, folder / "any"), journal.alone(), last_words(f"stopped; {go_on}"):
         try:
-            read = {number: journal.read(job.key(number), partial(_intact, folder, number)) for number in numbers}
+            read = {number: journal.read(job.key(number), partial(_intact, folder)) for number in numbers}
             found = {number: record for number, record in read.items() if record is not None}
             kept = sum(job.size(number) for number in found)
             progress(kept)
             missing = [number for number in numbers if number not in found]
             with open_pool(count, scheduler, len(missing)) as pool:
                 for number, (made, redrawn) in made_parts(pool, leaf, missing, "parts of the data set", job):
-                    write_leaf(folder / "data.zarr", number, made)
+                    write_leaf(folder / "data.zarr", made)
                     found[number] = {
                         "redrawn": redrawn,
                         "files": {name: _hash(content) for name, content in made.content.items()},
@@ -167,10 +178,10 @@ def unfinished(out: Path, job: LeafJob) -> Path:
     return target.with_name(f"{target.name}.unfinished-{job.cache_key[:8]}")
 
 
-def _intact(folder: Path, number: int, record: dict[str, Any]) -> dict[str, Any]:
+def _intact(folder: Path, record: dict[str, Any]) -> dict[str, Any]:
     """A record of a leaf; `ValueError` or `OSError` if its files are not those that it states."""
     for name, stated in record["files"].items():
-        if _hash((folder / "data.zarr" / chunk_name(name, number)).read_bytes()) != stated:
+        if _hash((folder / "data.zarr" / name).read_bytes()) != stated:
             raise ValueError
     return record
 
@@ -178,17 +189,16 @@ def _intact(folder: Path, number: int, record: dict[str, Any]) -> dict[str, Any]
 def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], attributes: Mapping[str, Any]) -> None:
     """Add the headers, last of all, and remove what is of a longer data set."""
     tree, header = folder / "data.zarr", folder / "header"
-    numbers = range(n_leaves(job.settings.samples))
     names = records[0]["hashes"]
-    for name in names:
-        wanted = {Path(chunk_name(name, number)).name for number in numbers}
-        for path in (tree / name).iterdir():
-            if path.name not in wanted:
-                path.unlink()
+    wanted = {tree / name for number in job.numbers for name in records[number]["files"]}
+    for path in tree.glob("*/*"):
+        if path not in wanted:
+            path.unlink()
     shutil.rmtree(header, ignore_errors=True)
-    hashes = {name: [records[number]["hashes"][name] for number in numbers] for name in names}
+    hashes = {name: [records[number]["hashes"][name] for number in job.numbers] for name in names}
     array = job.response.design.array
-    write_header(header, (job.settings.samples, array.rows, array.cols), hashes, attributes, job.dtype)
+    shape = job.settings.samples, array.rows, array.cols
+    write_header(header, shape, hashes, attributes, job.dtype, job.settings.time_s)
     for path in sorted(header.rglob("*")):
         target = tree / path.relative_to(header)
         if path.is_dir():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fem.array.closed_forms import layer_response
-from geometry.design import Array
+from geometry.design import Array, Memory
 from geometry.errors import ArgumentError
 
 pytest.importorskip("mujoco")
@@ -83,6 +83,31 @@ def test_one_of_a_vector_is_as_one_alone(settings, press_env):
     assert both[0]["tactile"][1] == pytest.approx(one[0]["tactile"], abs=1e-4)
     assert both[4]["tactile"][1] == pytest.approx(one[4]["tactile"], rel=1e-12)
     assert one[4]["tactile"][2] > 2
+
+
+def test_rubber_that_remembers_is_told_the_time_that_passed(settings, press_env, monkeypatch):
+    told = []
+    touch = tp.VirtualSensor.touch
+
+    def spied(sensor, points_mm, force_n, seconds=None):
+        told.append(seconds)
+        return touch(sensor, points_mm, force_n, seconds)
+
+    monkeypatch.setattr(tp.VirtualSensor, "touch", spied)
+    rubber = replace(settings["design"].pillar_material, memory=Memory(a=(0.4, 0.3), b_lengthen=2.0, b_shorten=9.0))
+    design = replace(settings["design"], pillar_material=rubber)
+    given = {"design": design, "response": replace(settings["response"], design=design), "model": None}
+    env = gymnasium.make(press_env.ID, **given)
+    timestep_s = env.unwrapped.model.opt.timestep
+    at_rest = env.reset(seed=1)[0]["tactile"]
+    while not env.step(DOWN)[4]["tactile"][2] > 2:
+        pass
+    pressed = env.step(0 * DOWN)[0]["tactile"]
+    assert told[0] == timestep_s
+    assert told[1:] == pytest.approx([env.unwrapped.data.time / (len(told) - 1)] * (len(told) - 1))
+    assert not np.allclose(pressed, at_rest, rtol=1e-3)
+    assert env.reset(seed=1)[0]["tactile"] == pytest.approx(at_rest)
+    assert told[-1] == timestep_s
 
 
 def test_newtons_need_a_model(settings, press_env):

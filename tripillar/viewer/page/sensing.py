@@ -13,9 +13,9 @@ from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import (
     conducted_lengths,
+    exact_resistances,
     largest_factors,
     pillar_lengths,
-    pillar_resistances,
     pillar_strains,
     rest_resistances,
 )
@@ -26,7 +26,7 @@ from decoupler.touch.touch_file import AnyDecoder
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError
-from geometry.layout import AXES, FloatArray, pillar_volumes
+from geometry.layout import AXES, FloatArray
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.session import live
@@ -65,7 +65,7 @@ class PressedSensor:
         if self.response.conducted is not None:
             newtons = traction_mpa[None] * design.pad.size_mm**2
             lengths_mm = by_unit(conducted_lengths(self.response.conducted, newtons)[0], design)
-        exact_ohm = pillar_resistances(lengths_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
+        exact_ohm = exact_resistances(lengths_mm, design)
         ohm = measured(exact_ohm, noise, None, draw)
         return Reading(
             traction_mpa=traction_mpa, applied_n=by_unit(forces(traction_mpa, design), design), resistance_ohm=ohm,

@@ -1,0 +1,135 @@
+"""From a bench series to its rubber: the memory of its resistance, the law of its force, and what stays unknown.
+
+The priors are what was published of silicones filled with carbon black: after a release their resistance comes back in
+6 to 12 and 76 to 120 s, of which shortening breaks 4 to 8 times as many contacts as lengthening.
+"""
+
+import numpy as np
+
+from dataset.memory import broken_contacts, relaxed_forces
+from decoupler.rubber.law import LINEAR, Elastic, Rubber, log_ratio, memory_of, settled_stress
+from decoupler.rubber.separable import Fit, Prior, fitted
+from decoupler.rubber.series import Series
+from decoupler.rubber.unknown import unknown_of
+from geometry.design import Prony
+from geometry.layout import FloatArray
+
+#: mean and deviation of g1, g2, a1, a2
+LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.15], [0.25, 0.15]])
+#: of the logarithms of b_lengthen, of b_shorten over it, and of both times
+OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 1.5], [9.0, 1.6], [120.0, 2.5]])
+STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, if not at rest
+ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
+TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
+RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
+SECOND = 0.2  #: share of the second invariant in `fem.rubber.law`
+ROWS = 3000  #: that a force's law is found from
+
+
+def identified(
+    series: Series, wires: int = 4, section_mm2: float | None = None, electrodes_mm: float | None = None
+) -> Rubber:
+    """The rubber of a series; with the specimen's section, and the distance of its electrodes, in ohms and MPa too."""
+    fit = fit_memory(series)
+    elastic, force_noise_n = fit_elastic(series)
+    numbers, covariance = as_stated(fit.numbers, fit.covariance)
+    least, most = float(series.strain.min()), float(series.strain.max())
+    return Rubber(
+        memory=memory_of(numbers), covariance=covariance, noise=fit.noise, correlation_s=fit.correlation_s,
+        elastic=elastic, force_noise_n=force_noise_n, max_strain=most, min_strain=least,
+        rest_ohm=float(np.exp(fit.numbers[LINEAR])), wires=wires,
+        section_mm2=section_mm2, electrodes_mm=electrodes_mm,
+        unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, (least, most))),
+    )  # fmt: skip
+
+
+def fit_memory(series: Series) -> Fit:
+    """g₁, g₂, a₁, a₂, ln R₀, logarithms of b, of the ratio of both b, and of both times τ.
+
+    Of a series that does not begin at rest there are two more after ln R₀: what it has of both q then.
+    """
+    strain, seconds, states = series.strain, series.seconds, 0 if series.settled else 2
+    known = [*LINEAR_PRIOR, [np.log(series.resistance_ohm).mean(), ANY], *[[0.0, STATE]] * states]
+    prior = np.array([*known, *OTHER_PRIOR])
+    bare = np.stack([strain, strain**2, np.ones_like(strain)], axis=1)
+    moved = np.diff(strain)
+
+    def columns(others: FloatArray) -> FloatArray:
+        memory = memory_of(np.r_[np.zeros(LINEAR), others[0], others[0] + others[1], others[2:]])
+        q = broken_contacts(strain, seconds, memory)
+        parts = [bare[:, :2], q.T, bare[:, 2:]]
+        if states:
+            rate = memory.b_lengthen * moved.clip(min=0.0) - memory.b_shorten * moved.clip(max=0.0)
+            left = [np.exp(-np.r_[0.0, np.cumsum(rate + seconds / tau_s)]) for tau_s in memory.tau_s]
+            parts.append(np.stack(left, axis=1))
+        return np.concatenate(parts, axis=1)
+
+    starts = OTHER_PRIOR[:, 0] + np.log([(1.0, 1.0, *times) for times in TIMES])
+    known_before = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=LINEAR + 1 + states)
+    return fitted(columns, np.log(series.resistance_ohm) - 2 * np.log1p(strain), seconds, known_before, starts)
+
+
+def as_stated(numbers: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Numbers (8,) and their covariance (8, 8), in the order of `law.NAMES`, of those (p,) of `fit_memory`."""
+    p = len(numbers)
+    turn = np.zeros((8, p))
+    turn[range(LINEAR), range(LINEAR)] = 1.0
+    turn[range(4, 8), range(p - 4, p)] = 1.0
+    turn[5, p - 4] = 1.0  # ln b of shortening: that of lengthening and of their ratio
+    return turn @ numbers, turn @ covariance @ turn.T
+
+
+PRIOR_COVARIANCE = as_stated(
+    np.r_[LINEAR_PRIOR[:, 0], OTHER_PRIOR[:, 0]], np.diag(np.r_[LINEAR_PRIOR, OTHER_PRIOR][:, 1] ** 2)
+)[1]
+
+
+def fit_elastic(series: Series) -> tuple[Elastic, float]:
+    """The law of the force that a series tells best, and the standard deviation of forces about it [N].
+
+    Of neo-Hookean, Mooney and Rivlin's and Yeoh's law that of the least −2 ln likelihood with k ln n for its numbers.
+    """
+    every = max(1, len(series) // ROWS)
+    series = series.averaged(every, "") if every > 1 else series
+    size = max(float(np.ptp(series.force_n)), 1e-12)
+    kinds = {"neo-hookean": [(0.0, 0.0)], "mooney-rivlin": [(0.0, SECOND)], "yeoh": [(0.0, 0.0), (1.0, 0.0)]}
+    fits = {name: _fit_force(series, kind, size) for name, kind in kinds.items()}
+    count = min(fit.count for fit in fits.values())
+    costs = {name: count * np.log(fit.noise**2) + len(kinds[name]) * np.log(count) for name, fit in fits.items()}
+    model = min(costs, key=lambda name: costs[name])
+    fit, n = fits[model], len(kinds[model])
+    stiffness, *more = fit.numbers[:n] * size
+    shares, times = np.exp(fit.numbers[-4:]).reshape(2, 2)
+    elastic = Elastic(
+        model=model, stiffness_n=float(stiffness), stiffening=float(more[0] / stiffness) if more else 0.0,
+        second=kinds[model][0][1], prony=Prony(share=tuple(shares), tau_s=tuple(times)),
+    )  # fmt: skip
+    return elastic, fit.noise * size
+
+
+def _fit_force(series: Series, kinds: list[tuple[float, float]], size: float) -> Fit:
+    """Stiffnesses and an offset over `size`, logarithms of the shares and the times of relaxation."""
+    stretched = [settled_stress(series.strain, *kinds[0])]
+    stretched += [settled_stress(series.strain, *kind) - stretched[0] for kind in kinds[1:]]
+    settled = np.stack(stretched, axis=1)
+    seconds, ones = series.seconds, np.ones((len(series), 1))
+
+    def columns(others: FloatArray) -> FloatArray:
+        shares, times = np.exp(np.clip(others, -20, 20)).reshape(2, 2)
+        prony = Prony(share=tuple(np.minimum(shares, 10.0)), tau_s=tuple(times))
+        return np.concatenate([relaxed_forces(settled, seconds, prony), ones], axis=1)
+
+    prior = np.concatenate([[[0.0, ANY]] * (len(kinds) + 1), RELAXING])
+    known = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=len(kinds) + 1)
+    return fitted(columns, series.force_n / size, seconds, known, RELAXING[None, :, 0])
+
+
+def resistance_from_strain(rubber: Rubber, series: Series) -> FloatArray:
+    """Resistances (n,) that the law gives a series, the offset of ln R free: that of the least error in ohms."""
+    ohm = np.exp(log_ratio(series.strain, series.seconds, rubber.memory))
+    return ohm * float(ohm @ series.resistance_ohm) / float(ohm @ ohm)
+
+
+def of_range(found: FloatArray, true: FloatArray) -> float:
+    """Root mean square error in % of the range of the true values."""
+    return float(100 * np.sqrt(np.mean((found - true) ** 2)) / max(float(np.ptp(true)), 1e-300))

@@ -1,0 +1,119 @@
+"""A rubber as a series showed it: the numbers of its memory and of its force, and how well they are known."""
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from dataset.memory import broken_contacts, log_rise, relaxed_forces
+from geometry.design import Memory, Prony
+from geometry.layout import FloatArray
+
+#: numbers of the memory in the order of a covariance; rates and times by their logarithms
+NAMES = ("g1", "g2", "a1", "a2", "b_lengthen", "b_shorten", "tau1_s", "tau2_s")
+LINEAR = 4  #: so many are no logarithms
+
+
+def memory_of(numbers: FloatArray) -> Memory:
+    """The memory of numbers (8,) in the order of `NAMES`; what no rubber has is cut off."""
+    g1, g2, a1, a2, *logs = np.asarray(numbers, dtype=float)
+    b_lengthen, b_shorten, tau1, tau2 = np.exp(np.clip(logs, -18, 18))
+    wide = {spec.name: spec.metadata["within"] for spec in fields(Memory) if spec.metadata.get("within")}
+    values = {"a": (a1, a2), "b_lengthen": b_lengthen, "b_shorten": b_shorten, "g1": g1, "g2": g2}
+    cut = {name: np.clip(value, *wide[name]) for name, value in values.items()}
+    return Memory(**cut, tau_s=(tau1, tau2))
+
+
+def numbers_of(memory: Memory) -> FloatArray:
+    """The numbers (8,) of a memory that has one."""
+    rates = np.maximum([memory.b_lengthen, memory.b_shorten], 1e-6)
+    return np.r_[memory.g1, memory.g2, memory.a, np.log(rates), np.log(memory.tau_s)]
+
+
+def log_ratio(strain: FloatArray, seconds: FloatArray | float, memory: Memory) -> FloatArray:
+    """ln R/R₀ of strains (time, ...) from rest on: 2 ln(1 + ε) of the shape, and what the rubber remembers."""
+    return 2 * np.log1p(strain) + log_rise(strain, broken_contacts(strain, seconds, memory), memory)
+
+
+def settled_stress(strain: FloatArray, stiffening: float = 0.0, second: float = 0.0) -> FloatArray:
+    """Engineering stress over μ of a strip that strains (...) stretch, settled and of constant volume.
+
+    (λ − λ⁻²) (1 − s + s/λ + 2 k (I₁ − 3)) with I₁ = λ² + 2/λ, k = c₂/c₁ of Yeoh's law, and s, the share of the second
+    invariant, of Mooney's and Rivlin's; both 0: the neo-Hookean law.
+    """
+    stretch = 1.0 + strain
+    first = stretch**2 + 2 / stretch - 3.0
+    return (stretch - stretch**-2) * (1.0 - second + second / stretch + 2 * stiffening * first)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Elastic:
+    """The force of a strip: a law of its rubber, how stiff it is, and how it relaxes."""
+
+    model: str  #: of `geometry.design.MODELS`
+    stiffness_n: float  #: shear modulus μ times section [N]
+    stiffening: float = 0.0  #: c₂/c₁ of Yeoh's law
+    second: float = 0.0  #: share of the second invariant, of Mooney's and Rivlin's
+    prony: Prony = field(default_factory=Prony)
+
+    def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
+        """Force (time, ...) [N] under strains (time, ...) from rest on; it pulls where the strip is longer."""
+        settled = self.stiffness_n * settled_stress(strain, self.stiffening, self.second)
+        return relaxed_forces(settled, seconds, self.prony)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rubber:
+    """A rubber as a series showed it."""
+
+    memory: Memory
+    covariance: FloatArray  #: (8, 8) of the memory's numbers, in the order of `NAMES`
+    noise: float  #: standard deviation of ln R about the law
+    correlation_s: float  #: time over which these errors are alike [s]
+    elastic: Elastic
+    force_noise_n: float  #: standard deviation of the force about its law [N]
+    max_strain: float  #: largest of the series
+    min_strain: float  #: least
+    rest_ohm: float  #: resistance of the specimen at rest
+    wires: int = 4
+    section_mm2: float | None = None
+    electrodes_mm: float | None = None  #: distance of those that read
+    unknown: tuple[tuple[str, str], ...] = ()  #: what the series does not tell, and which test would
+
+    @property
+    def numbers(self) -> FloatArray:
+        """Its memory's, (8,) in the order of `NAMES`."""
+        return numbers_of(self.memory)
+
+    @property
+    def young_mpa(self) -> float | None:
+        """Young's modulus, settled; None where the section is not known."""
+        return None if self.section_mm2 is None else 3 * self.elastic.stiffness_n / self.section_mm2
+
+    @property
+    def resistivity_ohm_mm(self) -> float | None:
+        """Resistivity at rest; None where sizes are not known or contacts are in it."""
+        if self.section_mm2 is None or self.electrodes_mm is None or self.wires == 2:
+            return None
+        return self.rest_ohm * self.section_mm2 / self.electrodes_mm
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each number of the memory; of rates and times by their logarithm's."""
+        values = np.r_[self.numbers[:LINEAR], np.exp(self.numbers[LINEAR:])]
+        deviations = np.sqrt(self.covariance.diagonal()) * np.r_[np.ones(LINEAR), values[LINEAR:]]
+        return {name: (float(v), float(d)) for name, v, d in zip(NAMES, values, deviations, strict=True)}
+
+    def log_ratio(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
+        """ln R/R₀ (time, ...) of strains (time, ...) from rest on."""
+        return log_ratio(strain, seconds, self.memory)
+
+    def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
+        """Force (time, ...) [N] of the specimen under strains (time, ...) from rest on."""
+        return self.elastic.force(strain, seconds)
+
+    def memories(self, count: int, generator: np.random.Generator) -> list[Memory]:
+        """So many memories that the series leaves possible."""
+        values, directions = np.linalg.eigh(self.covariance)
+        spread = directions * np.sqrt(np.maximum(values, 0.0))
+        drawn = self.numbers + generator.standard_normal((count, len(NAMES))) @ spread.T
+        return [memory_of(numbers) for numbers in drawn]

@@ -1,0 +1,190 @@
+"""Rubbers from bench series: simulated ones come back, bad ones are mended or refused in one line."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoupler.rubber.fit import fit_elastic, identified, of_range, resistance_from_strain
+from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of
+from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
+from decoupler.rubber.series import Series, read_series
+from decoupler.rubber.unknown import next_test
+from geometry.design import Memory, Prony, SensorDesign
+from geometry.design_file import read_design
+from geometry.errors import DesignError, FileFormatError
+
+MEMORY = Memory(a=(0.3, 0.2), b_lengthen=1.2, b_shorten=8.0, tau_s=(7.0, 150.0), g1=2.0, g2=-5.0)
+ELASTIC = Elastic(model="yeoh", stiffness_n=5.0, stiffening=0.3, prony=Prony(share=(0.06, 0.08), tau_s=(2.0, 120.0)))
+NOISE, CORRELATION_S = 0.01, 20.0  #: of ln R: what no law tells
+
+
+def bench(seed=0, noise=NOISE, memory=MEMORY, elastic=ELASTIC, rate_hz=4.0, programme=None):
+    """A series of the test that is proposed, with errors that stay alike for a while, and white ones of a tenth."""
+    corners, levels = next_test() if programme is None else programme
+    time_s = np.arange(0.0, corners[-1], 1 / rate_hz)
+    strain, generator = np.interp(time_s, corners, levels), np.random.default_rng(seed)
+    keep, drift = np.exp(-1 / rate_hz / CORRELATION_S), np.zeros(len(time_s))
+    shocks = generator.standard_normal((2, len(time_s)))
+    drift[0] = shocks[0, 0]
+    for k in range(1, len(time_s)):
+        drift[k] = keep * drift[k - 1] + np.sqrt(1 - keep**2) * shocks[0, k]
+    error = noise * (drift + 0.1 * shocks[1])
+    force_n = elastic.force(strain, 1 / rate_hz)
+    return Series(
+        time_s=time_s,
+        strain=strain,
+        force_n=force_n + noise * generator.standard_normal(len(time_s)) * np.ptp(force_n),
+        resistance_ohm=1200.0 * np.exp(log_ratio(strain, 1 / rate_hz, memory) + error),
+    )
+
+
+def written(path, series, **changes):
+    """A table of a series, with some columns changed."""
+    columns = {name: getattr(series, name) for name in ("time_s", "strain", "force_n", "resistance_ohm")} | changes
+    kept = {name: values for name, values in columns.items() if values is not None}
+    rows = np.stack(list(kept.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(kept), comments="", fmt="%.8g")
+    return path
+
+
+@pytest.fixture(scope="module")
+def series():
+    return bench()
+
+
+@pytest.fixture(scope="module")
+def found(series):
+    return identified(series, section_mm2=40.0, electrodes_mm=20.0)
+
+
+def test_a_rubber_without_noise_comes_back():
+    exact = bench(noise=0.0)
+    found = identified(exact)
+    off = np.abs(found.numbers - numbers_of(MEMORY))
+    assert (off < 3 * np.sqrt(found.covariance.diagonal()) + 1e-6).all()
+    assert off.max() < 1e-3
+    assert found.elastic.model == "yeoh"
+    assert found.elastic.stiffness_n == pytest.approx(5.0, rel=1e-2)
+    assert found.elastic.prony.share == pytest.approx((0.06, 0.08), rel=0.1)
+
+
+def test_a_noisy_one_comes_back_within_its_deviations(found):
+    deviations = np.sqrt(found.covariance.diagonal())
+    assert (np.abs(found.numbers - numbers_of(MEMORY)) < 4 * deviations).all()
+    assert found.noise == pytest.approx(NOISE, rel=0.3)
+    assert found.young_mpa == pytest.approx(3 * 5.0 / 40.0, rel=0.05)
+    assert found.resistivity_ohm_mm == pytest.approx(1200.0 * 40.0 / 20.0, rel=0.03)
+    fresh = bench(seed=1)
+    assert of_range(resistance_from_strain(found, fresh), fresh.resistance_ohm) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("law", "stiffening", "second"), [("neo-hookean", 0.0, 0.0), ("mooney-rivlin", 0.0, 0.2), ("yeoh", 0.2, 0.0)]
+)
+def test_the_law_of_the_force_is_the_one_that_made_it(law, stiffening, second):
+    elastic = replace(ELASTIC, model=law, stiffening=stiffening, second=second)
+    told, _ = fit_elastic(bench(noise=0.003, elastic=elastic))
+    assert told.model == law
+    assert told.stiffness_n == pytest.approx(5.0, rel=0.05)
+
+
+def test_what_a_series_does_not_tell_is_said_by_name():
+    """Holds at one level leave g1 and g2 together; no test in tension tells of compression."""
+    one_level = (
+        np.array([0.0, 60, 60.2, 300, 300.2, 600, 600.2, 800, 800.2, 1200]),
+        np.array([0, 0, 1, 1, 0, 0, 1, 1, 0, 0]) * 0.3,
+    )
+    said = dict(identified(bench(programme=one_level, noise=0.02)).unknown)
+    assert any("g1" in what and "g2" in what for what in said)
+    assert said["compression"].startswith("the same test pressed")
+    whole = dict(identified(bench(noise=0.003)).unknown)
+    assert list(whole) == ["compression"]
+
+
+def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
+    write_rubber(found, tmp_path / "rubber.toml")
+    again = read_rubber(tmp_path / "rubber.toml")
+    assert again.numbers == pytest.approx(found.numbers, rel=1e-5)
+    assert again.covariance == pytest.approx(found.covariance, rel=0.01, abs=1e-4 * found.covariance.max())
+    assert (again.elastic.model, again.unknown, again.wires) == (found.elastic.model, found.unknown, 4)
+    design = read_design(tmp_path / "rubber.toml")
+    assert design == extended(SensorDesign(), again)
+    assert design.pillar_material.memory.b_shorten == pytest.approx(found.memory.b_shorten, rel=1e-5)
+    assert design.pillar_material.young_mpa == pytest.approx(found.young_mpa, rel=1e-5)
+    (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
+    with pytest.raises(DesignError, match="lacks 'tau2_s'"):
+        read_rubber(tmp_path / "cut.toml")
+
+
+def swung(series):
+    return series.resistance_ohm * (1 + 0.05 * (-1.0) ** np.arange(len(series)))
+
+
+def hit(series):
+    strain = series.strain.copy()
+    strain[[500, 1200, 1201]] = 0.0, -0.4, -0.4
+    return strain
+
+
+MENDED = {
+    "alternate": (lambda s: {"resistance_ohm": swung(s)}, "readings alternate"),
+    "signs": (lambda s: {"resistance_ohm": -s.resistance_ohm}, "its sign was dropped"),
+    "pulls": (lambda s: {"force_n": -s.force_n}, "its sign was turned"),
+    "glitch": (lambda s: {"strain": hit(s)}, "position jumps away and back in"),
+    "milliseconds": (lambda s: {"time_s": None, "time_ms": 1e3 * s.time_s}, ""),
+    "percent": (lambda s: {"strain": None, "strain_pct": 100 * s.strain}, ""),
+    "length": (lambda s: {"strain": None, "displacement_mm": 40 * s.strain}, ""),
+    "kiloohm": (lambda s: {"resistance_ohm": None, "resistance_kohm": s.resistance_ohm / 1e3}, ""),
+}
+
+
+@pytest.mark.parametrize("name", MENDED)
+def test_what_can_be_mended_is_mended_and_said(series, name, tmp_path):
+    change, says = MENDED[name]
+    mended = read_series(written(tmp_path / "s.csv", series, **change(series)), length_mm=40.0)
+    assert [says in note for note in mended.notes] == [True] * bool(says)
+    same = np.interp(mended.time_s, series.time_s, series.resistance_ohm)
+    assert mended.resistance_ohm == pytest.approx(same, rel=0.02)
+    assert mended.strain == pytest.approx(np.interp(mended.time_s, series.time_s, series.strain), abs=1e-3)
+    assert mended.force_n.mean() == pytest.approx(series.force_n.mean(), rel=1e-3)
+
+
+def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
+    rest = series.part((series.time_s < 20) | (series.time_s > 60))
+    assert "in which strain stayed: bridged" in read_series(written(tmp_path / "a.csv", rest)).notes[0]
+    moving = series.part((series.time_s < 238) | (series.time_s > 300))
+    kept = read_series(written(tmp_path / "b.csv", moving))
+    assert (kept.time_s[0], kept.settled) == (300.25, False)
+    assert "only the longest part" in kept.notes[0]
+    assert "begins at a strain of 0.1" in kept.notes[1]
+
+
+REFUSED = {
+    "ms for s": (lambda s: {"time_s": 1e3 * s.time_s}, "name the column time_ms"),
+    "kΩ": (lambda s: {"resistance_ohm": s.resistance_ohm / 1e3}, "name the column resistance_kohm"),
+    "percent": (lambda s: {"strain": 100 * s.strain}, "name it strain_pct"),
+    "no strain": (lambda s: {"strain": 0.0 * s.strain}, "a specimen that is not stretched"),
+    "column": (lambda s: {"force_n": None}, "the column force_n is missing"),
+    "length": (lambda s: {"strain": None, "displacement_mm": 40 * s.strain}, "needs the specimen's length"),
+    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was the meter connected"),
+    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 40 rows"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_is_refused_in_one_line(series, name, tmp_path):
+    change, says = REFUSED[name]
+    with pytest.raises(FileFormatError, match=says) as refused:
+        read_series(written(tmp_path / "s.csv", series, **change(series)))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_series_with_gaps_in_motion_throughout_is_refused(series, tmp_path):
+    holes = series.part(series.time_s % 60 < 30)
+    with pytest.raises(FileFormatError, match="record it again without gaps"):
+        read_series(written(tmp_path / "s.csv", holes))
+
+
+def test_names_are_those_of_the_memory():
+    assert len(NAMES) == len(numbers_of(MEMORY))

@@ -1,0 +1,158 @@
+"""Find a rubber from a bench series, check it on another one, and say which test to take next."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from geometry.errors import DesignError
+from tripillar.face import stages
+from tripillar.face.caller import current
+from tripillar.face.inputs import File, job
+
+
+@dataclass(frozen=True, kw_only=True)
+class RubberCheck:
+    """What a rubber makes of a series that it was not found from."""
+
+    resistance_nrmse_pct: float  #: of resistance from strain, the offset of ln R free, in % of the series' range
+
+
+@job(out=".toml", next_test=".csv", picture=".png")
+def rubber(
+    *,
+    data: File | None = None,
+    out: File | None = None,
+    check: File | None = None,
+    next_test: Annotated[File | None, Parameter(name="--next")] = None,
+    picture: File | None = None,
+    columns: str = "",
+    length_mm: float | None = None,
+    section_mm2: float | None = None,
+    electrodes_mm: float | None = None,
+    wires: int = 4,
+    force: bool = False,
+) -> "stages.Rubber | RubberCheck | None":
+    """Find what a rubber remembers from a bench series: its resistance and force under strain; or check it on another.
+
+    A series is a table (CSV) with the columns time_s, strain, force_n, resistance_ohm of one strip; docs/rubber.md.
+    `tripillar design --extend` makes a sensor of the rubber.
+
+    Parameters
+    ----------
+    data : path, optional
+        Series (.csv) to find the rubber from, or to check it on.
+    out : path, optional
+        Rubber file to write (.toml).
+    check : path, optional
+        Rubber file (.toml) to check on the series: resistance from strain.
+    next_test : path, optional
+        Table (.csv) for the strain over time of the test to take next: rest, holds, multisine, rest.
+    picture : path, optional
+        PNG file: measured and modelled, what is missed, and a press and release.
+    columns : str
+        List of names that columns have in the table, such as time_ms=t,displacement_mm=x,resistance_kohm=R.
+    length_mm : float, optional
+        Length of the specimen between its clamps [mm]; of displacements.
+    section_mm2 : float, optional
+        Section of the specimen at rest [mm²]: gives Young's modulus.
+    electrodes_mm : float, optional
+        Distance of the electrodes that read [mm]: gives the resistivity, with the section.
+    wires : int
+        Number of wires that read the resistance: 4, or 2, whose readings have the contacts in them.
+    force : bool
+        Take units as they are given although they look wrong.
+
+    Returns
+    -------
+    Rubber
+        ``parameters`` has value and standard deviation of each number of the memory, ``unknown`` what the series does
+        not tell; of a check a `RubberCheck`, of a next test alone None.
+
+    Raises
+    ------
+    FileFormatError
+        If the series lacks a column, is in another unit, has gaps in motion, or its strain stays where it is.
+    """
+    caller = current()
+    if data is None and (check or out or picture or not next_test):
+        raise DesignError("give data= of a bench series (.csv); or next_test= alone for a first test to take.")
+    if check and (out or next_test):
+        raise DesignError("check= judges a rubber that there is: leave out= and next_test= out.")
+    if wires not in (2, 4):
+        raise DesignError(f"wires={wires} must be 2 or 4.")
+    for name, value in (("length_mm", length_mm), ("section_mm2", section_mm2), ("electrodes_mm", electrodes_mm)):
+        if value is not None and not 0 < value < 1e6:
+            raise DesignError(f"{name}={value:g} must be above 0 and below 1e6.")
+    if data is None:
+        stages.write_test(Path(str(next_test)), None)
+        caller.answer(lambda: {"file": str(next_test)}, "", next_test)
+        return None
+    series = stages.read_series(Path(data), _named(columns), length_mm, force)
+    for note in series.notes:
+        caller.say(f"warning: {data}: {note}")
+    if check is not None:
+        known = stages.read_rubber(Path(check))
+        modelled = stages.resistance_from_strain(known, series)
+        judged = RubberCheck(resistance_nrmse_pct=stages.of_range(modelled, series.resistance_ohm))
+        if picture is not None:
+            stages.draw_rubber(known, series, Path(picture))
+        caller.answer(lambda: asdict(judged), _told(asdict(judged)), picture)
+        return judged
+    found = stages.rubber_of(series, wires, section_mm2, electrodes_mm)
+    if out is not None:
+        stages.write_rubber(found, Path(out))
+    if next_test is not None:
+        stages.write_test(Path(next_test), found)
+    if picture is not None:
+        stages.draw_rubber(found, series, Path(picture))
+    result = _as_plain(found, series)
+    caller.answer(lambda: result, _said(result), out, next_test, picture)
+    return found
+
+
+def _named(columns: str) -> dict[str, str]:
+    """Names of columns by quantity."""
+    pairs = [pair.partition("=") for pair in columns.split(",") if pair.strip()]
+    if any(not (name.strip() and own.strip()) for name, _, own in pairs):
+        raise DesignError(f"columns={columns} must be a list such as time_ms=t,displacement_mm=x.")
+    return {name.strip(): own.strip() for name, _, own in pairs}
+
+
+def _as_plain(found: "stages.Rubber", series: "stages.Series") -> dict[str, Any]:
+    resistance_ohm = stages.resistance_from_strain(found, series)
+    force_n = found.force(series.strain, series.seconds)
+    return {
+        "parameters": {name: list(pair) for name, pair in found.parameters.items()},
+        "elastic": asdict(found.elastic),
+        "young_mpa": found.young_mpa,
+        "resistivity_ohm_mm": found.resistivity_ohm_mm,
+        "rest_ohm": found.rest_ohm,
+        "noise": found.noise,
+        "correlation_s": found.correlation_s,
+        "resistance_nrmse_pct": stages.of_range(resistance_ohm, series.resistance_ohm),
+        "force_from_strain_nrmse_pct": stages.of_range(force_n + (series.force_n - force_n).mean(), series.force_n),
+        "unknown": [{"what": what, "test": test} for what, test in found.unknown],
+        "notes": list(series.notes),
+    }
+
+
+def _said(result: dict[str, Any]) -> str:
+    """The same for people."""
+    lines = [f"{name} = {value:.4g} ± {deviation:.2g}" for name, (value, deviation) in result["parameters"].items()]
+    elastic = result["elastic"]
+    lines.append(
+        f"force: {elastic['model']}, μ times section {elastic['stiffness_n']:.4g} N, "
+        f"relaxing by {elastic['prony']['share'][0]:.1%} and {elastic['prony']['share'][1]:.1%}"
+    )
+    lines.append(
+        f"resistance from strain misses {result['resistance_nrmse_pct']:.1f} % of this series' range, "
+        f"force from strain {result['force_from_strain_nrmse_pct']:.1f} %"
+    )
+    lines += [f"not told: {each['what']}: take {each['test']}" for each in result["unknown"]]
+    return "\n".join(lines)
+
+
+def _told(judged: dict[str, Any]) -> str:
+    return "\n".join(f"{name.removesuffix('_pct')}: {value:.2f} %" for name, value in judged.items())
