@@ -90,7 +90,7 @@ def judged(folder: Path, kind: str) -> list[dict[str, Any]]:
         m = min(true.shape[1], 2)
         for way, got, half in decoded(learned, channels):
             error = (got - true)[:, :m]
-            row = {"kind": kind, "tested on": name, "by": way, "unit": unit, "rmse": float(np.sqrt(np.mean(error**2)))}
-            inside = 100.0 * float(np.mean(np.abs(error) < half[:, :m]))
-            rows.append(row | {"mean error": float(np.abs(error).mean()), "within 95 % [%]": inside, "paper": PAPER[kind]})
+            sizes = {"rmse": float(np.sqrt(np.mean(error**2))), "mean": float(np.abs(error).mean())}
+            inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m])), "paper": PAPER[kind]}
+            rows.append({"kind": kind, "tested on": name, "by": way, "unit": unit, **sizes, **inside})
     return rows

@@ -13,9 +13,9 @@ from scipy.ndimage import median_filter
 from decoupler.rubber.series import Series, read_series
 from geometry.layout import FloatArray
 
-LENGTH_MM, RATE_HZ, RESTING_S = 40.0, 4.0, 2.0
+LENGTH_MM, INNER_MM, RATE_HZ = 40.0, 20.0, 4.0
+OTHER_BATCH = "1_7-5_Epin_20mm_v2"  #: another strip of 7.5 wt%
 NEIGHBOURS, GLITCH = 11, 0.012  #: positions, and how far in strain one of them is from their median if it is wrong
-OUTER, INNER = 0, 1  #: columns of resistances [Ω], of two wires and of four
 PAIRS = {  #: a series to fit, and those to test it on
     "multisine_600s_1": (
         "multisine_300s_2", "2_7-5_4Epin_rand_sawtooth", "2_7-5_E4pin_20mm_v19_0.3Strain", "sine_0.2Hz",
@@ -23,10 +23,9 @@ PAIRS = {  #: a series to fit, and those to test it on
     "2_7-5_E4pin_20mm_v10_0.3Strain": ("2_7-5_E4pin_20mm_v9_0.2Strain_velocityprof", "2_7-5_E4pin_20mm_v8_0.3Strain"),
     "1_10_E4pin_20mm_v5_0.3Strain": ("1_10_E4pin_20mm_v9_0.3Strain", "1_10_E4pin_20mm_v5_0.2Strain_velocityprof"),
 }  # fmt: skip
-OTHER_BATCH = "1_7-5_Epin_20mm_v2"  #: another strip of 7.5 wt%
 
 
-def read_strip(path: Path, electrodes: int = INNER) -> Series:
+def read_strip(path: Path) -> Series:
     """A series of a file without header: outer and inner resistance, time, position, time, force, time.
 
     Position and force are put on the ohmmeter's times. The motor's axis points the other way in some files, and its
@@ -39,7 +38,7 @@ def read_strip(path: Path, electrodes: int = INNER) -> Series:
     usual = median_filter(position[:, 1], NEIGHBOURS, mode="nearest")
     position = position[np.abs(position[:, 1] - usual) < GLITCH * LENGTH_MM]
     time_s, position_mm, force_n = rows[:, 2], _at(rows[:, 2], position), _at(rows[:, 2], rows[:, [6, 5]])
-    table = np.column_stack([time_s, np.abs(position_mm) / LENGTH_MM, force_n, rows[:, electrodes]])
+    table = np.column_stack([time_s, np.abs(position_mm) / LENGTH_MM, force_n, rows[:, 1]])
     with TemporaryDirectory() as folder:
         tidy = Path(folder, path.name)
         np.savetxt(tidy, table, delimiter=",", header="time_s,strain,force_n,resistance_ohm", comments="")
@@ -57,3 +56,9 @@ def even(series: Series) -> Series:
     grid = np.arange(0.0, t[-1], 1 / RATE_HZ)
     columns = {name: np.interp(grid, t, getattr(series, name)) for name in ("strain", "force_n", "resistance_ohm")}
     return replace(series, time_s=grid, **columns)
+
+
+def contact_pct(path: Path) -> float:
+    """What the strip between them does not explain of the outer electrodes' resistance; the median of a file."""
+    outer, inner = np.abs(np.genfromtxt(path, delimiter=",", usecols=(0, 1)).T)
+    return 100 * float(np.nanmedian(1.0 - LENGTH_MM / INNER_MM * inner / outer))
