@@ -15,7 +15,7 @@ from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
 from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, below_cap, labelled, origin
+from dataset.simulation import DatasetSettings, as_read, below_cap, labelled, origin
 from fem.array.response import ArrayResponse
 from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
@@ -117,7 +117,7 @@ def samples_of(
     response: ArrayResponse, settings: DatasetSettings, groups: Sequence[Group], readout: Readout | None = None
 ) -> Samples:
     """Samples of all groups in order, measured as `settings` say; errors as of `Imperfections.apply`."""
-    design, n = response.design, settings.samples
+    design, n = as_read(response, readout).design, settings.samples
     joined = {name: np.concatenate([getattr(group, name) for group in groups])[:n] for name in vars(groups[0])}
     displacement, effective, told = joined["displacement_mm"], None, {}
     if design.electrics.is_conduction:

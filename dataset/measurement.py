@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import Drifts, quantity
+from geometry.design import Drifts, SensorDesign, quantity
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 
@@ -28,6 +28,9 @@ class Readout(Protocol):
     @property
     def bits(self) -> int | None:
         """Resolution of its converter; None reads exactly."""
+
+    def seen(self, design: SensorDesign) -> SensorDesign:
+        """The design as it shows: without contacts to electronics that see none."""
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances that it reads of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""

@@ -134,6 +134,7 @@ def simulate_part(
     require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_conducted(response)
     require_variables(only or ())
+    response = as_read(response, readout)
     design, n, size = response.design, len(numbers), settings.block
     shapes = _kept_shapes(design, only, settings.protocol, settings.moments)
     make = _block if settings.moments is None else _series
@@ -210,6 +211,8 @@ def measured_again(
     require_samples("samples", samples, timed=True)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
     design, lengths = samples.design, samples.length_mm
+    if design is not None and readout is not None:
+        design = readout.seen(design)
     if design is not None and design.electrics.is_conduction:
         lengths = samples.effective_length_mm
     if design is None or lengths is None:
@@ -218,6 +221,7 @@ def measured_again(
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
+        design=design,
         resistance_ohm=read_resistances(
             exact_resistances(lengths, design, _rise(samples.length_mm, design, imperfections, samples.time_s)),
             imperfections,
@@ -228,6 +232,11 @@ def measured_again(
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
+
+
+def as_read(response: ArrayResponse, readout: Readout | None) -> ArrayResponse:
+    """The response of the design as it shows to these electronics."""
+    return response if readout is None else replace(response, design=readout.seen(response.design))
 
 
 def require_conducted(response: ArrayResponse) -> None:

@@ -186,7 +186,7 @@ class Prony:
         require_sound(self)
 
 
-MODELS = ("linear", "neo-hookean", "mooney-rivlin")
+MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,10 @@ class Material:
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", "linear: small strain; neo-hookean, mooney-rivlin: finite strain", True, of=MODELS)
+    model: str = quantity(
+        "linear", "linear: small strain; neo-hookean, mooney-rivlin, yeoh: finite strain", True, of=MODELS
+    )
+    stiffening: float = quantity(0.0, "c₂/c₁ of yeoh, which stiffens as it is stretched", True, within=(0.0, 10.0))
     young_mpa: float = positive(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
     memory: Memory = quantity(Memory(), "what the resistance of the pillars' rubber remembers", True)
@@ -206,6 +209,8 @@ class Material:
 
     def __post_init__(self) -> None:
         require_sound(self)
+        if self.stiffening and self.model != "yeoh":
+            raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -390,5 +395,8 @@ def with_model(design: SensorDesign, model: str) -> SensorDesign:
     >>> with_model(SensorDesign(), "neo-hookean").matrix_material.model
     'neo-hookean'
     """
-    pillar, matrix = (replace(rubber, model=model) for rubber in (design.pillar_material, design.matrix_material))
+    rubbers = (design.pillar_material, design.matrix_material)
+    pillar, matrix = (
+        replace(rubber, model=model, stiffening=rubber.stiffening if model == "yeoh" else 0.0) for rubber in rubbers
+    )
     return replace(design, pillar_material=pillar, matrix_material=matrix)

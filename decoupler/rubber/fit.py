@@ -7,7 +7,7 @@ The priors are what was published of silicones filled with carbon black: after a
 import numpy as np
 
 from dataset.memory import broken_contacts, relaxed_forces
-from decoupler.rubber.law import LINEAR, Elastic, Rubber, log_ratio, memory_of, settled_stress
+from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_stress
 from decoupler.rubber.separable import Fit, Prior, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
@@ -15,9 +15,9 @@ from geometry.design import Prony
 from geometry.layout import FloatArray
 
 #: mean and deviation of g1, g2, a1, a2
-LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.15], [0.25, 0.15]])
+LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.2], [0.25, 0.2]])
 #: of the logarithms of b_lengthen, of b_shorten over it, and of both times
-OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 1.5], [9.0, 1.6], [120.0, 2.5]])
+OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 1.5], [9.0, 2.0], [120.0, 2.5]])
 STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, if not at rest
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
@@ -27,18 +27,30 @@ ROWS = 3000  #: that a force's law is found from
 
 
 def identified(
-    series: Series, wires: int = 4, section_mm2: float | None = None, electrodes_mm: float | None = None
+    series: Series,
+    wires: int = 4,
+    section_mm2: float | None = None,
+    electrodes_mm: float | None = None,
+    length_mm: float | None = None,
 ) -> Rubber:
-    """The rubber of a series; with the specimen's section, and the distance of its electrodes, in ohms and MPa too."""
+    """The rubber of a series; with the specimen's section, and the distance of its electrodes, in ohms and MPa too.
+
+    A series read by two wires as well, between the clamps `length_mm` apart, tells what its contacts are.
+    """
     fit = fit_memory(series)
     elastic, force_noise_n = fit_elastic(series)
     numbers, covariance = as_stated(fit.numbers, fit.covariance)
     least, most = float(series.strain.min()), float(series.strain.max())
+    contact_ohm, contact_spread = None, None
+    if series.two_wire_ohm is not None and electrodes_mm and length_mm:
+        contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
+        contact_ohm = max(float(np.median(contacts_ohm)), 0.0)
+        contact_spread = float(np.std(contacts_ohm)) / contact_ohm if contact_ohm else 0.0
     return Rubber(
         memory=memory_of(numbers), covariance=covariance, noise=fit.noise, correlation_s=fit.correlation_s,
         elastic=elastic, force_noise_n=force_noise_n, max_strain=most, min_strain=least,
         rest_ohm=float(np.exp(fit.numbers[LINEAR])), wires=wires,
-        section_mm2=section_mm2, electrodes_mm=electrodes_mm,
+        section_mm2=section_mm2, electrodes_mm=electrodes_mm, contact_ohm=contact_ohm, contact_spread=contact_spread,
         unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, (least, most))),
     )  # fmt: skip
 
@@ -122,14 +134,3 @@ def _fit_force(series: Series, kinds: list[tuple[float, float]], size: float) ->
     prior = np.concatenate([[[0.0, ANY]] * (len(kinds) + 1), RELAXING])
     known = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=len(kinds) + 1)
     return fitted(columns, series.force_n / size, seconds, known, RELAXING[None, :, 0])
-
-
-def resistance_from_strain(rubber: Rubber, series: Series) -> FloatArray:
-    """Resistances (n,) that the law gives a series, the offset of ln R free: that of the least error in ohms."""
-    ohm = np.exp(log_ratio(series.strain, series.seconds, rubber.memory))
-    return ohm * float(ohm @ series.resistance_ohm) / float(ohm @ ohm)
-
-
-def of_range(found: FloatArray, true: FloatArray) -> float:
-    """Root mean square error in % of the range of the true values."""
-    return float(100 * np.sqrt(np.mean((found - true) ** 2)) / max(float(np.ptp(true)), 1e-300))

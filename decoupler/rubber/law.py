@@ -77,6 +77,8 @@ class Rubber:
     wires: int = 4
     section_mm2: float | None = None
     electrodes_mm: float | None = None  #: distance of those that read
+    contact_ohm: float | None = None  #: of one of the specimen's contacts, where both ways of reading tell it
+    contact_spread: float | None = None  #: of its changes over the series, relative
     unknown: tuple[tuple[str, str], ...] = ()  #: what the series does not tell, and which test would
 
     @property

@@ -29,13 +29,15 @@ STATED = {
     "wires": "that it was read by: with 2 contacts are in it",
     "section_mm2": "of the specimen [mm²]",
     "electrodes_mm": "distance of the electrodes that read [mm]",
+    "contact_ohm": "of one of the specimen's contacts, median of the series [Ω]",
+    "contact_spread": "standard deviation of its changes, relative",
 }
 ELASTIC = {
     "stiffness_n": "shear modulus times section [N]",
     "stiffening": "c₂/c₁ of Yeoh's law",
     "second": "share of the second invariant of Mooney's and Rivlin's law",
 }
-MAY_LACK = ("section_mm2", "electrodes_mm")
+MAY_LACK = ("section_mm2", "electrodes_mm", "contact_ohm", "contact_spread")
 
 
 def extended(design: SensorDesign, rubber: Rubber) -> SensorDesign:

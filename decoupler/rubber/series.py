@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +24,24 @@ COLUMNS = {
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
 }
+TWO_WIRES = {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3}  #: may stand beside those of four wires
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
 MAX_ROWS = 15_000  #: more are averaged
-MAX_STEP_S = 20.0  #: between rows: no bench reads so slowly, milliseconds look so
+MAX_STEP_S, MAX_DAYS = 5.0, 3.0  #: between rows, and of all: no bench is so slow, milliseconds look so
+LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
 MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, and that is believed
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, and over their usual distance
 STILL = 0.02  #: of the range: strain that has hardly moved
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
-GLITCH_ROWS = 3  #: longest glitch of a position
+GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
+MANY_GLITCHES = 0.3  #: of the rows: what jumps so often is no position of the specimen
+FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
+JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
+QUIET = 100  #: rows of a part that may be at rest
 MIN_KEPT = 0.5  #: of a series with gaps that its longest part must be
 
 
@@ -49,6 +55,7 @@ class Series:
     resistance_ohm: FloatArray
     notes: tuple[str, ...] = ()  #: what was found and mended, a line each
     settled: bool = True  #: whether it begins at rest and unstrained
+    two_wire_ohm: FloatArray | None = None  #: the whole specimen with its contacts, where it was read, too
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -58,15 +65,20 @@ class Series:
         """Times between readings (n − 1,) [s]."""
         return np.diff(self.time_s)
 
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        found = {name: getattr(self, name) for name in COLUMNS}
+        return found if self.two_wire_ohm is None else found | {"two_wire_ohm": self.two_wire_ohm}
+
     def part(self, rows: slice | NDArray, note: str = "") -> Self:
         """Some of its rows, and what is to be said of that."""
-        arrays = {name: getattr(self, name)[rows] for name in COLUMNS}
+        arrays = {name: values[rows] for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=self.notes + (note,) * bool(note))
 
     def averaged(self, count: int, note: str) -> Self:
         """Means of so many rows each."""
         n = len(self) // count * count
-        arrays = {name: getattr(self, name)[:n].reshape(-1, count).mean(axis=1) for name in COLUMNS}
+        arrays = {name: values[:n].reshape(-1, count).mean(axis=1) for name, values in self._arrays.items()}
         return replace(self, **arrays, notes=(*self.notes, note))
 
 
@@ -87,10 +99,10 @@ def read_series(
                 f"{path}: displacement_mm needs the specimen's length between its clamps: length_mm=."
             )
         table["strain"] = {"displacement_mm": table["strain"]["displacement_mm"] / length_mm}
-    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm)) = (
-        next(iter(table[name].items())) for name in COLUMNS
+    ((time, time_s), (strained, strain), (_, force_n), (resisted, ohm), *beside) = (
+        next(iter(column.items())) for column in table.values()
     )
-    rows = np.stack([time_s, strain, force_n, ohm])
+    rows = np.stack([time_s, strain, force_n, ohm, *(values for _, values in beside)])
     read = np.isfinite(rows).all(axis=0) & (ohm != 0)
     notes = []
     if not read.all():
@@ -98,13 +110,16 @@ def read_series(
     order = np.argsort(rows[0, read], kind="stable")
     if (order != np.arange(len(order))).any():
         notes.append("rows put in the order of time")
-    time_s, strain, force_n, ohm = rows[:, read][:, order]
+    time_s, strain, force_n, ohm, *two_wires = rows[:, read][:, order]
     later = np.r_[True, np.diff(time_s) > 0][: len(time_s)]
     if not later.all():
         notes.append(f"{(~later).sum()} rows of the same time left out")
     if (ohm < 0).any():
         notes.append(f"{resisted} is negative in {(ohm < 0).mean():.0%} of the rows: its sign was dropped")
-    found = Series(time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes))
+    found = Series(
+        time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=np.abs(ohm), notes=tuple(notes),
+        two_wire_ohm=np.abs(two_wires[0]) if two_wires else None,
+    )  # fmt: skip
     found = found.part(later)
     _require_sense(path, found, time, strained, resisted, as_given)
     return _mended(path, found)
@@ -112,7 +127,7 @@ def read_series(
 
 def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatArray]]:
     """Of each quantity the column that the table has, by its name in `COLUMNS`, in the quantity's unit."""
-    known = [name for units in COLUMNS.values() for name in units]
+    known = [name for units in (*COLUMNS.values(), TWO_WIRES) for name in units]
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
     try:
@@ -123,10 +138,12 @@ def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatA
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     found: dict[str, dict[str, FloatArray]] = {}
-    for quantity, units in COLUMNS.items():
+    for quantity, units in (*COLUMNS.items(), ("two_wire_ohm", TWO_WIRES)):
         names = {unit: named.get(unit, unit) for unit in units}
         there = [unit for unit in units if names[unit] in header]
         there = [unit for unit in there if unit in named] or there
+        if not there and units is TWO_WIRES:
+            continue
         if not there:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
@@ -151,8 +168,9 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
         raise FileFormatError(f"{path}: has {n} rows with all readings, a series needs at least {MIN_ROWS}.")
     step_s, most = float(np.median(series.seconds)), float(np.abs(series.strain).max())
     ohm, span = float(np.median(series.resistance_ohm)), float(np.ptp(series.strain))
-    if step_s > MAX_STEP_S:
-        said = f"its rows are {step_s:.4g} s apart, as if {time} were milliseconds: name the column time_ms"
+    if step_s > MAX_STEP_S or np.ptp(series.time_s) > MAX_DAYS * 86400:
+        said = f"its rows are {step_s:.4g} s apart, {np.ptp(series.time_s):.3g} s in all, as if {time} were "
+        said += "milliseconds: name the column time_ms"
     elif most > MAX_STRAIN:
         said = f"{strained} goes up to {most:.4g}, as if it were percent or millimetres: name it strain_pct, or "
         said += "displacement_mm with length_mm="
@@ -167,44 +185,92 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
         )
     if (series.strain <= -0.95).any():
         raise FileFormatError(f"{path}: {strained} falls to {series.strain.min():.3g}: nothing is shorter than -0.95.")
-    if np.ptp(series.resistance_ohm) < 1e-9 * ohm:
-        raise FileFormatError(f"{path}: {resisted} stays {ohm:.6g} Ω: was the meter connected?")
+    for name, values in ((resisted, series.resistance_ohm), ("force_n", series.force_n)):
+        if np.ptp(values) <= 1e-9 * np.abs(values).max():
+            raise FileFormatError(f"{path}: {name} stays {values[0]:.6g}: was its meter connected?")
+        if np.abs(values).max() > LARGEST:
+            raise FileFormatError(f"{path}: {name} goes up to {np.abs(values).max():.3g}: leave such rows out.")
 
 
 def _mended(path: Path, series: Series) -> Series:
     """The series without glitches, gaps and alternating readings; the signs agree."""
-    series = _without_gaps(path, _without_glitches(series))
+    series = _without_gaps(path, _without_glitches(path, series))
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
+    series = _without_jitter(series)
     if len(series) > MAX_ROWS:
         count = -(-len(series) // MAX_ROWS)
         series = series.averaged(count, f"averaged over {count} rows each")
-    if np.ptp(series.force_n) > 0 and np.corrcoef(series.strain, series.force_n)[0, 1] < 0:
-        note = "force_n falls as strain rises: its sign was turned"
-        series = replace(series, force_n=-series.force_n, notes=(*series.notes, note))
+    series = _signs_agree(series)
     if abs(series.strain[0]) > STRAINED * np.ptp(series.strain):
         note = f"begins at a strain of {series.strain[0]:.3g}: what it remembers of before is found with the rest"
         series = replace(series, settled=False, notes=(*series.notes, note))
     return series
 
 
-def _without_glitches(series: Series) -> Series:
-    """Positions that jump away and come back within a few rows are put between their neighbours."""
-    x, least = series.strain, STILL * np.ptp(series.strain)
-    jump, bad = np.diff(x), np.zeros(len(x), dtype=bool)
-    for width in range(1, GLITCH_ROWS + 1):
-        away, back = jump[1 : -width - 1], jump[1 + width : -1]
-        usual = np.maximum(np.abs(jump[: -width - 2]), np.abs(jump[width + 2 :]))
-        size = np.minimum(np.abs(away), np.abs(back))
-        left = np.abs(x[2 + width : -1] - x[1 : -width - 2])
-        found = np.flatnonzero((away * back < 0) & (size > 3 * usual + least) & (left < size / 2)) + 2
-        for more in range(width):
-            bad[found + more] = True
-    if not bad.any():
+def _without_glitches(path: Path, series: Series) -> Series:
+    """Positions that jump away and soon come back while the force stays are put between their neighbours."""
+    t, f, strain, bad = series.time_s, series.force_n, series.strain, np.zeros(len(series), dtype=bool)
+    for _ in range(2):  # some hide behind others
+        bad |= _glitches(t, strain, f)
+        strain = np.interp(t, t[~bad], series.strain[~bad])
+    if bad.mean() > MANY_GLITCHES:
+        raise FileFormatError(
+            f"{path}: position jumps away and back in {bad.mean():.0%} of the rows while the force stays: is it that "
+            "of the specimen, at the same time?"
+        )
+    note = f"position jumps away and back in {bad.sum()} rows, the force does not: put between their neighbours"
+    return replace(series, strain=strain, notes=(*series.notes, note)) if bad.any() else series
+
+
+def _glitches(t: FloatArray, x: FloatArray, f: FloatArray) -> NDArray[np.bool_]:
+    """Which of the positions x (n,) at times t are far from those around while the force f is not."""
+    from scipy.ndimage import label, median_filter
+
+    usual, pull = median_filter(x, 2 * GLITCH_ROWS + 1, mode="nearest"), float(np.polyfit(x, f, 1)[0])
+    runs, count = label(np.abs(x - usual) > JUMP * np.ptp(x))
+    bad = np.zeros(len(x), dtype=bool)
+    for number in range(1, count + 1):
+        run = np.flatnonzero(runs == number)
+        ends = [max(run[0] - 1, 0), min(run[-1] + 1, len(x) - 1)]
+        away, pulled = (v[run] - np.interp(t[run], t[ends], v[ends]) for v in (x, f))
+        stayed = pull * (pulled @ away) < FOLLOWED * pull**2 * (away @ away)
+        bad[run] = stayed and np.abs(away).max() > JUMP * np.ptp(x)
+    return bad
+
+
+def _signs_agree(series: Series) -> Series:
+    """Strain and force that rise together; where they do not, the resistance tells which of them is turned."""
+    if np.corrcoef(series.strain, series.force_n)[0, 1] >= 0:
         return series
-    strain = np.interp(series.time_s, series.time_s[~bad], x[~bad])
-    note = f"position jumps away and back in {bad.sum()} rows: put between their neighbours"
+    if np.corrcoef(series.strain, series.resistance_ohm)[0, 1] < 0:  # it rises in tension
+        note = "force_n and the resistance rise as strain falls: taken for tension, strain's sign was turned"
+        return replace(series, strain=-series.strain, notes=(*series.notes, note))
+    note = "force_n falls as strain rises, the resistance does not: force_n's sign was turned"
+    return replace(series, force_n=-series.force_n, notes=(*series.notes, note))
+
+
+def _without_jitter(series: Series) -> Series:
+    """Strain whose noise adds to the way that it goes, which breaks contacts, without what turns within the noise."""
+    bend = np.abs(np.diff(series.strain, 2))
+    quiet = np.median(bend[: len(bend) // QUIET * QUIET].reshape(-1, QUIET), axis=1)
+    noise = 1.4826 * float(np.quantile(quiet, 0.25)) / np.sqrt(6)  # of one reading, where the specimen moves least
+    way = np.abs(np.diff(series.strain)).sum()
+    there, back = _followed(series.strain, JITTER * noise), _followed(series.strain[::-1], JITTER * noise)[::-1]
+    strain = (there + back) / 2  # each lags by as much
+    if way < MAX_DETOUR * np.abs(np.diff(strain)).sum():
+        return series
+    note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
     return replace(series, strain=strain, notes=(*series.notes, note))
+
+
+def _followed(values: FloatArray, slack: float) -> FloatArray:
+    """Values (n,) as something follows them that is pulled along with some slack."""
+    found, place = np.empty_like(values), values[0]
+    for k, value in enumerate(values.tolist()):
+        place = min(max(place, value - slack), value + slack)
+        found[k] = place
+    return found
 
 
 def _without_gaps(path: Path, series: Series) -> Series:

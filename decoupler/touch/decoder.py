@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.linalg import norm
 from scipy.special import chdtri
 
 from dataset.measurement import ReadingError
@@ -19,18 +18,19 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import digest
 
-STARTS, KEPT = 32, 10  #: presses that are fitted in one step, and the best of them in `STEPS` more
-STEPS = 4
+STARTS, STEPS = 32, 8  #: presses that are fitted, and steps after the first one at most
+KEPT = 10, 6, 4  #: the best of them after the first three steps, which go on
 FOLLOWED, FOLLOWED_STEPS = 2, 2  #: fits of the scan before that go on, and by how many steps
-CONSIDERED = 400  #: nearest rows among which starts are sought
 #: of the fitted presses in the answer, beside the nearest ones' forces: at a χ² over the readings' number of 1, and of
 #: 1.3, where no press of the library explains the scan
 SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
-SECOND_STARTS = 4
+SECOND_STARTS, SECOND_STEPS, SECOND_KEPT = 4, 5, (4, 2)  #: of it, as `STARTS`, `STEPS` and `KEPT`
 RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
-JUMP = 1.0  #: of the reading from scan to scan, as a share of its size, likewise
+#: scans from one search to the next at least, if it explains its scan and if not; between them few presses are tried
+#: beside the fits before
+PAUSES = 4, 30
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
@@ -67,6 +67,7 @@ class Touched:
     chi2: float  #: of the best fit over the number of readings; of rest, at rest
     contacts: tuple[TouchContact, ...] = ()  #: none at rest
     fits: tuple[Fit, ...] = ()
+    wait: int = 0  #: scans until fits may be sought among all presses again
 
     @property
     def force_n(self) -> FloatArray:
@@ -180,22 +181,29 @@ class TouchDecoder:
         regression = self.regression
         return regression.answer(reading, regression.nearest(reading, NEAREST))
 
-    def touched(self, reading: FloatArray, last: Sequence[Fit] = ()) -> Touched:
+    def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
         """Touch of one reading (m,) [mm²]; the best fits of the scan before go on, if they still hold."""
-        own = self.sensing.deviation(reading, self.errors)
+        wait, own = max(last.wait - 1, 0) if last else 0, self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
         if at_rest < chdtri(len(reading), AT_REST):
             chi2, none = at_rest / len(reading), np.zeros((self.rows * self.cols, 5))
-            return Touched(load=none, factors=self._alone(self.hidden_n), chi2=chi2)
+            return Touched(load=none, factors=self._alone(self.hidden_n), chi2=chi2, wait=wait)
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
-        if last:
-            best = sorted(last, key=lambda fit: fit.cost)[:FOLLOWED]
-            fits = [one for fit in best for one in fitted(reading, deviation, [(fit.parts, fit.q)], FOLLOWED_STEPS)]
-            if min(fit.cost for fit in fits) <= best[0].cost + RISE:
-                return self._weighed(at_rest, fits)
-        regression = self.regression
-        rows = regression.nearest(reading, CONSIDERED)
-        return self._weighed(at_rest, self._fits(reading, deviation, rows), *regression.answer(reading, rows[:NEAREST]))
+        best = sorted(last.fits if last else (), key=lambda fit: fit.cost)[:FOLLOWED]
+        fits = list[Fit]()
+        for parts in {len(fit.parts) for fit in best}:
+            alike = [(fit.parts, fit.q) for fit in best if len(fit.parts) == parts]
+            fits += fitted(reading, deviation, alike, FOLLOWED_STEPS)
+        if fits and min(fit.cost for fit in fits) <= best[0].cost + RISE:
+            return replace(self._weighed(at_rest, fits), wait=wait)
+        rows = self.regression.nearest(reading, NEAREST)
+        near = self.regression.answer(reading, rows)
+        if wait:
+            starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
+            fits += fitted(reading, deviation, starts, FOLLOWED_STEPS)
+            return replace(self._weighed(at_rest, fits, *near), wait=wait)
+        found = self._weighed(at_rest, self._fits(reading, deviation, rows), *near)
+        return replace(found, wait=PAUSES[int(found.chi2 > SECOND)])
 
     def _weighed(
         self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0
@@ -236,15 +244,14 @@ class TouchDecoder:
     def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
-        first = fitted(reading, deviation, [([part], nothing) for part in self._starts(rows, STARTS)], 1)
-        best = sorted(first, key=lambda fit: fit.cost)[:KEPT]
-        fits = fitted(reading, deviation, [(fit.parts, fit.q) for fit in best], STEPS)
+        starts = [([part], nothing) for part in self._starts(rows, STARTS)]
+        fits = fitted(reading, deviation, starts, 1 + STEPS, KEPT)
         one = min(fits, key=lambda fit: fit.cost)
         if one.chi2 > SECOND * len(reading):
             left = reading - self.sensing.reading(one.moved_mm[None])[0]
-            more = self._starts(self.regression.nearest(left, CONSIDERED), SECOND_STARTS)
+            more = self._starts(self.regression.nearest(left, NEAREST), SECOND_STARTS)
             starts = [([*one.parts, part], np.vstack([one.q, nothing])) for part in more]
-            for two in fitted(reading, deviation, starts, STEPS):
+            for two in fitted(reading, deviation, starts, SECOND_STEPS, SECOND_KEPT):
                 if two.cost + SECOND_COST < one.cost:
                     fits.append(replace(two, cost=two.cost + SECOND_COST))
         return fits
@@ -316,7 +323,7 @@ class Follower:
 
     def __init__(self, decoder: TouchDecoder) -> None:
         self._decoder = decoder
-        self._reading, self._fits = np.zeros(1), tuple[Fit, ...]()  # of the scan before
+        self._last: Touched | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._decoder, name)
@@ -329,7 +336,6 @@ class Follower:
         """Touches of scans (n, rows, cols, 3) [Ω] in their order; errors as of `TouchDecoder.reading`."""
         found = []
         for reading in self._decoder.reading(resistance_ohm):
-            holds = norm(reading - self._reading) < JUMP * norm(reading)
-            found.append(self._decoder.touched(reading, self._fits if holds else ()))
-            self._reading, self._fits = reading, found[-1].fits
+            self._last = self._decoder.touched(reading, self._last)
+            found.append(self._last)
         return found

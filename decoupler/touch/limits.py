@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.touch.morph import PRIOR, Part, Pillars, Sensing, fitted
+from decoupler.touch.morph import MOVES, PRIOR, Part, Pillars, Sensing, fitted
 from decoupler.touch.presses import Grid
 from fem.contact.surface import endless_surface
 from geometry.design import SensorDesign
@@ -14,6 +14,7 @@ from geometry.layout import FloatArray
 TOUCHES, SEED = 48, 0  #: that are drawn, the same of every design
 HALF_MM, FRICTION = (1.0, 6.0), 0.5  #: half axes of a touch's ellipse, and its largest shear over its pressure
 CELLS = 12  #: along its patch
+HELD = 1e9  #: of the curvature by a number that is known
 REACH = 3.0  #: heights from a touch within which units feel it
 
 
@@ -37,7 +38,7 @@ def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> 
     Notes
     -----
     A touch is the pressure of Hertz on an ellipse, dragged. What is not known of it are the nine numbers by which the
-    decoder changes a press, with their priors; readings are linear in them nearby.
+    decoder changes a press as a whole, with their priors; readings are linear in them nearby.
     """
     array, height_mm = design.array, design.unit.height_mm
     n = 2 + int(np.ceil(2 * REACH * height_mm / array.pitch_mm))
@@ -45,11 +46,13 @@ def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> 
     near = replace(design, array=array)
     sensing = Sensing(grid=Grid.of(endless_surface(near)), design=near, pillars=Pillars.designed(near))
     generator, found = np.random.default_rng(SEED), []
+    held = np.diag(HELD * (np.arange(len(PRIOR)) >= MOVES))
     for _ in range(TOUCHES):
         part = Part.of(sensing, *_drawn(generator, array.pitch_mm, force_n))
         zero = np.zeros((1, len(PRIOR)))
         reading = sensing.reading(part.moved(zero))[0]
-        values, slopes = fitted(reading, sensing.deviation(reading, errors), [([part], zero)], 0)[0].contacts()
+        (fit,) = fitted(reading, sensing.deviation(reading, errors), [([part], zero)], 0)
+        values, slopes = replace(fit, curvature=fit.curvature + held).contacts()
         deviation = np.sqrt((slopes[0] ** 2).sum(axis=-1))
         found.append((100 * deviation[2] / values[0, 2], np.hypot(*deviation[3:5])))
     net, place = np.median(found, axis=0)

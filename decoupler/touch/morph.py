@@ -1,7 +1,8 @@
-"""Presses of the library, changed until they explain a scan: damped Gauss-Newton on nine numbers a contact.
+"""Presses of the library, changed until they explain a scan: damped Gauss-Newton on 14 numbers a contact.
 
 The numbers q are the logarithm of the amplitude, the place along x and y, the logarithms of the stretches along x and
-y, the turn, drag added as a share of the pressure along x and y, and the logarithm of a factor on the shear.
+y, the turn, drag added as a share of the pressure along x and y, the logarithm of a factor on the shear, and five
+weights of polynomials whose sum is the logarithm of a factor on the traction from place to place (`Part.waves`).
 """
 
 import math
@@ -20,10 +21,13 @@ from geometry.errors import DesignError
 from geometry.layout import AXES, PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes
 
 #: standard deviations of q before a scan is seen; of places in heights
-PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5])
-STEP = PRIOR / np.array([35, 30, 30, 10, 10, 10, 12, 12, 10])  #: of one-sided differences
+PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5] + 5 * [0.15])
+MOVES = 9  #: the first of them, which change a press as a whole
+STEP = PRIOR / np.array([35, 30, 30, 10, 10, 10, 12, 12, 10] + 5 * [10])  #: of one-sided differences
+SPREADS = 3.0  #: from a press's middle, beyond which its waves are level, and of their sum
 POINTS = 12  #: along each side of a patch, at which its forces act at most
 INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, their forces taken away
+DAMPING = 0.3  #: of the diagonal, in the first steps
 DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
 MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
 
@@ -140,8 +144,16 @@ class Part:
         pressing = self.force_n[..., 2:, :]
         return (self.place_mm * pressing).sum(axis=-1, keepdims=True) / pressing.sum(axis=-1, keepdims=True)
 
+    @cached_property
+    def waves(self) -> FloatArray:
+        """Polynomials x, y, (x² − 1)/2, (y² − 1)/2, xy of places over the pressure's spread, (..., 5, n)."""
+        off, pressing = self.place_mm - self.middle_mm, self.force_n[..., 2:, :]
+        spread = np.sqrt((off**2 * pressing).sum(axis=-1, keepdims=True) / pressing.sum(axis=-1, keepdims=True))
+        x, y = np.moveaxis(np.clip(off / np.maximum(spread, 1e-6), -SPREADS, SPREADS), -2, 0)
+        return np.stack([x, y, (x**2 - 1) / 2, (y**2 - 1) / 2, x * y], axis=-2)
+
     def changed(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Places (..., b, 2, n) and forces (..., b, 3, n) by q (..., b, 9); what leaves the slab bears nothing."""
+        """Places (..., b, 2, n) and forces (..., b, 3, n) by q (..., b, 14); what leaves the slab bears nothing."""
         half = self.sensing.grid.slab_mm[:, None] / 2
         cos, sin = np.cos(q[..., 5]), np.sin(q[..., 5])
         turn = np.stack([cos, -sin, sin, cos], axis=-1).reshape(*q.shape[:-1], 2, 2)
@@ -151,7 +163,8 @@ class Part:
         borne *= np.exp(q[..., 0, None, None])
         place = (np.exp(q[..., 3:5, None]) * turn) @ (self.place_mm - self.middle_mm)[..., None, :, :]
         place += self.middle_mm[..., None, :, :] + self.sensing.design.unit.height_mm * q[..., 1:3, None]
-        force = borne @ self.force_n[..., None, :, :]
+        wave = np.clip(q[..., None, MOVES:] @ self.waves[..., None, :, :], -SPREADS, SPREADS)
+        force = np.exp(wave) * (borne @ self.force_n[..., None, :, :])
         force *= (np.abs(place) < half).all(axis=-2, keepdims=True)
         inside = (1 - INSIDE) * half
         return np.clip(place, -inside, inside), force
@@ -189,25 +202,25 @@ class Fit:
     """Parts that were changed until they explain a scan as well as they can."""
 
     parts: tuple[Part, ...]
-    q: FloatArray  #: (parts, 9)
+    q: FloatArray  #: (parts, 14)
     cost: float  #: χ² and what q costs by its prior
     chi2: float  #: of the readings alone
-    curvature: FloatArray  #: (9 parts, 9 parts): of half the cost
+    curvature: FloatArray  #: (14 parts, 14 parts): of half the cost
     moved_mm: FloatArray  #: (e,): of all parts together
 
     @cached_property
     def root(self) -> FloatArray:
-        """Root of the covariance of q, (9 parts, 9 parts)."""
+        """Root of the covariance of q, (14 parts, 14 parts)."""
         return np.linalg.cholesky(np.linalg.inv(self.curvature))
 
     def loads(self) -> tuple[FloatArray, FloatArray]:
-        """Loads of units (units, 5), and their changes (units·5, 9 parts) by `root`."""
+        """Loads of units (units, 5), and their changes (units·5, 14 parts) by `root`."""
         found = [part.units(_and_steps(q)) for part, q in zip(self.parts, self.q, strict=True)]
         slopes = np.concatenate([(each[1:] - each[0]) / STEP[:, None, None] for each in found])
         return np.sum([each[0] for each in found], axis=0), slopes.reshape(len(slopes), -1).T @ self.root
 
     def contacts(self) -> tuple[FloatArray, FloatArray]:
-        """`Part.contact` of each part (parts, 7), and their changes (parts, 7, 9 parts) by `root`."""
+        """`Part.contact` of each part (parts, 7), and their changes (parts, 7, 14 parts) by `root`."""
         found = np.stack([part.contact(_and_steps(q)) for part, q in zip(self.parts, self.q, strict=True)])
         slopes = (found[:, 1:] - found[:, :1]) / STEP[:, None]
         by_part = self.root.reshape(len(found), len(STEP), -1)
@@ -215,23 +228,27 @@ class Fit:
 
 
 def _and_steps(q: FloatArray) -> FloatArray:
-    """Each q (..., 9), and it with each number changed by its step, (..., 10, 9)."""
+    """Each q (..., 14), and it with each number changed by its step, (..., 15, 14)."""
     return q[..., None, :] + np.vstack([np.zeros(len(STEP)), np.diag(STEP)])
 
 
 def fitted(
-    reading: FloatArray, deviation: FloatArray, starts: Sequence[tuple[Sequence[Part], FloatArray]], steps: int
+    reading: FloatArray,
+    deviation: FloatArray,
+    starts: Sequence[tuple[Sequence[Part], FloatArray]],
+    steps: int,
+    kept: Sequence[int] = (),
 ) -> list[Fit]:
     """Gauss-Newton on a reading (m,) with deviations (m,) [mm²], in so many steps at most, from all starts at once.
 
-    A start is its parts, as many as of the others, and their q (parts, 9).
+    A start is its parts, as many as of the others, and their q (parts, 14). After the first step only the `kept[0]`
+    best are left, after the next ones the `kept[1]` best of these go on, and so forth.
     """
     parts, q = Part.stacked([own for own, _ in starts]), np.stack([at for _, at in starts])
     shape, sensing = q.shape[1:], parts.sensing
     prior, limit, change = (np.tile(each, shape[0]) for each in (PRIOR**-2.0, PRIOR, STEP))
-    damping, before, going = np.full(len(q), 0.3), np.full(len(q), np.inf), np.arange(len(q))
-    found: list[Any] = [None] * len(q)
-    for step in range(steps + 1):
+    damping, going, found = np.full(len(q), DAMPING), np.arange(len(q)), dict[int, Fit]()
+    for step in range(max(steps, 1)):
         each, flat = parts[going].moved(_and_steps(q[going])), q[going].reshape(len(going), -1)
         moved = each[:, :, 0].sum(axis=1)
         changed = moved[:, None] + (each[:, :, 1:] - each[:, :, :1]).reshape(*flat.shape, -1)
@@ -239,22 +256,32 @@ def fitted(
         slopes, left = (read[:, 1:] - read[:, :1]) / change[:, None] / deviation, (reading - read[:, 0]) / deviation
         chi2, curvature = (left**2).sum(axis=1), slopes @ slopes.swapaxes(1, 2) + np.diag(prior)
         cost = chi2 + flat**2 @ prior
-        for k, *values in zip(going, q[going], cost, chi2, curvature, moved, strict=True):
+        if steps:
+            downhill, tried = (slopes @ left[:, :, None])[..., 0] - prior * flat, damping[going, None] * DAMPINGS
+            damped = curvature[:, None] * (1 + tried[..., None, None] * np.eye(len(prior)))
+            by = np.linalg.solve(damped, downhill[:, None, :, None])[..., 0]
+            new = flat[:, None] + np.clip(by, -limit, limit)
+            by_part = new.reshape(*tried.shape, *shape).swapaxes(1, 2)
+            tried_mm = parts[going].moved(by_part).sum(axis=1)
+            each_chi2 = (((reading - sensing.reading(tried_mm)) / deviation) ** 2).sum(axis=-1)
+            costs = each_chi2 + new**2 @ prior
+            best = np.arange(len(new)), costs.argmin(axis=1)
+            falls, gain = costs[best] < cost, cost - costs[best]
+            q[going[falls]] = new[best][falls].reshape(-1, *shape)
+            damping[going] = np.where(falls, np.maximum(tried[best] / 2, 1e-4), 100 * damping[going])
+            moved, chi2, cost = (
+                np.where(falls.reshape(-1, *(1,) * (old.ndim - 1)), better[best], old)
+                for old, better in ((moved, tried_mm), (chi2, each_chi2), (cost, costs))
+            )
+        if step == 1 and kept:
+            found = {k: found[k] for k in going.tolist()}
+        for k, *values in zip(going.tolist(), q[going], cost, chi2, curvature, moved, strict=True):
             found[k] = Fit(tuple(starts[k][0]), *values)
-        gains = before[going] - cost >= MIN_GAIN
-        if step == steps or not gains.any():
+        if steps:
+            order = np.argsort(cost)[: kept[step] if step < len(kept) else None]
+            going = going[order][((gain >= MIN_GAIN) | ~falls | (step == 0))[order]]
+            if step == 0 and kept:
+                damping[:] = DAMPING
+        if not len(going):
             break
-        downhill = ((slopes @ left[:, :, None])[..., 0] - prior * flat)[gains]
-        going, flat, cost, curvature = (values[gains] for values in (going, flat, cost, curvature))
-        tried = damping[going, None] * DAMPINGS
-        damped = curvature[:, None] * (1 + tried[..., None, None] * np.eye(len(prior)))
-        by = np.linalg.solve(damped, downhill[:, None, :, None])[..., 0]
-        new = flat[:, None] + np.clip(by, -limit, limit)
-        by_part = new.reshape(*tried.shape, *shape).swapaxes(1, 2)
-        left = (reading - sensing.reading(parts[going].moved(by_part).sum(axis=1))) / deviation
-        costs = (left**2).sum(axis=-1) + new**2 @ prior
-        best = np.arange(len(new)), costs.argmin(axis=1)
-        falls = costs[best] < cost
-        q[going[falls]], before[going[falls]] = new[best][falls].reshape(-1, *shape), cost[falls]
-        damping[going] = np.where(falls, np.maximum(tried[best] / 2, 1e-4), 100 * damping[going])
-    return found
+    return list(found.values())

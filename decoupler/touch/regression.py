@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from geometry.layout import FloatArray
 
 NEAREST = 200
 LENGTH = 0.5  #: of the kernel, in readings brought to size 1
 LEAST = 0.05  #: size of readings below which they count as they are
+SAMPLED = 8  #: of so many rows one tells how near the nearest are, before they are sorted
 OWN = 1e-4  #: variance of a press's forces about a smooth function of its readings, of their own
 
 
@@ -25,7 +27,7 @@ class Regression:
     noise: FloatArray  #: (m,): deviation of a reading near rest [mm²]
 
     def brought(self, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Readings (n, m) brought to size 1, and their sizes (n, 1)."""
+        """Readings (..., m) brought to size 1, and their sizes (..., 1)."""
         relative = reading / self.scale_mm2
         size = np.sqrt((relative**2).sum(axis=-1, keepdims=True) + LEAST**2)
         return relative / size, size
@@ -40,10 +42,12 @@ class Regression:
     def nearest(self, reading: FloatArray, count: int) -> NDArray[np.int64]:
         """Rows whose readings are nearest to one (m,), the nearest first."""
         x, squares, _ = self.known
-        distance = squares - 2 * x @ self.brought(reading[None])[0][0].astype(np.float32)
+        distance = squares - x @ (2 * self.brought(reading)[0]).astype(np.float32)
         count = min(count, len(distance))
-        rows = np.argpartition(distance, count - 1)[:count]
-        return rows[np.argsort(distance[rows])]
+        sample = distance[::SAMPLED]
+        rows = np.flatnonzero(distance <= np.partition(sample, least := min(count // 2, len(sample) - 1))[least])
+        rows = rows if len(rows) >= count else np.arange(len(distance))
+        return rows[np.argsort(distance[rows])[:count]]
 
     def answer(self, reading: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Forces (units, 5) under a reading (m,) and their standard deviations, from the nearest rows.
@@ -51,19 +55,20 @@ class Regression:
         Matérn's kernel of 5/2 about the mean of the rows; the variance of each force is the one that the rows show.
         """
         x, _, y = self.known
-        (at,), ((size,),) = self.brought(reading[None])
+        at, (size,) = self.brought(reading)
         X, Y = x[rows].astype(float), y[rows].astype(float)
         own = (X**2).sum(axis=1)
         noise = OWN + float(((self.noise / self.scale_mm2 / size) ** 2).mean()) / LENGTH**2
-        K = _matern(own[:, None] + own - 2 * X @ X.T) + noise * np.eye(len(rows))
-        near = _matern(own + at @ at - 2 * X @ at)
+        K = _matern(own[:, None] + own - X @ (2 * X.T)) + noise * np.eye(len(rows))
+        near = _matern(own + at @ at - X @ (2 * at))
         mean = Y.mean(axis=0)
-        solved = np.linalg.solve(K, np.column_stack([Y - mean, near]))
-        variance = ((Y - mean) * solved[:, :-1]).sum(axis=0) / len(rows)
-        open_share = max(1.0 + noise - near @ solved[:, -1], 1e-9)
+        whitened = solve_triangular(np.linalg.cholesky(K), np.column_stack([Y - mean, near]), lower=True)
+        by_row, near = whitened[:, :-1], whitened[:, -1]
+        variance = (by_row**2).sum(axis=0) / len(rows)
+        open_share = max(1.0 + noise - near @ near, 1e-9)
         shape = self.unit.shape[1:]
         return (
-            (size * (mean + near @ solved[:, :-1])).reshape(shape),
+            (size * (mean + near @ by_row)).reshape(shape),
             (size * np.sqrt(open_share * variance)).reshape(shape),
         )
 

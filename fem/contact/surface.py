@@ -36,7 +36,7 @@ ROUND = 8.0  #: heights beyond the array after which the endless one repeats its
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
-SHARED = 32  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
+SHARED = 16  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles

@@ -107,9 +107,9 @@ class SampleSolver:
     ) -> None:
         if not design.is_homogeneous:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
-        if design.matrix_material.model == "mooney-rivlin":
+        if (model := design.matrix_material.model) in ("mooney-rivlin", "yeoh"):
             raise DesignError(
-                "model='mooney-rivlin' is for scenes: the power series of samples know neo-Hookean rubber only; write "
+                f"model='{model}' is for scenes: the power series of samples know neo-Hookean rubber only; write "
                 "model = 'neo-hookean'."
             )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted

@@ -184,7 +184,49 @@ class MooneyRivlin(Law):
         return plus_unit_tensor(out, 2 * (first + second * trace))
 
 
-LAWS: dict[str, type[Law]] = {"linear": Linear, "neo-hookean": NeoHookean, "mooney-rivlin": MooneyRivlin}
+@dataclass(frozen=True, eq=False)
+class Yeoh(NeoHookean):
+    """W = μ/2 (G + k G²) with G = I₁ − 3 − 2 ln J: Yeoh's c₁ = μ/2 and c₂ = k c₁ where volume is kept.
+
+    With s = 1 + 2 k G: P = s μ (F − F⁻ᵀ) + p cof F. G, which is of second order, leaves small strain Hooke's.
+    """
+
+    stiffening: FloatArray | float = 0.0  #: k = c₂/c₁, as λ and μ
+
+    @classmethod
+    def of(cls, materials: Sequence[Material], shares: FloatArray) -> "Yeoh":
+        law = super().of(materials, shares)
+        second = np.array([material.stiffening * material.lame_mpa[1] for material in materials])
+        return cls(law.mu_mpa, law.lame_mpa, np.tensordot(second, shares, 1) / law.mu_mpa)
+
+    def part(self, some: slice | NDArray) -> "Yeoh":
+        return Yeoh(self.mu_mpa[some], self.lame_mpa[some], np.broadcast_to(self.stiffening, self.mu_mpa.shape)[some])
+
+    def energy(self, strain: Strain) -> FloatArray:
+        return super().energy(strain) * (1.0 + self.stiffening * self._G(strain))
+
+    def stress(self, strain: Strain, p: FloatArray) -> FloatArray:
+        s = self._stiffer(strain)
+        return s * super().stress(strain, p / s)
+
+    def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
+        s, slope = self._stiffer(strain), super().stress(strain, np.zeros_like(strain.theta))  # slope: μ ∂G/∂F / 2
+        own = 4 * self.stiffening / self.mu_mpa * np.einsum("iJ...,jL...->iJjL...", slope, slope)
+        return s * super().tangent(strain, p / s) + own
+
+    def _G(self, strain: Strain) -> FloatArray:
+        return 2 / self.mu_mpa * super().energy(strain)
+
+    def _stiffer(self, strain: Strain) -> FloatArray:
+        return 1.0 + 2 * self.stiffening * self._G(strain)
+
+
+LAWS: dict[str, type[Law]] = {
+    "linear": Linear,
+    "neo-hookean": NeoHookean,
+    "mooney-rivlin": MooneyRivlin,
+    "yeoh": Yeoh,
+}
 
 
 def plus_unit(A: FloatArray, scale: FloatArray | float) -> FloatArray:

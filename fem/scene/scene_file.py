@@ -14,7 +14,7 @@ from geometry.storage.text_file import StrictTables, read_text, tables_of
 
 STRICT = StrictTables(SceneError)
 BODIES: dict[str, type[Body]] = {"block": Block, "pillar": Pillar, "unit": Sensor, "array": Sensor}
-MATERIAL_KEYS = ("young_mpa", "poisson")
+MATERIAL_KEYS, YEOH = ("young_mpa", "poisson"), "stiffening"
 
 
 def read_scene(path: Path) -> Scene:
@@ -52,7 +52,7 @@ def _scene(table: dict[str, Any]) -> Scene:
     material = None
     if "material" in table or not is_sensor:
         rubber = _needed(table, "material", "; it holds young_mpa and poisson")
-        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model"), MATERIAL_KEYS)
+        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", YEOH), MATERIAL_KEYS)
     if is_sensor:
         design = _design(STRICT.table(table, "design"), material)
         given, material = {"design": design, "kind": kind}, design.matrix_material
@@ -111,7 +111,8 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
 def _inclusion(place: str, entry: dict[str, Any], model: str) -> Inclusion:
     prism = tuple(key for key in keys_of(Inclusion) if key != "material")
     keys = (*prism, *MATERIAL_KEYS)
-    STRICT.require_keys(entry, keys, f" in {place}", keys)
-    material = STRICT.made(place, Material, **{key: entry[key] for key in MATERIAL_KEYS}, model=model)
+    STRICT.require_keys(entry, (*keys, YEOH), f" in {place}", keys)
+    own = {key: entry[key] for key in (*MATERIAL_KEYS, YEOH) if key in entry}
+    material = STRICT.made(place, Material, **own, model=model)
     inclusion: Inclusion = STRICT.made(place, Inclusion, **{key: entry[key] for key in prism}, material=material)
     return inclusion

@@ -14,7 +14,7 @@ the order of convergence.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -284,7 +284,7 @@ class TaylorHood:
 
 def taylor_hood(mesh: MeshTet, materials: Sequence[Material], region: IntArray) -> TaylorHood:
     """A mesh of which each element (m,) holds the material that its region numbers; all are of one model."""
-    raised = [Material(young_mpa=rubber.young_mpa, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
+    raised = [replace(rubber, poisson=max(rubber.poisson, MIN_POISSON)) for rubber in materials]
     shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
     law = LAWS[materials[0].model].of(raised, shares)
     return TaylorHood(Basis(mesh, ElementTetP2(), intorder=2), region, law)

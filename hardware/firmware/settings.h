@@ -43,7 +43,7 @@
 
 #define IS_WITHIN(value, low, high) ((int64_t)(value) >= (low) && (int64_t)(value) <= (high))
 _Static_assert(IS_WITHIN(ROWS, 1, 8) && IS_WITHIN(COLS, 1, 8), "ROWS, COLS: 1 to 8, four address pins reach 16 wires");
-_Static_assert(IS_WITHIN(SCAN_MODE, 0, 2), "SCAN_MODE: 0 divider, 1 grounded, 2 zero-potential");
+_Static_assert(IS_WITHIN(SCAN_MODE, 0, 3), "SCAN_MODE: 0 divider, 1 grounded, 2 zero-potential, 3 four-wire");
 _Static_assert(IS_WITHIN(SENSE_OHM, 1, 0xFFFFFFFF), "SENSE_OHM: 1 to 4294967295");
 _Static_assert(IS_WITHIN(VREF_MV, 1, 65535), "VREF_MV: 1 to 65535");
 _Static_assert(IS_WITHIN(SERIAL, 0, 0xFFFFFFFF), "SERIAL: 0 to 4294967295");

@@ -40,6 +40,7 @@ class ScanMode(IntEnum):
     DIVIDER = 0  #: plain voltage divider, idle wires left open
     GROUNDED = 1  #: voltage divider, idle wires grounded
     ZERO_POTENTIAL = 2  #: column wires held at virtual ground by amplifiers, idle row wires grounded
+    FOUR_WIRE = 3  #: the same, over the voltage at the pillar itself, by taps that carry no current
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)

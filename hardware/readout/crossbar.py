@@ -35,6 +35,7 @@ SUITED_SENSE_OHM = {
     ScanMode.DIVIDER: 2_200.0,
     ScanMode.GROUNDED: 1_000.0,
     ScanMode.ZERO_POTENTIAL: 4_700.0,
+    ScanMode.FOUR_WIRE: 4_700.0,
 }  #: best for 10 kΩ
 BOUNDS = {
     "rows": (1, 255),
@@ -82,6 +83,9 @@ class Crossbar:
     - GROUNDED: idle wires are grounded. x = −R_s N_cr / (1 + R_s N_cc).
     - ZERO_POTENTIAL: idle rows are grounded, every column ends in an inverting amplifier of open-loop gain A, which
       shows the current R_s / (1 + A) of input resistance. x = −A R_s / (1 + A) · N_cr.
+    - FOUR_WIRE: the same circuit, and taps at the pillar's own electrodes, each with a switch, whose voltage is the
+      converter's reference. x = −A R_s / (1 + A) · N_cr / (K_rr − K_cr), K = (1 + R L)⁻¹. Neither switches and wires in
+      the current's way nor contacts show; what is left is what other rows' pillars carry.
 
     N is the admittance matrix between the ends of the wires: N = L (1 + R L)⁻¹, L the conductance matrix (Laplacian) of
     the pillars alone and R the diagonal of series resistances.
@@ -140,12 +144,16 @@ class Crossbar:
         found[row, column] = found[column, row] = np.arange(len(row))
         return found.reshape(-1)
 
+    @property
+    def is_amplified(self) -> bool:
+        """Columns end in amplifiers."""
+        return self.scan_mode in (ScanMode.ZERO_POTENTIAL, ScanMode.FOUR_WIRE)
+
     @cached_property
     def series_ohm(self) -> FloatArray:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
-        is_amplified = self.scan_mode == ScanMode.ZERO_POTENTIAL
-        column = self.line_ohm + self.sense_ohm / (1.0 + self.amplifier_gain) if is_amplified else switched
+        column = self.line_ohm + self.sense_ohm / (1.0 + self.amplifier_gain) if self.is_amplified else switched
         return np.repeat([switched, column], [2 * self.rows, 2 * self.cols])
 
     @cached_property
@@ -212,7 +220,7 @@ class Crossbar:
 
     def uncorrected(self, readings: Array) -> Array:
         """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
-        if self.scan_mode == ScanMode.ZERO_POTENTIAL:
+        if self.is_amplified:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars((self.sense_ohm / readings - self.sense_ohm).clip(MIN_OHM, None))
 
@@ -257,7 +265,7 @@ class Crossbar:
         Notes
         -----
         A pillar changes L by d dᵀ dg, d = +1 at its row, −1 at its column. So dN = Kᵀ d dᵀ K dg with K = (1 + R L)⁻¹,
-        and dP = −P d dᵀ P dg.
+        dP = −P d dᵀ P dg, and since K R is symmetric dK = −R Kᵀ d dᵀ K dg.
         """
         row, column = (_like(end, conductance) for end in self.ends)
         inverse, N = self._solved(conductance)
@@ -267,6 +275,11 @@ class Crossbar:
             return y, ((U[:, row] - U[:, column]) * y[:, :, None]) ** 2
         U = inverse[:, row].swapaxes(1, 2) - inverse[:, column].swapaxes(1, 2)  # Kᵀ d of every pillar
         derivatives = -U[:, column] * U[:, row]
+        if self.scan_mode == ScanMode.FOUR_WIRE:
+            R = _like(self.series_ohm[:, None], U)
+            lost = (R[row] * U[:, row] - R[column] * U[:, column]) * U[:, row]  # of the voltage at the pillar
+            across = inverse[:, row, row] - inverse[:, column, row]
+            derivatives = (derivatives + y[:, :, None] * lost) / across[:, :, None]
         if self.scan_mode == ScanMode.GROUNDED:
             loaded = 1.0 + self.sense_ohm * N[:, column, column]
             derivatives = (derivatives - self.sense_ohm * y[:, :, None] * U[:, column] ** 2) / loaded[:, :, None]
@@ -275,7 +288,7 @@ class Crossbar:
     @property
     def gain_ohm(self) -> float:
         """Reading per apparent conductance [Ω]."""
-        if self.scan_mode == ScanMode.ZERO_POTENTIAL:
+        if self.is_amplified:
             return self.sense_ohm * self.amplifier_gain / (1.0 + self.amplifier_gain)
         return self.sense_ohm
 
@@ -306,6 +319,8 @@ class Crossbar:
             P = inverse
             return 1.0 / (P[:, row, row] + P[:, column, column] - 2.0 * P[:, row, column])
         y = -N[:, column, row]
+        if self.scan_mode == ScanMode.FOUR_WIRE:
+            return y / (inverse[:, row, row] - inverse[:, column, row])
         return y / (1.0 + self.sense_ohm * N[:, column, column]) if self.scan_mode == ScanMode.GROUNDED else y
 
     @cached_property
@@ -365,8 +380,9 @@ class Corrector:
         -----
         With a wire's series resistance r and the sum G of its pillars, a = 1/(1 + r G), Neumann's series of N gives
         y = a_row g a_column (1 + O(ε_row ε_column)), ε the largest r G. The guess takes a from sums of y in the place
-        of g, which errs by as much. GROUNDED is exact without series resistance; DIVIDER has no closed form: the guess
-        is that of equal pillars.
+        of g, which errs by as much. By four wires the column's voltage, r y times that across the pillar, drives
+        currents through its other pillars: y = g (1 + r y)/(1 + r G). GROUNDED is exact without series resistance;
+        DIVIDER has no closed form: the guess is that of equal pillars.
         """
         crossbar, xp = self.crossbar, namespace(apparent)
         unknown = xp.full_like(apparent[:, 0], math.inf)
@@ -376,12 +392,17 @@ class Corrector:
         # share of each wire's voltage across its resistance
         lost = (apparent @ _like(crossbar.loss_by_wire, apparent)).clip(None, MAX_LOST)
         left = 1.0 - lost  # a, of every wire
-        guess = apparent / (left[:, row] * left[:, column])
+        if crossbar.scan_mode == ScanMode.FOUR_WIRE:
+            r_ohm = _like(crossbar.series_ohm, apparent)[column]
+            guess = apparent * (1.0 + lost[:, column]) / (1.0 + r_ohm * apparent)
+        else:
+            guess = apparent / (left[:, row] * left[:, column])
         if any(crossbar.shunt_siemens):
             return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
             return guess, xp.zeros_like(unknown) if crossbar.series_ohm[0] == 0.0 else unknown
-        odds = xp.amax(lost[:, : 2 * crossbar.rows], axis=1), xp.amax(lost[:, 2 * crossbar.rows :], axis=1)
+        rows = 2 * crossbar.rows if crossbar.scan_mode == ScanMode.ZERO_POTENTIAL else None  # by four wires ε_column²
+        odds = xp.amax(lost[:, :rows], axis=1), xp.amax(lost[:, 2 * crossbar.rows :], axis=1)
         return guess, NEUMANN * odds[0] / (1.0 - odds[0]) * odds[1] / (1.0 - odds[1])
 
     def _settled(self, u: Array, wanted: Array, tolerance: float) -> Array:

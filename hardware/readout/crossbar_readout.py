@@ -9,6 +9,7 @@ from fem.conduction.potentials import unit_conductances
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
+from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
 
 SHUNTS = ((0, 1), (2, 3), (1, 3))  #: electrodes between which no pillar lies, by their places in `TERMINALS`
@@ -21,6 +22,13 @@ def shunts_of(design: SensorDesign) -> tuple[float, float, float]:
     matrix = unit_conductances(design.unit).matrix_mm
     one, two, three = (max(0.0, float(-matrix[pair])) / design.resistivity_ohm_mm for pair in SHUNTS)
     return one, two, three
+
+
+def seen_by(crossbar: Crossbar, design: SensorDesign) -> SensorDesign:
+    """The design as a crossbar shows it: by four wires no contact shows."""
+    if crossbar.scan_mode != ScanMode.FOUR_WIRE:
+        return design
+    return replace(design, electrics=design.electrics.by_four_wires)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +44,10 @@ class CrossbarReadout:
     @property
     def bits(self) -> int | None:
         return self.crossbar.bits
+
+    def seen(self, design: SensorDesign) -> SensorDesign:
+        """The design as this crossbar shows it."""
+        return seen_by(self.crossbar, design)
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.

@@ -47,8 +47,9 @@ class RubberState:
     def step(self, length_mm: Tensor, seconds: float) -> Tensor:
         """Factors of resistances as pillars of these lengths show them, so many seconds after the last step.
 
-        Both (e, rows, cols, 3); derivatives lead back to these lengths, not to earlier ones.
+        Both (e, rows, cols, 3); derivatives lead back to these lengths, not to earlier ones. Errors as of `require`.
         """
+        self.require(seconds)
         strain = length_mm / self._rest_mm - 1.0
         steps = decays(strain - self._strain, seconds, self._memory)
         broken = [keep * own + gain for own, (keep, gain) in zip(self._broken, steps, strict=True)]

@@ -3,7 +3,7 @@
 Every tensor has the environments first: e sensors of one design live side by side, each with imperfections of its own.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,11 +26,12 @@ from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
 from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_compliance
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import AXES, PILLARS, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
 
@@ -134,7 +135,8 @@ class VirtualSensor:
         if isinstance(design, Path | str):
             twin = read_twin(Path(design))
             design = read_design(Path(design))
-        self.design = design.design if isinstance(design, TwinFile) else design
+        design = design.design if isinstance(design, TwinFile) else design
+        self.design = design if crossbar is None or twin is not None else seen_by(crossbar, design)
         self.shape = self.design.array.rows, self.design.array.cols  #: rows, cols
         self._imperfections = Imperfections(
             noise=noise,
@@ -163,10 +165,8 @@ class VirtualSensor:
             model = read_model(Path(model))
         for name, other in (("model", model), ("crossbar", crossbar)):
             if other is not None and (other.rows, other.cols) != self.shape:
-                raise ArgumentError(
-                    f"the {name} has {other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}: "
-                    f"take one of this design."
-                )
+                sizes = f"{other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}"
+                raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
         feels = model is not None and model.knows_touch
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
         self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
@@ -197,8 +197,9 @@ class VirtualSensor:
     def _designed(self, response: "ArrayResponse | None") -> "ArrayResponse":
         if response is None:
             response, *_ = array_response(self.design, ResponseSettings())
-        elif response.design != self.design:
+        elif bent(response.design) != bent(self.design):
             raise ArgumentError("the response is of another design: leave it out, or give that of the design.")
+        response = replace(response, design=self.design)
         require_conducted(response)
         return response
 
@@ -271,15 +272,14 @@ class VirtualSensor:
             ohms = self._twin.resistances(columns, self._member).reshape(force_n.shape)
         else:
             ohms = self._forward.resistances(columns).reshape(force_n.shape)
+        return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(force_n.shape), seconds)
+
+    def _remembered(self, ohms: Tensor, lengths_mm: Callable[[], Tensor], seconds: float | None) -> Tensor:
+        """Resistances of pillars of these lengths that were read so many seconds ago; contacts do not remember."""
         if seconds is None or not self._rubber.remembers:
             return ohms
-        self._rubber.require(seconds)
-        return self._remembered(ohms, self._shape.lengths(columns).reshape(force_n.shape), seconds)
-
-    def _remembered(self, resistance_ohm: Tensor, length_mm: Tensor, seconds: float) -> Tensor:
-        """Resistances of pillars of these lengths that were read so many seconds ago; contacts do not remember."""
         contacts_ohm = self.design.electrics.contacts_ohm
-        return contacts_ohm + self._rubber.step(length_mm, seconds) * (resistance_ohm - contacts_ohm)
+        return contacts_ohm + self._rubber.step(lengths_mm(), seconds) * (ohms - contacts_ohm)
 
     def strains(self, force_n: Tensor) -> Tensor:
         """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
@@ -377,8 +377,7 @@ class VirtualSensor:
         lengths, sizes = pillar_lengths(moved, self.design.unit), (self.environments, *self.shape, 3)
         with torch.no_grad():
             exact_ohm = self._like.new_tensor(exact_resistances(lengths, self.design)).reshape(sizes)
-            if seconds is not None and self._rubber.remembers:
-                exact_ohm = self._remembered(exact_ohm, self._like.new_tensor(lengths).reshape(sizes), seconds)
+            exact_ohm = self._remembered(exact_ohm, lambda: self._like.new_tensor(lengths).reshape(sizes), seconds)
             resistance_ohm = self.read(exact_ohm)
             decoded_n = self._decoded(resistance_ohm)
         applied_n = self._like.new_tensor(force).reshape(sizes)

@@ -17,6 +17,7 @@ from geometry import DesignError
 from geometry.design import Memory, Prony
 from geometry.layout import pillar_volumes, rest_lengths
 from tests.house import House
+from tripillar.face.inputs import samples_of
 from tripillar.sweep.leaves import LeafJob, make_directory
 
 MEMORY = Memory(a=(0.4, 0.3), b_lengthen=2.0, b_shorten=9.0, tau_s=(6.0, 90.0), g1=1.0, g2=-2.0)
@@ -98,6 +99,15 @@ def test_forces_relax_and_strains_do_not(remembering, series):
     expected = np.stack([relaxed_forces(one, 0.1, PRONY) for one in series.force_n])
     assert relaxing.force_n == pytest.approx(expected, abs=1e-9)
     assert np.abs(relaxing.force_n - series.force_n).max() > 1.0
+
+
+def test_learning_takes_series_moment_by_moment_and_says_so(response, series, tmp_path):
+    with pytest.warns(UserWarning, match="as if the rubber remembered nothing"):
+        flat = samples_of(series)
+    assert np.array_equal(flat.resistance_ohm, series.resistance_ohm.reshape(-1, 2, 3, 3))
+    plain = simulate(response, asked())
+    plain.write(tmp_path / "plain.zarr")
+    assert np.array_equal(samples_of(tmp_path / "plain.zarr").force_n, plain.force_n.reshape(-1, 2, 3, 3))
 
 
 def test_a_drift_stays_over_a_series_and_noise_does_not(remembering, series):
@@ -199,8 +209,6 @@ def test_what_makes_no_series_is_refused(series, remembering, tmp_path):
     ):
         with pytest.raises(DesignError, match=said):
             asked(**more)
-    with pytest.raises(SampleError, match=r"series over time.*at_moments\(\)"):
-        tp.train(series)
     with pytest.raises(SampleError, match=r"series over time.*at_moments\(\)"):
         tp.identify(series)
     with pytest.raises(SampleError, match=r"expected \(n_series, 300, rows, cols, 3\)"):

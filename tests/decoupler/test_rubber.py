@@ -1,16 +1,20 @@
 """Rubbers from bench series: simulated ones come back, bad ones are mended or refused in one line."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from decoupler.rubber.fit import fit_elastic, identified, of_range, resistance_from_strain
-from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of
+from decoupler.rubber.check import checked, of_range, resistance_from_strain
+from decoupler.rubber.fit import fit_elastic, identified
+from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import Series, read_series
+from decoupler.rubber.silicones import SILICONES, surrounded
 from decoupler.rubber.unknown import next_test
-from geometry.design import Memory, Prony, SensorDesign
+from fem.rubber.law import LAWS
+from geometry.design import Material, Memory, Prony, SensorDesign, with_model
 from geometry.design_file import read_design
 from geometry.errors import DesignError, FileFormatError
 
@@ -109,12 +113,56 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     assert again.covariance == pytest.approx(found.covariance, rel=0.01, abs=1e-4 * found.covariance.max())
     assert (again.elastic.model, again.unknown, again.wires) == (found.elastic.model, found.unknown, 4)
     design = read_design(tmp_path / "rubber.toml")
-    assert design == extended(SensorDesign(), again)
+    assert design == extended(SensorDesign(), found)
     assert design.pillar_material.memory.b_shorten == pytest.approx(found.memory.b_shorten, rel=1e-5)
     assert design.pillar_material.young_mpa == pytest.approx(found.young_mpa, rel=1e-5)
     (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
     with pytest.raises(DesignError, match="lacks 'tau2_s'"):
         read_rubber(tmp_path / "cut.toml")
+
+
+def test_a_check_zeroes_forces_and_counts_what_deviations_hold(found, series):
+    """Forces 3 N off all along and then right to 1 % of the range: an offset is none, deviations hold as they say."""
+    size = np.ptp(series.force_n)
+    off = 0.01 * size * np.random.default_rng(0).standard_normal(len(series))
+    judged = checked(found, series, (series.force_n + off + 3.0, np.full(len(series), 0.01 * size)))
+    assert judged.force_nrmse_pct == pytest.approx(1.0, abs=0.1)  # with the noise of the first 2 s
+    assert judged.coverage == pytest.approx((68, 95), abs=4)
+    assert checked(found, series).coverage is None
+
+
+def test_two_ways_of_reading_tell_contacts(series):
+    """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
+    read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
+    found = identified(read.averaged(8, ""), electrodes_mm=20.0, length_mm=40.0)
+    assert found.contact_ohm == pytest.approx(15e3)
+    assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
+    assert identified(read.averaged(8, "")).contact_ohm is None
+
+
+def test_published_silicones_state_their_source_and_surround_the_pillars():
+    assert all(re.search(r"\(\d{4}\)|\.com/", silicone.source) for silicone in SILICONES.values())
+    design = surrounded(SensorDesign(), "elastosil-m4601")
+    assert design.matrix_material.young_mpa == 0.72
+    assert design.pillar_material == SensorDesign().pillar_material
+    assert surrounded(with_model(SensorDesign(), "yeoh"), "dragon-skin-30").matrix_material.stiffening == 0.0104
+
+
+def test_forces_are_those_of_the_laws_of_solids():
+    """Stress of a strip that keeps its volume, from the energy: dW/dλ where λ₁ = λ, λ₂ = λ₃ = λ^-1/2."""
+    strain, step = np.array([-0.4, 0.2, 0.9]), 1e-5
+    for model, stiffening, second in (("neo-hookean", 0.0, 0.0), ("mooney-rivlin", 0.0, 0.2), ("yeoh", 0.3, 0.0)):
+        rubber = Material(model=model, stiffening=stiffening)
+        law = LAWS[model].of([rubber], np.ones((1, 1)))
+
+        def energy(strain, law=law):
+            H = np.zeros((3, 3, len(strain)))
+            H[0, 0], H[1, 1] = strain, (1 + strain) ** -0.5 - 1
+            H[2, 2] = H[1, 1]
+            return law.energy(law.strain(H))
+
+        slope = (energy(strain + step) - energy(strain - step)) / (2 * step)
+        assert settled_stress(strain, stiffening, second) * rubber.lame_mpa[1] == pytest.approx(slope, rel=1e-8)
 
 
 def swung(series):
@@ -130,7 +178,8 @@ def hit(series):
 MENDED = {
     "alternate": (lambda s: {"resistance_ohm": swung(s)}, "readings alternate"),
     "signs": (lambda s: {"resistance_ohm": -s.resistance_ohm}, "its sign was dropped"),
-    "pulls": (lambda s: {"force_n": -s.force_n}, "its sign was turned"),
+    "pulls": (lambda s: {"force_n": -s.force_n}, "force_n's sign was turned"),
+    "away": (lambda s: {"strain": -s.strain}, "strain's sign was turned"),
     "glitch": (lambda s: {"strain": hit(s)}, "position jumps away and back in"),
     "milliseconds": (lambda s: {"time_s": None, "time_ms": 1e3 * s.time_s}, ""),
     "percent": (lambda s: {"strain": None, "strain_pct": 100 * s.strain}, ""),
@@ -150,6 +199,17 @@ def test_what_can_be_mended_is_mended_and_said(series, name, tmp_path):
     assert mended.force_n.mean() == pytest.approx(series.force_n.mean(), rel=1e-3)
 
 
+def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
+    """A noise of 0.03 % alone would break contacts at rest as fast as they heal; the numbers come back without it."""
+    jittered = series.strain + 3e-4 * np.random.default_rng(0).standard_normal(len(series))
+    mended = read_series(written(tmp_path / "s.csv", series, strain=jittered))
+    assert "strain jitters by 0.0002" in mended.notes[0]
+    way, raw, true = (np.abs(np.diff(strain)).sum() for strain in (mended.strain, jittered, series.strain))
+    assert raw > 1.3 * true
+    assert way == pytest.approx(true, rel=0.1)
+    assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
+
+
 def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
     rest = series.part((series.time_s < 20) | (series.time_s > 60))
     assert "in which strain stayed: bridged" in read_series(written(tmp_path / "a.csv", rest)).notes[0]
@@ -167,7 +227,9 @@ REFUSED = {
     "no strain": (lambda s: {"strain": 0.0 * s.strain}, "a specimen that is not stretched"),
     "column": (lambda s: {"force_n": None}, "the column force_n is missing"),
     "length": (lambda s: {"strain": None, "displacement_mm": 40 * s.strain}, "needs the specimen's length"),
-    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was the meter connected"),
+    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was its meter connected"),
+    "load cell": (lambda s: {"force_n": 0 * s.time_s}, "force_n stays 0: was its meter connected"),
+    "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
     "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 40 rows"),
 }
 

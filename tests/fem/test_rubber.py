@@ -18,11 +18,17 @@ from geometry.design import Material
 LINES = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 2.5, 4.0]), np.array([0.0, 1.5, 4.0])
 RUBBER = Material(young_mpa=6.1, poisson=0.49, model="neo-hookean")
 LEAN = (0.3, -0.2)
-FINITE = ["neo-hookean", "mooney-rivlin"]
+FINITE = ["neo-hookean", "mooney-rivlin", "yeoh"]
+STIFFENING = 0.3  #: c₂/c₁ of Yeoh's law
 
 
 def body(lean: tuple[float, float] = LEAN, **changes) -> RubberBody:
-    return RubberBody.of(Boxes.between(LINES, 2, lean), [replace(RUBBER, **changes)])
+    return RubberBody.of(Boxes.between(LINES, 2, lean), [rubber(**changes)])
+
+
+def rubber(**changes) -> Material:
+    stiffening = STIFFENING if changes.get("model") == "yeoh" else 0.0
+    return replace(RUBBER, stiffening=stiffening, **changes)
 
 
 def homogeneous(block: RubberBody, F: np.ndarray) -> np.ndarray:
@@ -33,7 +39,7 @@ def homogeneous(block: RubberBody, F: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", LAWS)
 def test_stress_and_tangent_of_a_law_are_slopes_and_hooke_s_at_small_strain(name):
     """∂ψ/∂F = P and ∂P/∂F = A, of ψ = W + p θ with p fixed; central differences of step 1e-5."""
-    law, hooke = (LAWS[one].of([RUBBER], np.ones((1, 1))) for one in (name, "linear"))
+    law, hooke = (LAWS[one].of([rubber(model=one)], np.ones((1, 1))) for one in (name, "linear"))
     rng, step = np.random.default_rng(1), 1e-5
     H, change = 0.2 * rng.standard_normal((2, 3, 3, 7))
     ahead, behind = (law.strain(H + sign * step * change) for sign in (1, -1))
@@ -52,15 +58,18 @@ def test_bar_in_tension_follows_the_closed_form(model):
     """A bar of stretch s and sides a, free of stress sideways; principal stresses of the law by hand.
 
     Neo-Hookean: P_k = μ (λ_k − 1/λ_k) + λ (J − 1) J/λ_k. Mooney-Rivlin, with c₁ = 0.4 μ and c₂ = 0.1 μ: P_k = 2 c₁ λ_k
-    + 2 c₂ λ_k (I₁ − λ_k²) − 2 (c₁ + 2 c₂)/λ_k + (λ − 4 c₂) (J − 1) J/λ_k. With c₂ = 0 the one is the other.
+    + 2 c₂ λ_k (I₁ − λ_k²) − 2 (c₁ + 2 c₂)/λ_k + (λ − 4 c₂) (J − 1) J/λ_k. With c₂ = 0 the one is the other. Yeoh's is
+    the neo-Hookean one of μ (1 + 2 k (I₁ − 3 − 2 ln J)).
     """
     lame, mu = RUBBER.lame_mpa
-    c1, c2 = (0.5 * mu, 0.0) if model == "neo-hookean" else (0.4 * mu, 0.1 * mu)
+    c1, c2 = (0.4 * mu, 0.1 * mu) if model == "mooney-rivlin" else (0.5 * mu, 0.0)
+    k = STIFFENING if model == "yeoh" else 0.0
 
-    def stress(k: int, a: float, stretch: float) -> float:
+    def stress(i: int, a: float, stretch: float) -> float:
         own, J = np.array([a, a, stretch]), a * a * stretch
-        bent = 2 * c1 * own[k] + 2 * c2 * own[k] * ((own**2).sum() - own[k] ** 2)
-        return bent - 2 * (c1 + 2 * c2) / own[k] + (lame - 4 * c2) * (J - 1) * J / own[k]
+        bent = 2 * c1 * own[i] + 2 * c2 * own[i] * ((own**2).sum() - own[i] ** 2)
+        stiffer = 1 + 2 * k * ((own**2).sum() - 3 - 2 * np.log(J))
+        return stiffer * (bent - 2 * (c1 + 2 * c2) / own[i]) + (lame - 4 * c2) * (J - 1) * J / own[i]
 
     block = body((0.0, 0.0), model=model)
     z = block.boxes.points_mm[:, 2]

@@ -36,7 +36,8 @@ def kirchhoff(crossbar, resistance_ohm):
     """
     n_rows, n_wires = 2 * crossbar.rows, 2 * (crossbar.rows + crossbar.cols)
     reference, ground = n_wires, n_wires + 1
-    amplified, gain = crossbar.scan_mode == ScanMode.ZERO_POTENTIAL, crossbar.amplifier_gain
+    tapped, gain = crossbar.scan_mode == ScanMode.FOUR_WIRE, crossbar.amplifier_gain
+    amplified = tapped or crossbar.scan_mode == ScanMode.ZERO_POTENTIAL
     switched_ohm, input_ohm = crossbar.switch_ohm + crossbar.line_ohm, crossbar.sense_ohm / (1 + gain)
     ends = (crossings(crossbar.rows, crossbar.cols) + np.array([0, n_rows])).tolist()
     pillars_ohm, found = crossings_from_pillars(resistance_ohm), []
@@ -53,8 +54,9 @@ def kirchhoff(crossbar, resistance_ohm):
         for one, other, ohm in resistors:
             Y[[one, other], [one, other]] += 1 / ohm
             Y[[one, other], [other, one]] -= 1 / ohm
-        volts = np.linalg.solve(Y[:n_wires, :n_wires], -Y[:n_wires, reference])[column]
-        amps = volts / (crossbar.line_ohm + input_ohm if amplified else switched_ohm + crossbar.sense_ohm)
+        everywhere = np.linalg.solve(Y[:n_wires, :n_wires], -Y[:n_wires, reference])
+        volts, across = everywhere[column], everywhere[row] - everywhere[column] if tapped else 1.0
+        amps = volts / across / (crossbar.line_ohm + input_ohm if amplified else switched_ohm + crossbar.sense_ohm)
         found.append(amps * (gain * input_ohm if amplified else crossbar.sense_ohm))
     return np.array(found)
 
@@ -86,9 +88,9 @@ def test_correct_undoes_exact_readings(mode, switch_ohm):
 def test_the_closed_form_is_only_taken_where_it_is_exact_enough():
     """Over three decades of everything: to the tolerance, a hundredth of a step, which the inverse amplifies."""
     generator = np.random.default_rng(0)
-    for _ in range(100):
+    for number in range(200):
         crossbar = crossbar_of(
-            ScanMode.ZERO_POTENTIAL,
+            (ScanMode.ZERO_POTENTIAL, ScanMode.FOUR_WIRE)[number % 2],
             switch_ohm=10 ** generator.uniform(0, 2.5),
             line_ohm=10 ** generator.uniform(-3, 1),
             amplifier_gain=10 ** generator.uniform(3, 6),
@@ -112,7 +114,7 @@ def test_errors_of_a_converter_are_as_said_and_alike_for_one_scan_and_many(mode)
     expected = crossbar.step_deviation(state[:1])
     error = found / state - 1
     assert np.sqrt((error**2).mean()) == pytest.approx(np.sqrt((expected**2).mean()), rel=0.25)
-    assert np.abs(error).max() < {ScanMode.ZERO_POTENTIAL: 1e-3}.get(mode, 2e-2)
+    assert np.abs(error).max() < (1e-3 if crossbar.is_amplified else 2e-2)
     alone = Corrector(crossbar)
     for k in range(10):
         assert alone.correct(readings[k : k + 1]) == pytest.approx(found[k : k + 1], rel=1e-4)

@@ -229,6 +229,9 @@ rubber --data bare.csv --check small.toml -o r.toml -> --check judges a rubber t
 rubber --data bare.csv --wires 3 -> --wires 3 must be 2 or 4
 rubber --data bare.csv --out r.csv -> --out r.csv must be a file that ends in .toml
 design --extend small.toml -> small.toml: has no table [rubber]
+design --extend missing.toml -> missing.toml: no such file
+design --extend small.toml --out small.toml -> small.toml is read by this command
+design --extend chewing-gum -> neither a rubber file (.toml) nor a published silicone; these are dragon-skin-30,
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
 export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm

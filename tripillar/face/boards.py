@@ -298,7 +298,9 @@ def replay(
     for name, newtons in zip(component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     if unexplained:
-        lines.append(f"{unexplained} that no load explains which the model knows: dead wire? another sensor?")
+        lines.append(
+            f"{unexplained} that no load explains which the model knows: dead wire, other sensor, bare rubber?"
+        )
     lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
 
     def told() -> dict[str, Any]:

@@ -12,12 +12,12 @@ from geometry.design_file import design_to_toml, write_design
 from geometry.storage.files import write_bytes
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, scene_of
+from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, scene_of, to_write
 
 
 @job(out="")
 def design(
-    *, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols, extend: File | None = None
+    *, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols, extend: str = ""
 ) -> SensorDesign:
     """Write a design file: the paper's sensor, every number with its meaning.
 
@@ -29,8 +29,9 @@ def design(
         Number of units along y.
     cols : int
         Number of units along x.
-    extend : path, optional
-        Rubber file (.toml) of `tripillar rubber` for its pillars: memory, relaxation, modulus and resistivity.
+    extend : str
+        Rubber file (.toml) of `tripillar rubber` for its pillars: memory, relaxation, modulus and resistivity; the name
+        of a published silicone for the rubber around them, such as ecoflex-00-30; or both with a comma.
 
     Examples
     --------
@@ -38,8 +39,12 @@ def design(
     6
     """
     sensor = SensorDesign(array=Array(rows=rows, cols=cols))
-    if extend is not None:
-        sensor = stages.extended(sensor, stages.read_rubber(Path(extend)))
+    for name in filter(None, map(str.strip, str(extend).split(","))):
+        if name.endswith(".toml"):
+            to_write("out", out, "", [name])
+            sensor = stages.extended(sensor, stages.read_rubber(Path(name)))
+        else:
+            sensor = stages.surrounded(sensor, name)
     if out is not None:
         write_design(sensor, Path(out))
     text = "" if out is not None else design_to_toml(sensor).removesuffix("\n")

@@ -17,6 +17,7 @@ from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError, FileFormatError
 from geometry.storage.files import require_file, require_folder
 from tripillar.face import stages
+from tripillar.face.caller import current
 
 if TYPE_CHECKING:
     File = Path | str
@@ -183,8 +184,13 @@ def design_of(source: "DesignLike | None") -> SensorDesign:
 
 
 def samples_of(source: "SamplesLike", labels_only: bool = True) -> "stages.AnySamples":
-    """Samples, or those of a file."""
-    return stages.read_samples(Path(source), labels_only=labels_only) if isinstance(source, Path | str) else source
+    """Samples, or those of a file; of series their moments."""
+    found = stages.read_samples(Path(source), labels_only=labels_only) if isinstance(source, Path | str) else source
+    if getattr(found, "time_s", None) is None:
+        return found
+    if found.design is not None and found.design.pillar_material != found.design.pillar_material.settled:
+        current().say("series are taken moment by moment, as if the rubber remembered nothing")
+    return stages.in_memory(found).at_moments()
 
 
 def model_of(source: "ModelLike") -> "stages.AnyDecoder":

@@ -43,7 +43,7 @@ def dataset(
     cap: float = 0.3,
     history: float | None = None,
     rate: float | None = None,
-    crossbar: Literal["zero-potential", "grounded", "divider"] | None = None,
+    crossbar: Literal["zero-potential", "grounded", "divider", "four-wire"] | None = None,
     sense_ohm: float | None = None,
     correct: Annotated[bool, Parameter(negative="--no-correct")] = True,
     strain: Literal["linear", "finite"] | None = None,

@@ -35,7 +35,7 @@ def board(
     link: File | None = None,
     pressure_mpa: float = 3.0,
     period_s: float = 6.0,
-    mode: Literal["zero-potential", "grounded", "divider"] = "zero-potential",
+    mode: Literal["zero-potential", "grounded", "divider", "four-wire"] = "zero-potential",
     rate_hz: int = 150,
     sense_ohm: int | None = None,
     noise: float = 0.0,
@@ -113,13 +113,14 @@ def board(
         response = stages.respond(design_of(design), caller.bars)[1]
     else:
         response = design
-    motion, shunts = stages.press_and_slide(response, script, own), stages.shunts_of(response.design)
+    seen = replace(response, design=stages.seen_by(electronics.crossbar(told), response.design))
+    motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)
     rows, cols = motion.resistance_ohm.shape[1:3]
     told = replace(told, rows=rows, cols=cols)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
     crossbar = replace(electronics.crossbar(told), noise=noise, shunt_siemens=shunts)
-    counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own, response.design.electrics)
+    counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own, seen.design.electrics)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
     with stages.run_board(suited, told, counts, kept) as running:

@@ -33,11 +33,13 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.fit import identified as rubber_of, of_range, resistance_from_strain
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber, of_range, resistance_from_strain
+    from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
     from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
     from decoupler.rubber.series import Series, read_series
+    from decoupler.rubber.silicones import surrounded
     from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import assess_touch
     from decoupler.touch.decoder import TouchDecoder
@@ -74,7 +76,7 @@ if TYPE_CHECKING:
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
-    from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
+    from hardware.readout.crossbar_readout import CrossbarReadout, seen_by, shunts_of
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
     from hardware.readout.known_loads import calibrated, doubt_about

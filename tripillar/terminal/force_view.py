@@ -132,7 +132,7 @@ def notes_on(scan: Forces) -> list[str]:
         notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
     if scan.unexplained:
         notes.append(
-            f"χ² {scan.chi2:.3g}: no load that the model knows explains this reading; dead wire? other sensor?"
+            f"χ² {scan.chi2:.3g}: no load that the model knows explains it: dead wire, other sensor, bare rubber?"
         )
     return notes + list(scan.faults)
 
