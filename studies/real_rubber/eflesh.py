@@ -84,13 +84,13 @@ def trials(found: list[Pressed], kind: str) -> Iterator[tuple[str, Pressed, Pres
 
 
 def judged(folder: Path, kind: str) -> list[dict[str, Any]]:
-    """A row of errors for each trial and way; of places, both coordinates together."""
-    rows, unit = [], PAPER[kind].split()[1]
+    """A row of errors for each trial and way, in newtons or millimetres; of places, both coordinates together."""
+    rows = []
     for name, learned, (channels, true) in trials(recordings(folder, kind), kind):
         m = min(true.shape[1], 2)
         for way, got, half in decoded(learned, channels):
             error = (got - true)[:, :m]
             sizes = {"rmse": float(np.sqrt(np.mean(error**2))), "mean": float(np.abs(error).mean())}
-            inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m])), "paper": PAPER[kind]}
-            rows.append({"kind": kind, "tested on": name, "by": way, "unit": unit, **sizes, **inside})
+            inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m]))}
+            rows.append({"kind": kind, "tested on": name, "by": way, "paper": PAPER[kind], **sizes, **inside})
     return rows

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.rubber.fit import identified, of_range, resistance_from_strain
+from decoupler.rubber.check import of_range, resistance_from_strain
+from decoupler.rubber.fit import identified
 from decoupler.rubber.law import Rubber
 from decoupler.rubber.series import Series
 from geometry.layout import FloatArray

@@ -11,16 +11,11 @@ from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
 
 FOLDER = Path("src/experimental_data")
-PAIRS = {  #: a series to fit, and those to test it on
-    "pike1/exp_pike1_sensor1_exp1": (
-        "pike1/exp_pike1_sensor1_exp2",
-        "pike1_force_10/exp_pike1_force_10_sensor1_exp1",
-        "pike1_force_20/exp_pike1_force_20_sensor1_exp2",
-    ),
+PAIRS = {  #: a series to fit, and those to test it on: the same loads, and larger ones
+    "pike1/exp_pike1_sensor1_exp1": ("pike1/exp_pike1_sensor1_exp2",),
     "pike1_force_20/exp_pike1_force_20_sensor1_exp1": (
         "pike1_force_20/exp_pike1_force_20_sensor1_exp2",
         "pike1_force_40/exp_pike1_force_40_sensor1_exp2",
-        "pike1_force_10/exp_pike1_force_10_sensor1_exp2",
     ),
 }
 RATE_HZ, RESTING_S = 50.0, 1.0

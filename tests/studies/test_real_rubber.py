@@ -29,9 +29,14 @@ def write_strip(path):
 
 
 def write_pad(folder, name):
-    for k, (part, rate, values) in enumerate((("velostat_data", 140, 900 / (1 + 30 * WAVE)), ("futek_data", 250, 10 * WAVE))):
+    for k, (part, rate, values) in enumerate(
+        (("velostat_data", 140, 900 / (1 + 30 * WAVE)), ("futek_data", 250, 10 * WAVE))
+    ):
         t = np.arange(0.0, 119.0, 1 / rate)
-        lines = [f"{v:.3f} {1.6e9 + 0.5 * k + s:.4f}" for v, s in zip(np.interp(t, np.arange(len(WAVE)) * 0.08, values), t, strict=True)]
+        lines = [
+            f"{v:.3f} {1.6e9 + 0.5 * k + s:.4f}"
+            for v, s in zip(np.interp(t, np.arange(len(WAVE)) * 0.08, values), t, strict=True)
+        ]
         path = folder / velostat.FOLDER / part / f"{name}.txt"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("\n".join([lines[0].split()[0], *lines]))
@@ -42,7 +47,11 @@ def write_eflesh(folder, kind, n=150):
     mix = np.random.default_rng(0).standard_normal((2, 15))
     for k in (1, 2):
         t, (a, b) = 10.0 * k + np.arange(n) / 30.0, np.random.default_rng(k).uniform(0, 30, (2, n))
-        places = [a, b, 0 * a] if kind == "spatial_resolution" else [0 * a, 0 * a, 0 * a, np.where(np.arange(n) % 3, 100 * a, -1.0)]
+        places = (
+            [a, b, 0 * a]
+            if kind == "spatial_resolution"
+            else [0 * a, 0 * a, 0 * a, np.where(np.arange(n) % 3, 100 * a, -1.0)]
+        )
         seen = np.column_stack([a, b if kind == "spatial_resolution" else a]) @ mix * 40
         one = folder / eflesh.FOLDER / kind / f"r{k}"
         one.mkdir(parents=True)
@@ -52,11 +61,51 @@ def write_eflesh(folder, kind, n=150):
 
 def test_a_strip_is_read_as_it_was_stretched(tmp_path):
     ohm = write_strip(tmp_path / "s.csv")
-    series = strips.read_strip(tmp_path / "s.csv")
+    series = strips.read_strip(tmp_path, "s")
     t = np.arange(len(WAVE)) * 0.08
     assert series.strain == pytest.approx(np.interp(series.time_s, t, WAVE), abs=0.02)
     assert series.resistance_ohm == pytest.approx(np.interp(series.time_s, t, ohm), rel=0.06)
-    assert strips.contact_pct(tmp_path / "s.csv") == pytest.approx(90.0, abs=1.5)
+    assert strips.contact_pct(tmp_path, "s") == pytest.approx(90.0, abs=1.5)
     parts = parts_of(series)
     assert series.strain[parts["held"]].min() > 0.29
     assert {round(float(s)) for s in series.time_s[parts["released"]]} <= {*range(43, 50), *range(93, 100)}
+
+
+def test_a_pad_is_synchronised_by_the_clocks_of_both_streams(tmp_path):
+    write_pad(tmp_path, "p")
+    series = velostat.read_pad(tmp_path, "p")
+    t = np.arange(len(WAVE)) * 0.08
+    resistance = np.interp(series.time_s + 0.51, t, 900 / (1 + 30 * WAVE))
+    assert series.resistance_ohm == pytest.approx(resistance, rel=0.02)
+    assert series.force_n == pytest.approx(np.interp(series.time_s + 0.01, t, 10 * WAVE), abs=0.02)
+
+
+def test_tables_of_all_that_is_there(tmp_path, monkeypatch, capsys):
+    """Of eFlesh no clone is there: its line says which; without any clone the study ends."""
+    data, out = tmp_path / "data", tmp_path / "out"
+    with pytest.raises(DesignError, match=r"git clone https://github\.com/notvenky/eFlesh"):
+        judge(data, out)
+    for name in ("a", "b"):
+        (data / "electromech-stretcher").mkdir(parents=True, exist_ok=True)
+        write_strip(data / "electromech-stretcher" / f"{name}.csv")
+    monkeypatch.setattr(strips, "PAIRS", {"a": ("b",)})
+    monkeypatch.setattr("studies.real_rubber.others.STEPS", 2)
+    judge(data, out)
+    assert "eFlesh is missing" in capsys.readouterr().err
+    tables = json.loads((out / "real-rubber.json").read_text(encoding="utf-8"))["tables"]
+    (row,) = tables["resistance from strain [% of range]"]
+    assert row["ours"] < 3 < row["static polynomial"]
+    forces = {row["part"]: row for row in tables["force from resistance [% of range]"]}
+    assert {*forces} == {"all", "released", "held"}
+    assert {path.name for path in out.iterdir()} == {"real-rubber.json", "real-rubber.md", "real-rubber.png"}
+
+
+@pytest.mark.parametrize("kind", ["normal_force", "spatial_resolution"])
+def test_contacts_of_efleshs_are_decoded_that_were_not_learned(kind, tmp_path):
+    write_eflesh(tmp_path, kind)
+    for channels, wanted in eflesh.recordings(tmp_path, kind):
+        assert wanted.shape == ((100, 1) if kind == "normal_force" else (150, 3))
+        assert channels.shape == (len(wanted), 15)
+    rows = eflesh.judged(tmp_path, kind)
+    assert {row["by"] for row in rows} == {"identify", "train"}
+    assert max(row["rmse"] for row in rows) < 1.0
