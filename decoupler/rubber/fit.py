@@ -7,7 +7,7 @@ The priors are what was published of silicones filled with carbon black: after a
 import numpy as np
 
 from dataset.memory import broken_contacts, relaxed_forces
-from decoupler.rubber.law import LINEAR, Elastic, Rubber, log_ratio, memory_of, settled_stress
+from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_stress
 from decoupler.rubber.separable import Fit, Prior, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
@@ -134,14 +134,3 @@ def _fit_force(series: Series, kinds: list[tuple[float, float]], size: float) ->
     prior = np.concatenate([[[0.0, ANY]] * (len(kinds) + 1), RELAXING])
     known = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=len(kinds) + 1)
     return fitted(columns, series.force_n / size, seconds, known, RELAXING[None, :, 0])
-
-
-def resistance_from_strain(rubber: Rubber, series: Series) -> FloatArray:
-    """Resistances (n,) that the law gives a series, the offset of ln R free: that of the least error in ohms."""
-    ohm = np.exp(log_ratio(series.strain, series.seconds, rubber.memory))
-    return ohm * float(ohm @ series.resistance_ohm) / float(ohm @ ohm)
-
-
-def of_range(found: FloatArray, true: FloatArray) -> float:
-    """Root mean square error in % of the range of the true values."""
-    return float(100 * np.sqrt(np.mean((found - true) ** 2)) / max(float(np.ptp(true)), 1e-300))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from decoupler.rubber.fit import resistance_from_strain
+from decoupler.rubber.check import resistance_from_strain
 from decoupler.rubber.law import Rubber, log_ratio
 from decoupler.rubber.series import Series
 from geometry.storage.files import replacing

@@ -38,7 +38,7 @@ class Fit:
     numbers: FloatArray  #: (m + k,)
     covariance: FloatArray  #: (m + k, m + k)
     error: FloatArray  #: target less model, (n,)
-    noise: float  #: standard deviation of these errors, tails left out
+    noise: float  #: standard deviation of these errors
     correlation_s: float  #: time over which they are alike [s]
     count: float  #: independent readings that n are worth
     cost: float  #: −2 ln of the posterior's density, but for a constant
@@ -108,26 +108,30 @@ class _Problem:
         return problem
 
     def found(self) -> Fit:
-        """The fit with its covariance H⁻¹ (Jᵀ C J + P) H⁻¹: H and P the precision after and before, C of the errors."""
+        """The fit with its covariance H⁻¹ (Jᵀ C J + P) H⁻¹: H and P the precision after and before, C of the scores."""
         n, (A, numbers, residual) = len(self.target), self.linear(self.others)
         slopes = [
             (self.columns(self.others + step) - self.columns(self.others - step)) @ numbers / (2 * STEP)
             for step in STEP * np.eye(len(self.others))
         ]
-        J = np.concatenate([A, self.whitened(np.stack(slopes, axis=1))], axis=1)
+        weight = np.broadcast_to(self.weight, n)
+        J = np.concatenate([A, self.whitened(np.stack(slopes, axis=1))], axis=1) / weight[:, None]
         worth, P = self.variance * self.inflation, np.diag(self.prior.deviation**-2)
-        told = J.T @ J / worth
+        error = residual[:n] * np.sqrt(worth) / weight
+        u = error**2 / self.variance  # of Student's score ψ = w u^½: its slope, and its square
+        slope, square = np.mean((TAILS + 1) * (TAILS - u) / (TAILS + u) ** 2), np.mean(weight**4 * u)
+        told = max(float(slope), LEAST) * J.T @ J / worth
         spent = float(np.trace(np.linalg.solve(told + P, told)))
         count = n / self.inflation
         used_up = count / max(count - spent, 1.0)  # what numbers take from the errors
-        told, worth = told / used_up, worth * used_up
+        told = told / used_up
         H = np.linalg.inv(told + P)
-        spread = _correlated(J, residual[:n]) / (worth * self.inflation)
+        spread = square * _correlated(J, weight**2 * error) / (worth * self.inflation * used_up)
         covariance = H @ (spread + P) @ H
         error = self.target - self.columns(self.others) @ numbers
         return Fit(
             numbers=np.r_[numbers, self.others], covariance=(covariance + covariance.T) / 2, error=error,
-            noise=float(np.sqrt(_of_tails(error, LEAST * float(np.std(self.target)))[0])),
+            noise=float(np.std(error)),
             correlation_s=inflation(error) * float(np.median(self.seconds)) / 2, count=count, cost=self.cost,
         )  # fmt: skip
 

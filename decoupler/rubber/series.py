@@ -28,13 +28,15 @@ TWO_WIRES = {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3}  #: may stand beside tho
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
 MAX_ROWS = 15_000  #: more are averaged
-MAX_STEP_S = 20.0  #: between rows: no bench reads so slowly, milliseconds look so
+MAX_STEP_S, MAX_DAYS = 5.0, 3.0  #: between rows, and of all: no bench is so slow, milliseconds look so
+LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
 MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, and that is believed
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, and over their usual distance
 STILL = 0.02  #: of the range: strain that has hardly moved
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
+MANY_GLITCHES = 0.3  #: of the rows: what jumps so often is no position of the specimen
 FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
@@ -166,8 +168,9 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
         raise FileFormatError(f"{path}: has {n} rows with all readings, a series needs at least {MIN_ROWS}.")
     step_s, most = float(np.median(series.seconds)), float(np.abs(series.strain).max())
     ohm, span = float(np.median(series.resistance_ohm)), float(np.ptp(series.strain))
-    if step_s > MAX_STEP_S:
-        said = f"its rows are {step_s:.4g} s apart, as if {time} were milliseconds: name the column time_ms"
+    if step_s > MAX_STEP_S or np.ptp(series.time_s) > MAX_DAYS * 86400:
+        said = f"its rows are {step_s:.4g} s apart, {np.ptp(series.time_s):.3g} s in all, as if {time} were "
+        said += "milliseconds: name the column time_ms"
     elif most > MAX_STRAIN:
         said = f"{strained} goes up to {most:.4g}, as if it were percent or millimetres: name it strain_pct, or "
         said += "displacement_mm with length_mm="
@@ -182,13 +185,16 @@ def _require_sense(path: Path, series: Series, time: str, strained: str, resiste
         )
     if (series.strain <= -0.95).any():
         raise FileFormatError(f"{path}: {strained} falls to {series.strain.min():.3g}: nothing is shorter than -0.95.")
-    if np.ptp(series.resistance_ohm) < 1e-9 * ohm:
-        raise FileFormatError(f"{path}: {resisted} stays {ohm:.6g} Ω: was the meter connected?")
+    for name, values in ((resisted, series.resistance_ohm), ("force_n", series.force_n)):
+        if np.ptp(values) <= 1e-9 * np.abs(values).max():
+            raise FileFormatError(f"{path}: {name} stays {values[0]:.6g}: was its meter connected?")
+        if np.abs(values).max() > LARGEST:
+            raise FileFormatError(f"{path}: {name} goes up to {np.abs(values).max():.3g}: leave such rows out.")
 
 
 def _mended(path: Path, series: Series) -> Series:
     """The series without glitches, gaps and alternating readings; the signs agree."""
-    series = _without_gaps(path, _without_glitches(_without_glitches(series)))  # twice: some hide behind others
+    series = _without_gaps(path, _without_glitches(path, series))
     if (n := swinging(series.resistance_ohm)) > MANY:
         series = series.averaged(2, f"readings alternate in {n:.0%} of the rows: averaged in pairs")
     series = _without_jitter(series)
@@ -202,11 +208,25 @@ def _mended(path: Path, series: Series) -> Series:
     return series
 
 
-def _without_glitches(series: Series) -> Series:
+def _without_glitches(path: Path, series: Series) -> Series:
     """Positions that jump away and soon come back while the force stays are put between their neighbours."""
+    t, f, strain, bad = series.time_s, series.force_n, series.strain, np.zeros(len(series), dtype=bool)
+    for _ in range(2):  # some hide behind others
+        bad |= _glitches(t, strain, f)
+        strain = np.interp(t, t[~bad], series.strain[~bad])
+    if bad.mean() > MANY_GLITCHES:
+        raise FileFormatError(
+            f"{path}: position jumps away and back in {bad.mean():.0%} of the rows while the force stays: is it that "
+            "of the specimen, at the same time?"
+        )
+    note = f"position jumps away and back in {bad.sum()} rows, the force does not: put between their neighbours"
+    return replace(series, strain=strain, notes=(*series.notes, note)) if bad.any() else series
+
+
+def _glitches(t: FloatArray, x: FloatArray, f: FloatArray) -> NDArray[np.bool_]:
+    """Which of the positions x (n,) at times t are far from those around while the force f is not."""
     from scipy.ndimage import label, median_filter
 
-    x, f, t = series.strain, series.force_n, series.time_s
     usual, pull = median_filter(x, 2 * GLITCH_ROWS + 1, mode="nearest"), float(np.polyfit(x, f, 1)[0])
     runs, count = label(np.abs(x - usual) > JUMP * np.ptp(x))
     bad = np.zeros(len(x), dtype=bool)
@@ -216,16 +236,12 @@ def _without_glitches(series: Series) -> Series:
         away, pulled = (v[run] - np.interp(t[run], t[ends], v[ends]) for v in (x, f))
         stayed = pull * (pulled @ away) < FOLLOWED * pull**2 * (away @ away)
         bad[run] = stayed and np.abs(away).max() > JUMP * np.ptp(x)
-    if not bad.any():
-        return series
-    strain = np.interp(t, t[~bad], x[~bad])
-    note = f"position jumps away and back in {bad.sum()} rows, the force does not: put between their neighbours"
-    return replace(series, strain=strain, notes=(*series.notes, note))
+    return bad
 
 
 def _signs_agree(series: Series) -> Series:
     """Strain and force that rise together; where they do not, the resistance tells which of them is turned."""
-    if np.ptp(series.force_n) == 0 or np.corrcoef(series.strain, series.force_n)[0, 1] >= 0:
+    if np.corrcoef(series.strain, series.force_n)[0, 1] >= 0:
         return series
     if np.corrcoef(series.strain, series.resistance_ohm)[0, 1] < 0:  # it rises in tension
         note = "force_n and the resistance rise as strain falls: taken for tension, strain's sign was turned"

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoupler.rubber.fit import fit_elastic, identified, of_range, resistance_from_strain
+from decoupler.rubber.check import checked, of_range, resistance_from_strain
+from decoupler.rubber.fit import fit_elastic, identified
 from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import Series, read_series
@@ -120,6 +121,16 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
         read_rubber(tmp_path / "cut.toml")
 
 
+def test_a_check_zeroes_forces_and_counts_what_deviations_hold(found, series):
+    """Forces 3 N off all along and then right to 1 % of the range: an offset is none, deviations hold as they say."""
+    size = np.ptp(series.force_n)
+    off = 0.01 * size * np.random.default_rng(0).standard_normal(len(series))
+    judged = checked(found, series, (series.force_n + off + 3.0, np.full(len(series), 0.01 * size)))
+    assert judged.force_nrmse_pct == pytest.approx(1.0, abs=0.1)  # with the noise of the first 2 s
+    assert judged.coverage == pytest.approx((68, 95), abs=4)
+    assert checked(found, series).coverage is None
+
+
 def test_two_ways_of_reading_tell_contacts(series):
     """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
     read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
@@ -216,7 +227,9 @@ REFUSED = {
     "no strain": (lambda s: {"strain": 0.0 * s.strain}, "a specimen that is not stretched"),
     "column": (lambda s: {"force_n": None}, "the column force_n is missing"),
     "length": (lambda s: {"strain": None, "displacement_mm": 40 * s.strain}, "needs the specimen's length"),
-    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was the meter connected"),
+    "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was its meter connected"),
+    "load cell": (lambda s: {"force_n": 0 * s.time_s}, "force_n stays 0: was its meter connected"),
+    "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
     "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 40 rows"),
 }
 

@@ -1,6 +1,6 @@
 """Find a rubber from a bench series, check it on another one, and say which test to take next."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,13 +10,6 @@ from geometry.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, job
-
-
-@dataclass(frozen=True, kw_only=True)
-class RubberCheck:
-    """What a rubber makes of a series that it was not found from."""
-
-    resistance_nrmse_pct: float  #: of resistance from strain, the offset of ln R free, in % of the series' range
 
 
 @job(out=".toml", next_test=".csv", picture=".png")
@@ -33,7 +26,7 @@ def rubber(
     electrodes_mm: float | None = None,
     wires: int = 4,
     force: bool = False,
-) -> "stages.Rubber | RubberCheck | None":
+) -> "stages.Rubber | stages.RubberCheck | None":
     """Find what a rubber remembers from a bench series: its resistance and force under strain; or check it on another.
 
     A series is a table (CSV) with the columns time_s, strain, force_n, resistance_ohm of one strip; docs/rubber.md.
@@ -94,8 +87,7 @@ def rubber(
         caller.say(f"warning: {data}: {note}")
     if check is not None:
         known = stages.read_rubber(Path(check))
-        modelled = stages.resistance_from_strain(known, series)
-        judged = RubberCheck(resistance_nrmse_pct=stages.of_range(modelled, series.resistance_ohm))
+        judged = stages.check_rubber(known, series)
         if picture is not None:
             stages.draw_rubber(known, series, Path(picture))
         caller.answer(lambda: asdict(judged), _told(asdict(judged)), picture)
@@ -157,4 +149,9 @@ def _said(result: dict[str, Any]) -> str:
 
 
 def _told(judged: dict[str, Any]) -> str:
-    return "\n".join(f"{name.removesuffix('_pct')}: {value:.2f} %" for name, value in judged.items())
+    said = f"resistance from strain misses {judged['resistance_nrmse_pct']:.2f} % of the series' range"
+    if judged["coverage"] is None:
+        return said
+    held = "{:.0f} and {:.0f} %".format(*judged["coverage"])
+    forces = f"force from resistance misses {judged['force_nrmse_pct']:.2f} %"
+    return f"{said}\n{forces}; its deviations hold {held} where they say 68 and 95 %"
