@@ -22,7 +22,7 @@ ROOMS = {
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",
     "tripillar": "terminal pipeline doctor sweep viewer simulators face cli",
-    "studies": "pictures bench edge_cases paper robustness",
+    "studies": "pictures bench edge_cases paper robustness real_rubber",
 }
 
 

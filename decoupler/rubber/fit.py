@@ -17,7 +17,7 @@ from geometry.layout import FloatArray
 #: mean and deviation of g1, g2, a1, a2
 LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.2], [0.25, 0.2]])
 #: of the logarithms of b_lengthen, of b_shorten over it, and of both times
-OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 1.5], [9.0, 2.0], [120.0, 2.5]])
+OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 3.0], [9.0, 2.0], [120.0, 2.5]])
 STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, if not at rest
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's

@@ -13,7 +13,7 @@ import numpy as np
 from geometry.layout import FloatArray
 
 CORRELATION_S = 1.0  #: over which errors are taken as alike; chosen by parts of series that were not fitted
-TAILS = 3.0  #: degrees of freedom of Student's distribution
+TAILS = 2.0  #: degrees of freedom of Student's distribution
 UNCORRELATED = 0.05  #: correlation that ends the sum of correlations
 ROUNDS = 8  #: of weights and variances
 LEAST = 1e-6  #: deviation of errors, relative to the target's: arithmetic has them

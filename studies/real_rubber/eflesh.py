@@ -1,0 +1,96 @@
+"""Magnetic readings of eFlesh decoded without a design: force and place from 15 or 30 channels.
+
+Data: notvenky/eFlesh on GitHub, ``characterization/datasets``; Pattabiraman et al., arXiv 2506.09994.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dataset import Samples
+from decoupler import NetworkConfig, train
+from decoupler.data.pairs import Pairs
+from decoupler.twin.identification import identify
+from geometry.layout import AXES, FloatArray
+
+FOLDER = Path("characterization/datasets")
+N_PER_G = 9.81e-3
+REST = 2e4  #: added to changes of a channel [μT], which are then resistances [Ω]; the largest is a sixth of it
+NOISE = 2.5e-4  #: of these: 5 μT, the channels' scatter at rest
+PAIRS = 600  #: of those that `identify` takes, spread over all
+HELD_OUT = 0.2  #: share of places; of a recording's end, as the paper's own split
+PAPER = {"normal_force": "0.27 N", "shear_force": "0.12 N", "spatial_resolution": "0.5 mm"}
+Pressed = tuple[FloatArray, FloatArray]  #: channels (n, c) [μT], and (n, 1) force [N], or (n, 3) place and height [mm]
+
+
+def recordings(folder: Path, kind: str) -> list[Pressed]:
+    """Each recording of a kind, but for lines in which the scale said nothing; the robot's line nearest in time."""
+    found = []
+    for one in sorted((folder / FOLDER / kind).iterdir()):
+        sensor, states = (np.loadtxt(one / name, delimiter=",") for name in ("sensor_post_baselines.csv", "states.csv"))
+        probe = states[np.searchsorted((states[1:, 0] + states[:-1, 0]) / 2, sensor[:, 0]), 1:]
+        weighed = probe[:, -1] >= 0
+        wanted = N_PER_G * probe[:, 3:] if probe.shape[1] > 3 else probe - probe.mean(axis=0)
+        found.append((sensor[weighed, 1:], wanted[weighed]))
+    return found
+
+
+def samples(channels: FloatArray, wanted: FloatArray) -> Samples:
+    """Channels as pillars of c/3 units, what is wanted of them as forces on each unit."""
+    n, c = channels.shape
+    force = np.zeros((n, 1, c // 3, len(AXES)))
+    force[..., : wanted.shape[1]] = wanted[:, None, None]
+    return Samples(resistance_ohm=channels.reshape(force.shape) + REST, force_n=force, noise=NOISE)
+
+
+def decoded(learned: Pressed, channels: FloatArray) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """By each way its name, what is wanted (n, m), and half-widths that are to hold 95 % of the errors.
+
+    Of readings at rest a tenth is learned from: error bars leave out all of a load at once, and rest is a fifth of all.
+    """
+    some = learned[1].any(axis=1) | (np.arange(len(learned[1])) % 10 == 0)
+    known = samples(learned[0][some], learned[1][some])
+    some = np.linspace(0, len(known) - 1, min(PAIRS, len(known))).astype(int)
+    ways = {
+        "identify": lambda: identify(Pairs.of(known[some]), component="all").decoder,
+        "train": lambda: train(known, "all", NetworkConfig(feature="resistance")),
+    }
+    m = learned[1].shape[1]
+    ohms = samples(channels, np.zeros((len(channels), m))).resistance_ohm
+    for name, made in ways.items():
+        model = made()
+        force, half = (of.mean(axis=(1, 2))[:, :m] for of in (model.forces(ohms), model.half_widths(ohms)[1]))
+        yield name, force, half
+
+
+def trials(found: list[Pressed], kind: str) -> Iterator[tuple[str, Pressed, Pressed]]:
+    """What is learned from and what is asked: contacts that were not learned from."""
+    if kind == "spatial_resolution":
+        x, wanted = found[0]
+        place = np.unique(np.round(wanted[:, :2]), axis=0, return_inverse=True)[1]
+        out = np.random.default_rng(0).permutation(place.max() + 1)[place] < HELD_OUT * place.max()
+        yield "places not learned", (x[~out], wanted[~out]), (x[out], wanted[out])
+        yield "another recording", found[0], found[1]
+        return
+    for k, tested in enumerate(found):
+        rest = found[:k] + found[k + 1 :]
+        x, wanted = (np.concatenate([one[part] for one in rest]) for part in (0, 1))
+        yield f"recording {k + 1} by the others", (x, wanted), tested
+    x, wanted = found[-1]
+    n = int((1.0 - HELD_OUT) * len(x))
+    yield "the last's last fifth by its first", (x[:n], wanted[:n]), (x[n:], wanted[n:])
+
+
+def judged(folder: Path, kind: str) -> list[dict[str, Any]]:
+    """A row of errors for each trial and way, in newtons or millimetres; of places, both coordinates together."""
+    rows = []
+    for name, learned, (channels, true) in trials(recordings(folder, kind), kind):
+        m = min(true.shape[1], 2)
+        for way, got, half in decoded(learned, channels):
+            error = (got - true)[:, :m]
+            sizes = {"rmse": float(np.sqrt(np.mean(error**2))), "mean": float(np.abs(error).mean())}
+            inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m]))}
+            rows.append({"kind": kind, "tested on": name, "by": way, "paper": PAPER[kind], **sizes, **inside})
+    return rows
