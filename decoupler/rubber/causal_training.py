@@ -63,7 +63,7 @@ def of_rubber(rubber: Rubber, **others: Any) -> Histories:
     rows = tuple(tuple(float(f"{value:.6g}") for value in row) for row in rubber.covariance)
     numbers = tuple(float(f"{value:.6g}") for value in rubber.numbers)
     largest = max(0.3, min(0.6, 1.05 * rubber.max_strain))
-    known = {"noise": rubber.noise, "correlation_s": rubber.correlation_s, "strains": (-0.3, largest)}
+    known: dict[str, Any] = {"noise": rubber.noise, "correlation_s": rubber.correlation_s, "strains": (-0.3, largest)}
     return Histories(numbers=numbers, covariance=rows, **(known | others))
 
 
@@ -95,10 +95,12 @@ def read_filter(path: Path) -> CausalFilter:
     header, arrays = opened_file(path)
     if header.get("format") != "causal filter":
         raise FileFormatError(f"{path}: no causal filter: delete it.")
-    memory = header["memory"]
-    paired = {name: tuple(value) if isinstance(value, list) else value for name, value in memory.items()}
-    own = {name: header[name] for name in ("unit", "widening", "made_from")}
-    return CausalFilter(memory=Memory(**paired), strains=tuple(header["strains"]), **own, **arrays)
+    numbers: dict[str, Any] = {
+        name: tuple(each) if isinstance(each, list) else each for name, each in header["memory"].items()
+    }
+    said: dict[str, Any] = {name: header[name] for name in ("unit", "widening", "made_from")}
+    said |= {"memory": Memory(**numbers), "strains": tuple(header["strains"]), **arrays}
+    return CausalFilter(**said)
 
 
 def train(histories: Histories, memory: Memory, made_from: dict[str, Any] | None = None) -> CausalFilter:
@@ -220,7 +222,8 @@ def _ramp(start: float, end: float, step: float) -> FloatArray:
 def _wave(generator: Generator, n: int, apart_s: float) -> FloatArray:
     """Four sines, from 0 to 1."""
     time_s = apart_s * np.arange(1, n + 1)[:, None]
-    hertz = np.exp(generator.uniform(*np.log(WAVES_HZ), 4))
+    slowest, quickest = np.log(WAVES_HZ)
+    hertz = np.exp(generator.uniform(slowest, quickest, 4))
     waves = np.sin(2 * np.pi * (hertz * time_s + generator.random(4))) @ generator.standard_normal(4)
     return np.asarray((waves - waves.min()) / (np.ptp(waves) + 1e-9))
 
