@@ -4,8 +4,7 @@ Each pillar has filters of its ln R, and the rubber's law turned round (`inversi
 that the rubber may have (`causal_training`), judges how far each is to be believed, and what it would say itself.
 """
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,7 +36,6 @@ class CausalFilter:
     skip: FloatArray  #: (1, k): the net's own answer by its inputs
     unit: float  #: deviation of the strains that it was trained on
     widening: float = 1.0  #: of its deviations, so that they hold what they say
-    made_from: dict[str, Any] = field(default_factory=dict)
 
     def start(self, pillars: int) -> "Follower":
         """A state that has seen nothing yet."""

@@ -6,7 +6,7 @@ strain's size instead; gains and slow errors are drawn; some histories begin in 
 
 import logging
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,11 @@ import numpy as np
 from numpy.random import Generator
 
 from dataset.memory import PillarMemory, broken_contacts, log_rise
-from decoupler.model.model_file import opened_file, save_file
 from decoupler.rubber.causal import FARTHEST, LOG_SPREADS, CausalFilter
 from decoupler.rubber.law import NAMES, Rubber, numbers_of
 from geometry.design import Memory
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept
+from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
 VERSION = 1  #: of what training does; filters of others are trained anew
@@ -78,37 +76,35 @@ def trained(histories: Histories, memory: Memory) -> CausalFilter:
 
     def make() -> CausalFilter:
         logging.getLogger("tripillar").warning("training what follows this rubber's memory: half a minute, once")
-        return train(histories, memory, {"recipe": key})
+        return train(histories, memory)
 
-    return kept("causal.safetensors", key, make, read_filter, write_filter)[0]
+    def read(path: Path) -> CausalFilter:
+        return read_filter(path, memory, histories.strains)
+
+    return kept("causal.npz", key, make, read, write_filter)[0]
+
+
+ARRAYS = ("centre", "width", "hidden", "second", "output", "skip", "unit", "widening")
 
 
 def write_filter(causal: CausalFilter, path: Path) -> None:
-    """Write a filter, whole or not at all."""
-    stated = {spec.name: getattr(causal, spec.name) for spec in fields(causal)}
-    plain = {name: value for name, value in stated.items() if not isinstance(value, np.ndarray)}
-    save_file({**plain, "memory": asdict(causal.memory), "format": "causal filter"}, causal, path)
+    """Write what a filter has learned, whole or not at all."""
+    write_arrays({name: getattr(causal, name) for name in ARRAYS}, path)
 
 
-def read_filter(path: Path) -> CausalFilter:
-    """Read what `write_filter` wrote; `FileFormatError` if it is missing, damaged or foreign."""
-    header, arrays = opened_file(path)
-    if header.get("format") != "causal filter":
-        raise FileFormatError(f"{path}: no causal filter: delete it.")
-    numbers: dict[str, Any] = {
-        name: tuple(each) if isinstance(each, list) else each for name, each in header["memory"].items()
-    }
-    said: dict[str, Any] = {name: header[name] for name in ("unit", "widening", "made_from")}
-    said |= {"memory": Memory(**numbers), "strains": tuple(header["strains"]), **arrays}
-    return CausalFilter(**said)
+def read_filter(path: Path, memory: Memory, strains: tuple[float, float]) -> CausalFilter:
+    """The filter of a rubber from what it has learned; `FileFormatError` if that is missing or damaged."""
+    arrays: dict[str, Any] = read_arrays(path)
+    numbers = {name: float(arrays[name]) for name in ARRAYS[-2:]}
+    return CausalFilter(memory=memory, strains=strains, **{name: arrays[name] for name in ARRAYS[:-2]}, **numbers)
 
 
-def train(histories: Histories, memory: Memory, made_from: dict[str, Any] | None = None) -> CausalFilter:
+def train(histories: Histories, memory: Memory) -> CausalFilter:
     """A filter that has learned histories by heart as little as it can: deviations are those of histories held out."""
     generator = np.random.default_rng(histories.seed)
     blank = CausalFilter(
         memory=memory, strains=histories.strains, centre=np.zeros(0), width=np.zeros(0), hidden=np.zeros(0),
-        second=np.zeros(0), output=np.zeros(0), skip=np.zeros(0), unit=1.0, made_from=made_from or {},
+        second=np.zeros(0), output=np.zeros(0), skip=np.zeros(0), unit=1.0,
     )  # fmt: skip
     inputs, by_law, strains, ends = [], [], [], 0
     for k, (y, strain, seconds) in enumerate(drawn(histories, generator)):

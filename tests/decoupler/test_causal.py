@@ -121,15 +121,15 @@ def test_readings_that_come_at_once_or_never_leave_numbers(causal):
 
 
 def test_a_filter_comes_back_from_its_file(causal, tmp_path):
-    write_filter(causal, tmp_path / "a.safetensors")
-    found = read_filter(tmp_path / "a.safetensors")
+    write_filter(causal, tmp_path / "a.npz")
+    found = read_filter(tmp_path / "a.npz", MEMORY, ASKED.strains)
     y = read(press([-0.1, 0.1])[1][:100])
     for mine, its in zip(
         causal.followed(np.arange(100) * 0.1, y), found.followed(np.arange(100) * 0.1, y), strict=True
     ):
         assert (mine == its).all()
     with pytest.raises(FileFormatError):
-        read_filter(tmp_path / "none.safetensors")
+        read_filter(tmp_path / "none.npz", MEMORY, ASKED.strains)
 
 
 def test_histories_are_those_of_their_seed():
