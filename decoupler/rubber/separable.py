@@ -17,7 +17,8 @@ TAILS = 2.0  #: degrees of freedom of Student's distribution
 UNCORRELATED = 0.05  #: correlation that ends the sum of correlations
 ROUNDS = 8  #: of weights and variances
 LEAST = 1e-6  #: deviation of errors, relative to the target's: arithmetic has them
-STEP = 1e-4  #: of differences for slopes
+STEP = 1e-4  #: of differences for slopes, and the last one of a search
+TOLERANCE = 1e-6  #: of a sum of squares
 
 Columns = Callable[[FloatArray], FloatArray]
 
@@ -96,14 +97,14 @@ class _Problem:
         bounds = low[self.prior.linear :], high[self.prior.linear :]
         for _ in range(rounds):
             before = problem.others
-            answer = least_squares(problem.residuals, before, bounds=bounds, diff_step=STEP, max_nfev=40)
+            answer = least_squares(problem.residuals, before, bounds=bounds, diff_step=STEP, ftol=TOLERANCE, xtol=STEP)
             error = problem.linear(answer.x)[2][:n] * np.sqrt(problem.variance * problem.inflation) / problem.weight
             variance, weight = _of_tails(error, LEAST * float(np.std(self.target)))
             problem = replace(
                 problem, others=answer.x, weight=weight, variance=variance,
                 inflation=max(1.0, inflation(error * weight)), cost=2 * answer.cost,
             )  # fmt: skip
-            if np.abs(answer.x - before).max() < STEP:
+            if np.abs(answer.x - before).max() < 10 * STEP:
                 break
         return problem
 

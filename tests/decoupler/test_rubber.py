@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from decoupler.rubber.check import checked, of_range, resistance_from_strain
 from decoupler.rubber.fit import fit_elastic, identified
@@ -28,11 +29,9 @@ def bench(seed=0, noise=NOISE, memory=MEMORY, elastic=ELASTIC, rate_hz=4.0, prog
     corners, levels = next_test() if programme is None else programme
     time_s = np.arange(0.0, corners[-1], 1 / rate_hz)
     strain, generator = np.interp(time_s, corners, levels), np.random.default_rng(seed)
-    keep, drift = np.exp(-1 / rate_hz / CORRELATION_S), np.zeros(len(time_s))
-    shocks = generator.standard_normal((2, len(time_s)))
-    drift[0] = shocks[0, 0]
-    for k in range(1, len(time_s)):
-        drift[k] = keep * drift[k - 1] + np.sqrt(1 - keep**2) * shocks[0, k]
+    keep, shocks = np.exp(-1 / rate_hz / CORRELATION_S), generator.standard_normal((2, len(time_s)))
+    shocks[0, 1:] *= np.sqrt(1 - keep**2)
+    drift = lfilter([1.0], [1.0, -keep], shocks[0])
     error = noise * (drift + 0.1 * shocks[1])
     force_n = elastic.force(strain, 1 / rate_hz)
     return Series(
@@ -54,7 +53,7 @@ def written(path, series, **changes):
 
 @pytest.fixture(scope="module")
 def series():
-    return bench()
+    return bench(rate_hz=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def found(series):
 
 
 def test_a_rubber_without_noise_comes_back():
-    exact = bench(noise=0.0)
+    exact = bench(noise=0.0, rate_hz=2.0)
     found = identified(exact)
     off = np.abs(found.numbers - numbers_of(MEMORY))
     assert (off < 3 * np.sqrt(found.covariance.diagonal()) + 1e-6).all()
@@ -79,7 +78,7 @@ def test_a_noisy_one_comes_back_within_its_deviations(found):
     assert found.noise == pytest.approx(NOISE, rel=0.3)
     assert found.young_mpa == pytest.approx(3 * 5.0 / 40.0, rel=0.05)
     assert found.resistivity_ohm_mm == pytest.approx(1200.0 * 40.0 / 20.0, rel=0.03)
-    fresh = bench(seed=1)
+    fresh = bench(seed=1, rate_hz=2.0)
     assert of_range(resistance_from_strain(found, fresh), fresh.resistance_ohm) < 2.0
 
 
@@ -96,13 +95,13 @@ def a_memory(generator):
     )
 
 
-@pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [3, pytest.param(20, marks=pytest.mark.long)])
 def test_deviations_hold_what_they_say(seeds):
     """Of 8 numbers of each rubber 68 and 95 % lie within one and two; binomial errors of some 40 independent ones."""
     off = []
     for seed in range(seeds):
         memory = a_memory(np.random.default_rng(100 + seed))
-        found = identified(bench(seed=seed, noise=0.02, memory=memory, rate_hz=2.0))
+        found = identified(bench(seed=seed, noise=0.02, memory=memory, rate_hz=1.0))
         off.append((found.numbers - numbers_of(memory)) / np.sqrt(found.covariance.diagonal()))
     size = np.abs(off)
     assert np.mean(size < 1) > 0.68 - 3 * np.sqrt(0.68 * 0.32 / (2 * seeds))
@@ -114,7 +113,7 @@ def test_deviations_hold_what_they_say(seeds):
 )
 def test_the_law_of_the_force_is_the_one_that_made_it(law, stiffening, second):
     elastic = replace(ELASTIC, model=law, stiffening=stiffening, second=second)
-    told, _ = fit_elastic(bench(noise=0.003, elastic=elastic))
+    told, _ = fit_elastic(bench(noise=0.003, elastic=elastic, rate_hz=1.0))
     assert told.model == law
     assert told.stiffness_n == pytest.approx(5.0, rel=0.05)
 
@@ -125,10 +124,10 @@ def test_what_a_series_does_not_tell_is_said_by_name():
         np.array([0.0, 60, 60.2, 300, 300.2, 600, 600.2, 800, 800.2, 1200]),
         np.array([0, 0, 1, 1, 0, 0, 1, 1, 0, 0]) * 0.3,
     )
-    said = dict(identified(bench(programme=one_level, noise=0.02)).unknown)
+    said = dict(identified(bench(programme=one_level, noise=0.02, rate_hz=2.0)).unknown)
     assert any("g1" in what and "g2" in what for what in said)
     assert said["compression"].startswith("the same test pressed")
-    whole = dict(identified(bench(noise=0.003)).unknown)
+    whole = dict(identified(bench(noise=0.003, rate_hz=2.0)).unknown)
     assert list(whole) == ["compression"]
 
 
@@ -162,10 +161,10 @@ def test_a_check_zeroes_forces_and_counts_what_deviations_hold(found, series):
 def test_two_ways_of_reading_tell_contacts(series):
     """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
     read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
-    found = identified(read.averaged(8, ""), electrodes_mm=20.0, length_mm=40.0)
+    found = identified(read.averaged(16, ""), electrodes_mm=20.0, length_mm=40.0)
     assert found.contact_ohm == pytest.approx(15e3)
     assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
-    assert identified(read.averaged(8, "")).contact_ohm is None
+    assert identified(read.averaged(16, "")).contact_ohm is None
 
 
 def test_published_silicones_state_their_source_and_surround_the_pillars():
@@ -233,7 +232,7 @@ def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
     mended = read_series(written(tmp_path / "s.csv", series, strain=jittered))
     assert "strain jitters by 0.0002" in mended.notes[0]
     way, raw, true = (np.abs(np.diff(strain)).sum() for strain in (mended.strain, jittered, series.strain))
-    assert raw > 1.3 * true
+    assert raw > 1.1 * true
     assert way == pytest.approx(true, rel=0.1)
     assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
 
@@ -243,7 +242,7 @@ def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
     assert "in which strain stayed: bridged" in read_series(written(tmp_path / "a.csv", rest)).notes[0]
     moving = series.part((series.time_s < 238) | (series.time_s > 300))
     kept = read_series(written(tmp_path / "b.csv", moving))
-    assert (kept.time_s[0], kept.settled) == (300.25, False)
+    assert (kept.time_s[0], kept.settled) == (300.5, False)
     assert "only the longest part" in kept.notes[0]
     assert "begins at a strain of 0.1" in kept.notes[1]
 
@@ -258,7 +257,7 @@ REFUSED = {
     "meter": (lambda s: {"resistance_ohm": 0 * s.time_s + 900.0}, "was its meter connected"),
     "load cell": (lambda s: {"force_n": 0 * s.time_s}, "force_n stays 0: was its meter connected"),
     "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
-    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 40 rows"),
+    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 20 rows"),
 }
 
 
