@@ -95,7 +95,7 @@ def write_filter(causal: CausalFilter, path: Path) -> None:
 def read_filter(path: Path, memory: Memory, strains: tuple[float, float]) -> CausalFilter:
     """The filter of a rubber from what it has learned; `FileFormatError` if that is missing or damaged."""
     arrays: dict[str, Any] = read_arrays(path)
-    numbers = {name: float(arrays[name]) for name in ARRAYS[-2:]}
+    numbers: dict[str, Any] = {name: float(arrays[name]) for name in ARRAYS[-2:]}
     return CausalFilter(memory=memory, strains=strains, **{name: arrays[name] for name in ARRAYS[:-2]}, **numbers)
 
 
