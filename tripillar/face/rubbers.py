@@ -87,7 +87,7 @@ def rubber(
         caller.say(f"warning: {data}: {note}")
     if check is not None:
         known = stages.read_rubber(Path(check))
-        judged = stages.check_rubber(known, series)
+        judged = stages.check_rubber(known, series, stages.forces_from_resistance(known, series))
         if picture is not None:
             stages.draw_rubber(known, series, Path(picture))
         caller.answer(lambda: asdict(judged), _told(asdict(judged)), picture)
