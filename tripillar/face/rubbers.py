@@ -39,7 +39,7 @@ def rubber(
     out : path, optional
         Rubber file to write (.toml).
     check : path, optional
-        Rubber file (.toml) to check on the series: resistance from strain.
+        Rubber file (.toml) to check on the series: resistance from strain, and force from resistance alone.
     next_test : path, optional
         Table (.csv) for the strain over time of the test to take next: rest, holds, multisine, rest.
     picture : path, optional
