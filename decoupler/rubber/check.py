@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoupler.rubber.causal_training import of_rubber, trained
+from decoupler.rubber.causal_training import of_strip, trained
 from decoupler.rubber.law import Rubber, log_ratio
 from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
@@ -38,7 +38,7 @@ def forces_from_resistance(rubber: Rubber, series: Series) -> tuple[FloatArray, 
 
     Its first 2 s are taken for rest. The filter is trained at first, half a minute, and kept in the cache.
     """
-    causal = trained(of_rubber(rubber), rubber.memory)
+    causal = trained(of_strip(rubber), rubber.memory)
     log_ohm = np.log(series.resistance_ohm)
     log_ratio = log_ohm - log_ohm[series.time_s <= series.time_s[0] + ZEROED_S].mean()
     found = causal.followed(series.time_s, log_ratio[:, None])
