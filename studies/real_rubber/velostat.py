@@ -11,8 +11,7 @@ from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
 
 FOLDER = Path("src/experimental_data")
-PAIRS = {  #: a series to fit, and those to test it on: the same loads, and larger ones
-    "pike1/exp_pike1_sensor1_exp1": ("pike1/exp_pike1_sensor1_exp2",),
+PAIRS = {  #: a series to fit, and those to test it on: the same load, and twice as much
     "pike1_force_20/exp_pike1_force_20_sensor1_exp1": (
         "pike1_force_20/exp_pike1_force_20_sensor1_exp2",
         "pike1_force_40/exp_pike1_force_40_sensor1_exp2",
@@ -33,6 +32,11 @@ def read_pad(folder: Path, name: str) -> Series:
     force_n = np.maximum(force_n - np.median(force_n[: int(RESTING_S * RATE_HZ)]), 0.0)
     strain = -STRAIN * np.log1p(force_n / SOFT_N)
     return Series(time_s=grid[1:] - grid[1], strain=strain, force_n=force_n, resistance_ohm=np.maximum(ohm, 1.0))
+
+
+def force_of(strain: FloatArray, _seconds: FloatArray | float) -> FloatArray:
+    """Forces [N] of what the law takes for strain."""
+    return SOFT_N * np.expm1(-strain / STRAIN)
 
 
 def _read(path: Path) -> tuple[FloatArray, FloatArray]:
