@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.design import Memory
 from geometry.layout import FloatArray
 from geometry.threads import one_blas_thread
 from hardware.link.frames import Statistics
@@ -27,6 +28,7 @@ from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
+    from decoupler.rubber.causal import CausalFilter
     from decoupler.touch.touch_file import AnyDecoder
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
@@ -77,6 +79,7 @@ def live(
     model: "AnyDecoder | Path | str",
     calibration: Path | str | None = None,
     speed: float = 1.0,
+    rubber: Path | str | None = None,
     **settings: Any,
 ) -> Iterator[LiveSensor]:
     """Read forces from a board, or from a recording that is played, as long as the with block lasts.
@@ -91,6 +94,9 @@ def live(
         Calibration file. Default: the one that a recording holds, else the sensor is taken to be as designed.
     speed : float
         Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
+    rubber : Path, optional
+        Rubber file of `tripillar rubber`, whose memory is taken out of the readings. Default: the memory of the model's
+        design, if any. What follows it is trained when it is first needed, in a minute.
     **settings
         As of `Scanner`.
 
@@ -117,8 +123,21 @@ def live(
     from decoupler.touch.touch_file import read_model
 
     decoder = read_model(Path(model)) if isinstance(model, Path | str) else model
+    causal = follows(decoder, rubber)
     with connect(port, calibration, speed, **settings) as (scanner, known):
-        yield LiveSensor(scanner, decoder, known)
+        yield LiveSensor(scanner, decoder, known, causal)
+
+
+def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "CausalFilter | None":
+    """What follows the memory of a rubber file, or of the model's design; None if there is none to follow."""
+    from decoupler.rubber.causal_training import of_memory, of_rubber, trained
+    from decoupler.rubber.rubber_file import read_rubber
+
+    if rubber is not None:
+        found = read_rubber(Path(rubber))
+        return trained(of_rubber(found), found.memory)
+    memory = Memory() if model.design is None else model.design.pillar_material.memory
+    return None if memory == Memory() else trained(of_memory(memory), memory)
 
 
 def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:

@@ -132,10 +132,13 @@ class Decoupler:
         one, two = self.half_widths_of(self.columns(resistance_ohm))
         return one.reshape(self._shape), two.reshape(self._shape)
 
-    def deviations(self, resistance_ohm: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def deviations(
+        self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % of the errors of `forces` [N], and the covariance (n, m, m) of m sums of forces.
 
-        `weights` (rows·cols·n_axes, m) are those of the forces in each sum. It costs as much as `half_widths`.
+        `weights` (rows·cols·n_axes, m) are those of the forces in each sum. `own` are relative deviations that each
+        reading has besides, of the shape of the resistances. It costs as much as `half_widths`.
 
         Notes
         -----
@@ -144,8 +147,14 @@ class Decoupler:
         to force, and S the half-widths' scale.
         """
         found, columns = self._known, self.columns(resistance_ohm)
+        more_n2: Any = 0.0
+        if own is not None:
+            own_ohm = columns * pillar_columns(own, self.component, self.dead)
+            slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
+            factors = np.concatenate(slopes) * own_ohm[:, None]
+            more_n2 = factors @ factors.swapaxes(1, 2)
         if self.posterior is not None:
-            covariance = self.refined(columns).covariance_n2
+            covariance = self.refined(columns).covariance_n2 + more_n2
             return np.sqrt(np.einsum("nii->ni", covariance)).reshape(self._shape), weights.T @ covariance @ weights
         own_n2, (scale, two) = self._own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
@@ -156,6 +165,9 @@ class Decoupler:
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
         covariance += np.einsum("no,oi,oj->nij", own_n2 * wide**2, weights, weights, optimize=True)
+        if own is not None:
+            variance += np.einsum("nii->ni", more_n2) / scale**2
+            covariance += weights.T @ more_n2 @ weights
         return (np.sqrt(variance) * scale).reshape(self._shape), covariance
 
     @property

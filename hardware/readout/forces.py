@@ -19,6 +19,7 @@ from hardware.link.scanner import Scanner
 from hardware.readout.calibration import SensorCalibration
 from hardware.readout.crossbar import Corrector
 from hardware.readout.description import SensorDescription, describe
+from hardware.readout.memory import MemoryReader
 from hardware.readout.wrench import NET, Wrench, net_wrench, wrench_weights
 from hardware.recording import Recording
 
@@ -26,13 +27,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
+    from decoupler.rubber.causal import CausalFilter
     from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 #: values of `Forces` by scans
 BY_SCAN = (
-    *("force_n", "moment_nmm", "contacts", "resistance_ohm", "saturated"),
+    *("force_n", "moment_nmm", "contacts", "resistance_ohm", "saturated", "memory_rise", "memory_deviation"),
     *("time_s", "stamp_ns", "device_us", "sequence"),
 )
 
@@ -56,6 +58,8 @@ class Forces:
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): of touch, `Touched.moment_nmm`
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
+    memory_rise: FloatArray | None = None  #: (n, rows, cols, 3): of ln R, taken for the rubber's memory and taken away
+    memory_deviation: FloatArray | None = None  #: of that shape: relative, that this leaves of the resistances
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
@@ -82,7 +86,9 @@ class Forces:
         if self.model is None or self.model.knows_touch:
             return None, None
         ohms = self.resistance_ohm.reshape(-1, *self.resistance_ohm.shape[-3:])
-        parts = [self.model.deviations(ohms[k : k + CHUNK], self.weights) for k in range(0, len(ohms), CHUNK)]
+        chunks = [slice(k, k + CHUNK) for k in range(0, len(ohms), CHUNK)]
+        own = [] if self.memory_deviation is None else [self.memory_deviation.reshape(ohms.shape)]
+        parts = [self.model.deviations(ohms[k], self.weights, *(each[k] for each in own)) for k in chunks]
         deviation_n, covariance = (np.concatenate(each) for each in zip(*parts, strict=True))
         return deviation_n.reshape(self.force_n.shape), covariance.reshape(*self.force_n.shape[:-3], 6, 6)
 
@@ -153,12 +159,18 @@ class ForceReader:
     extrapolation. They are given all the same, finite, and `Forces.saturated` says so.
 
     Without a calibration the sensor is taken to be as designed; without `crosstalk` each crossing is taken as read
-    alone. `FileFormatError` if model or calibration are of another array or design, if both know gains, or if there is
-    a state at rest and the model states no design.
+    alone. With `causal`, what the rubber remembers is taken out of the readings, which then have an order: a reader is
+    of one sequence of scans. `FileFormatError` if model or calibration are of another array or design, if both know
+    gains, or if there is a state at rest or a memory and the model states no design.
     """
 
     def __init__(
-        self, info: Info, model: "AnyDecoder", calibration: SensorCalibration | None = None, crosstalk: bool = True
+        self,
+        info: Info,
+        model: "AnyDecoder",
+        calibration: SensorCalibration | None = None,
+        crosstalk: bool = True,
+        causal: "CausalFilter | None" = None,
     ) -> None:
         if (model.rows, model.cols) != (info.rows, info.cols):
             raise FileFormatError(
@@ -187,6 +199,13 @@ class ForceReader:
                 "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
                 "or train on data that state their design."
             )
+        if causal is not None and rest_ohm is None:
+            raise FileFormatError(
+                "the model states no design, so what the sensor should show at rest is unknown: leave the rubber out, "
+                "or train on data that state their design."
+            )
+        contact_ohm = 0.0 if model.design is None else 2.0 * model.design.electrics.contact_ohm
+        self.memory = None if causal is None or rest_ohm is None else MemoryReader(causal, rest_ohm, contact_ohm)
         self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
         self.description = describe(model, info)
         self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.knows_touch)
@@ -211,12 +230,20 @@ class ForceReader:
         readings, saturated = self.crossbar.fractions(counts)
         return self._invert(readings), self.crossbar.as_pillars(saturated)
 
-    def forces(self, counts: NDArray[Any]) -> Forces:
-        """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`."""
+    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None) -> Forces:
+        """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`.
+
+        A rubber that remembers is followed over `seconds` (n,), each since the scan before; 0 each by default.
+        """
         parts = [self.measured(counts[k : k + CHUNK]) for k in range(0, len(counts), CHUNK)]
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
+        known: dict[str, Any] = {}
+        if self.memory is not None:
+            settled = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
+            resistance_ohm = settled.resistance_ohm
+            known = {"memory_rise": settled.rise, "memory_deviation": settled.deviation}
         if self.model.knows_touch:
             decoded = self._touched(resistance_ohm)
         else:
@@ -228,6 +255,7 @@ class ForceReader:
             weights=self._weights,
             description=self.description,
             **decoded,
+            **known,
         )
 
     def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:
@@ -252,9 +280,17 @@ class LiveSensor:
     The scanner is entered; model, calibration and what is refused are as of `ForceReader`.
     """
 
-    def __init__(self, scanner: Scanner, model: "AnyDecoder", calibration: SensorCalibration) -> None:
+    def __init__(
+        self,
+        scanner: Scanner,
+        model: "AnyDecoder",
+        calibration: SensorCalibration,
+        causal: "CausalFilter | None" = None,
+    ) -> None:
         self.scanner, self.model = scanner, model
-        self._reader = ForceReader(scanner.info, model.follower(), calibration)  # scans come one after another
+        # scans come one after another
+        self._reader = ForceReader(scanner.info, model.follower(), calibration, causal=causal)
+        self._last: Scan | None = None
         self._window: list[FloatArray] = []
         self._faults: dict[str, int] = {}
         self._look_s = -math.inf  # when the next window begins
@@ -270,7 +306,7 @@ class LiveSensor:
 
         Deviations up to `renewed_s` old [s] are kept rather than computed anew, for who asks for those of every scan.
         """
-        found = self._reader.forces(scan.frame.counts[None])
+        found = self._reader.forces(scan.frame.counts[None], np.array([self._since_last(scan)]))
         test = self._reader.fault_test
         if test is not None and scan.received_s >= self._look_s:
             self._window.append(found.resistance_ohm[0])
@@ -292,6 +328,15 @@ class LiveSensor:
             return forces
         return replace(forces, stated=self._known[1].deviations)
 
+    def _since_last(self, scan: Scan) -> float:
+        """Seconds since the scan before: of the board's clock, and of the host's over a restart."""
+        last, self._last = self._last, scan
+        if last is None or self._reader.memory is None:
+            return 0.0
+        if scan.run != last.run:
+            return max(scan.received_s - last.received_s, 0.0)
+        return 1e-6 * ((scan.frame.device_us - last.frame.device_us) % 2**32)
+
 
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
@@ -299,15 +344,17 @@ def replay(
     model: "AnyDecoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
+    causal: "CausalFilter | None" = None,
 ) -> Forces:
     """Forces of every frame of a recording.
 
-    A calibration is used instead of the one that the recording holds; all else is as of `ForceReader`.
+    A calibration is used instead of the one that the recording holds; all else is as of `ForceReader`. What a rubber
+    remembers is followed from the first frame on.
     """
     if calibration is None and recording.calibration:
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
-    reader = ForceReader(recording.info, model.follower(), calibration, crosstalk)
-    found = reader.forces(recording.counts)
+    reader = ForceReader(recording.info, model.follower(), calibration, crosstalk, causal)
+    found = reader.forces(recording.counts, np.diff(recording.time_s, prepend=recording.time_s[:1]))
     return replace(
         found,
         time_s=recording.time_s,

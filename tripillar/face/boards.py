@@ -89,6 +89,7 @@ def watch(
     model: ModelLike,
     *,
     calibration: File | None = None,
+    rubber: File | None = None,
     seconds: float = math.inf,
     rate_hz: int | None = None,
     describe: bool = False,
@@ -107,6 +108,8 @@ def watch(
         Model file.
     calibration : path, optional
         Calibration file of this sensor; default: as designed, switches of 25 Ω.
+    rubber : path, optional
+        Rubber file (.toml) whose memory is taken out of the readings; default: that of the model's design, if any.
     seconds : float
         Seconds after which to stop; default: on Ctrl-C.
     rate_hz : int, optional
@@ -123,7 +126,7 @@ def watch(
         raise DesignError("describe=True prints a line of JSON: add --json, or leave describe=True out.")
     asked = AskedStreams(**STREAMS.of(more))
     asked.require()
-    with stages.live(port, model, calibration, **LINK.of(more)) as sensor:
+    with stages.live(port, model, calibration, rubber=rubber, **LINK.of(more)) as sensor:
         if rate_hz is not None:
             sensor.scanner.set_rate(rate_hz)
         with asked.opened(sensor.description) as streams:
@@ -224,6 +227,7 @@ def replay(
     model: ModelLike,
     *,
     calibration: File | None = None,
+    rubber: File | None = None,
     speed: float | None = None,
     out: File | None = None,
     ros2: bool = False,
@@ -239,6 +243,9 @@ def replay(
         Model file, trained for this array.
     calibration : path, optional
         Calibration file to use instead of the one in the recording, if any.
+    rubber : path, optional
+        Rubber file (.toml) whose memory is taken out of the readings, from the first frame on; default: that of the
+        model's design, if any.
     speed : float, optional
         Times its own pace at which to show it, as `live` does; default: all at once.
     out : path, optional
@@ -279,11 +286,12 @@ def replay(
             raise DesignError("speed= only shows forces: leave out= and crosstalk=False out, or leave speed= itself.")
     decoupler, recorded = model_of(model), stages.read_recording(source)
     if speed is not None:
-        with stages.live(str(source), decoupler, calibration, speed) as sensor:
+        with stages.live(str(source), decoupler, calibration, speed, rubber) as sensor:
             (stages.print_lines if caller.as_json else stages.show_forces)(sensor, math.inf)
         return None
     own = None if calibration is None else stages.read_calibration(Path(calibration))
-    hashes, found = stages.hashes_of(decoupler), stages.replay(recorded, decoupler, own, crosstalk)
+    causal = stages.follows(decoupler, rubber)
+    hashes, found = stages.hashes_of(decoupler), stages.replay(recorded, decoupler, own, crosstalk, causal)
     caller.say(damage(source, recorded))
     if len({hashes.get("design_hash"), recorded.made_from.get("design_hash")} - {None, ""}) == 2:
         caller.say("warning: recorded for a model of another design: its forces are those of the design of model=")
@@ -301,6 +309,8 @@ def replay(
         lines.append(
             f"{unexplained} that no load explains which the model knows: dead wire, other sensor, bare rubber?"
         )
+    if found.memory_rise is not None:
+        lines.append(stages.memory_line(found))
     lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
 
     def told() -> dict[str, Any]:

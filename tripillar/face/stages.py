@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import RubberCheck, checked as check_rubber, of_range, resistance_from_strain
+    from decoupler.rubber.check import (
+        RubberCheck, checked as check_rubber, forces_from_resistance, of_range, resistance_from_strain,
+    )  # fmt: skip
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
@@ -81,7 +83,8 @@ if TYPE_CHECKING:
     from hardware.readout.forces import Forces, LiveSensor, replay
     from hardware.readout.known_loads import calibrated, doubt_about
     from hardware.recording import Recording, read_recording
-    from hardware.session import RECORDING_QUEUE, connect, counts_within, hashes_of, live, measure_link, record_scans
+    from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
+    from hardware.session import record_scans
     from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
@@ -105,7 +108,7 @@ if TYPE_CHECKING:
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
     from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
-    from tripillar.terminal.force_view import print_lines, show_forces
+    from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.opening import open_page
     from tripillar.viewer.showing import require_shown, show_deformed

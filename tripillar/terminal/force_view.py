@@ -73,7 +73,8 @@ def live_view(
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
     pressed = Text(f"centre of pressure {_centre(wrench)}")
     lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums + unsure)]
-    lines += [pressed, *map(Text, contact_lines(scan)), Text(link)]
+    remembered = [] if scan.memory_rise is None else [memory_line(scan)]
+    lines += [pressed, *map(Text, contact_lines(scan) + remembered), Text(link)]
     return Group(*lines, *(Text(note, style="bold red") for note in notes))
 
 
@@ -96,6 +97,15 @@ def contact_lines(scan: Forces) -> list[str]:
             f"contact {number}: {force} at x {x:.1f} ± {dx:.1f}, y {y:.1f} ± {dy:.1f} mm, {a:.0f} × {b:.0f} mm"
         )
     return lines
+
+
+def memory_line(scan: Forces) -> str:
+    """How much of the readings is taken for the rubber's memory, of one scan or of many."""
+    assert scan.memory_rise is not None
+    assert scan.memory_deviation is not None
+    size, unsure = (float(np.sqrt(np.mean(each**2))) for each in (scan.memory_rise, scan.memory_deviation))
+    largest = float(np.abs(scan.memory_rise).max())
+    return f"memory: {100 * size:.1f} % of the readings (at most {100 * largest:.0f} %), known to {100 * unsure:.1f} %"
 
 
 def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = ()) -> None:
@@ -184,6 +194,8 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
             }
             if frame.contacts is not None:
                 line["contacts"] = [each.plain() for each in frame.contacts]
+            if frame.memory_rise is not None:
+                line["memory_rise"] = frame.memory_rise.round(5).tolist()
             # put in as text, which is as long again as all the rest
             print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)
     except BrokenPipeError:
