@@ -1,13 +1,12 @@
 """Errors of the law, of the causal decoder and of other methods on series that they were not fitted to."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.rubber.causal_training import of_rubber, trained
-from decoupler.rubber.check import INTERVALS, of_range, resistance_from_strain
+from decoupler.rubber.check import INTERVALS, forces_from_resistance, of_range, resistance_from_strain
 from decoupler.rubber.fit import identified
 from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
@@ -15,22 +14,15 @@ from studies.real_rubber.others import METHODS, Applied
 
 RESTING_S, RELEASED_S = 2.0, 5.0  #: that a file begins with, over which forces are zeroed; after a release
 UNSTRAINED, STRETCHED, HELD = 0.02, 0.5, 0.97  #: parts of a file's largest strain
-SETTLED_S = 1e9  #: between readings, after which a force has relaxed
-#: histories of the strip itself: no pillars that differ, one direction
-ONE_SPECIMEN = {"by_size": 0.0, "other": 0.0, "spread": 0.03, "fast": 0.004}
 Row = dict[str, Any]
-ForceOf = Callable[[FloatArray, FloatArray | float], FloatArray]
 
 
 class Fitted:
-    """A series in even steps, and what was fitted to it; `force_of` makes forces of strains and steps of time."""
+    """A series in even steps, and what was fitted to it."""
 
-    def __init__(self, series: Series, methods: Iterable[str] = METHODS, force_of: ForceOf | None = None) -> None:
+    def __init__(self, series: Series, methods: Iterable[str] = METHODS) -> None:
         step_s, (log_ohm, force_n) = float(series.seconds[0]), zeroed(series)
         self.rubber = identified(series)
-        self.force_of = force_of or self.rubber.force
-        strains = 1.1 * min(float(series.strain.min()), 0.0), 1.1 * max(float(series.strain.max()), 0.0)
-        self.follows = trained(of_rubber(self.rubber, strains=strains, **ONE_SPECIMEN), self.rubber.memory)
         ways = {name: METHODS[name] for name in methods}
         self.ohms: dict[str, Applied] = {name: way(series.strain, log_ohm, step_s) for name, way in ways.items()}
         self.forces: dict[str, Applied] = {name: way(log_ohm, force_n, step_s) for name, way in ways.items()}
@@ -47,8 +39,10 @@ class Fitted:
     def force_errors(self, series: Series) -> list[Row]:
         """Of each part and method the error of forces from resistances alone, in % of the series' range."""
         log_ohm, true_n = zeroed(series)
-        ours_n, deviation_n = self.followed(series)
-        found_n = {"ours": ours_n} | {name: method(log_ohm) for name, method in self.forces.items()}
+        ours_n, deviation_n = forces_from_resistance(self.rubber, series)
+        found_n = {"ours": ours_n - ours_n[: _resting(series)].mean()} | {
+            name: method(log_ohm) for name, method in self.forces.items()
+        }
         rows = []
         for part, which in parts_of(series).items():
             errors = {name: (force_n - true_n)[which] for name, force_n in found_n.items()}
@@ -56,14 +50,6 @@ class Fitted:
             within = [100 * float(np.mean(np.abs(errors["ours"]) < k * deviation_n[which])) for k in INTERVALS]
             rows.append({"part": part, **sizes, "ours within 68 / 95 % [%]": within})
         return rows
-
-    def followed(self, series: Series) -> tuple[FloatArray, FloatArray]:
-        """Forces by the causal filter and their standard deviations (n,) [N], by what came before alone."""
-        log_ohm, _ = zeroed(series)
-        strain, deviation = (found[:, 0] for found in self.follows.followed(series.time_s, log_ohm[:, None]))
-        at_last = (self.force_of(strain + side * deviation, SETTLED_S) for side in (0.5, -0.5))
-        force_n, spread_n = self.force_of(strain, series.seconds), np.abs(np.subtract(*at_last))
-        return force_n - force_n[: _resting(series)].mean(), np.hypot(spread_n, self.rubber.force_noise_n)
 
 
 def zeroed(series: Series) -> tuple[FloatArray, FloatArray]:

@@ -34,11 +34,6 @@ def read_pad(folder: Path, name: str) -> Series:
     return Series(time_s=grid[1:] - grid[1], strain=strain, force_n=force_n, resistance_ohm=np.maximum(ohm, 1.0))
 
 
-def force_of(strain: FloatArray, _seconds: FloatArray | float) -> FloatArray:
-    """Forces [N] of what the law takes for strain."""
-    return SOFT_N * np.expm1(-strain / STRAIN)
-
-
 def _read(path: Path) -> tuple[FloatArray, FloatArray]:
     """Times and values of a file."""
     lines = (line.split() for line in path.read_text(encoding="ascii").splitlines())

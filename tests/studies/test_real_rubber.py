@@ -1,11 +1,13 @@
 """The readers of published series, and their tables, on small files in the same formats with the same flaws."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from dataset.memory import broken_contacts, log_rise
+from decoupler.rubber.causal_training import Histories
 from geometry.design import Memory
 from geometry.errors import DesignError
 from studies.real_rubber import eflesh, strips, velostat
@@ -91,8 +93,8 @@ def test_tables_of_all_that_is_there(tmp_path, monkeypatch, capsys):
         write_strip(data / "electromech-stretcher" / f"{name}.csv")
     monkeypatch.setattr(strips, "PAIRS", {"a": ("b",)})
     monkeypatch.setattr("studies.real_rubber.others.STEPS", 2)
-    small = {"groups": 8, "pillars": 4, "readings": 100, "steps": 20, "hidden": 4}
-    monkeypatch.setattr("studies.real_rubber.judging.ONE_SPECIMEN", small)
+    small = partial(Histories, groups=8, pillars=4, readings=100, steps=20, hidden=4)
+    monkeypatch.setattr("decoupler.rubber.causal_training.Histories", small)
     judge(data, out)
     assert "eFlesh is missing" in capsys.readouterr().err
     tables = json.loads((out / "real-rubber.json").read_text(encoding="utf-8"))["tables"]
