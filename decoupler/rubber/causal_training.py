@@ -21,6 +21,8 @@ from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
+SESSIONS = 0.12  #: deviation of a strip's ln R between two mountings of it, relative
+SLOW = 0.03  #: slow error of its ln R, at least
 VERSION = 1  #: of what training does; filters of others are trained anew
 RATES_S = (0.05, 0.3)  #: between readings
 SPEEDS = (0.004, 0.3)  #: of strain [1/s]
@@ -63,6 +65,12 @@ def of_rubber(rubber: Rubber, **others: Any) -> Histories:
     largest = max(0.3, min(0.6, 1.05 * rubber.max_strain))
     known: dict[str, Any] = {"noise": rubber.noise, "correlation_s": rubber.correlation_s, "strains": (-0.3, largest)}
     return Histories(numbers=numbers, covariance=rows, **(known | others))
+
+
+def of_strip(rubber: Rubber) -> Histories:
+    """Histories of a strip like the one of a bench series: only stretched, and of a gain that differs by session."""
+    strains = (0.0, max(0.05, 1.05 * rubber.max_strain))
+    return of_rubber(rubber, strains=strains, by_size=0.0, gain=SESSIONS, noise=max(SLOW, rubber.noise))
 
 
 def of_memory(memory: Memory, **others: Any) -> Histories:

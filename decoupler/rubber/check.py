@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decoupler.rubber.causal_training import of_strip, trained
 from decoupler.rubber.law import Rubber, log_ratio
 from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
@@ -30,6 +31,20 @@ def checked(rubber: Rubber, series: Series, followed: tuple[FloatArray, FloatArr
     found, true = (force_n - force_n[early].mean() for force_n in (followed[0], series.force_n))
     first, second = (float(100 * np.mean(np.abs(found - true) <= k * followed[1])) for k in INTERVALS)
     return RubberCheck(resistance_nrmse_pct=of_ohm, force_nrmse_pct=of_range(found, true), coverage=(first, second))
+
+
+def forces_from_resistance(rubber: Rubber, series: Series) -> tuple[FloatArray, FloatArray]:
+    """Forces and standard deviations (n,) [N] of a series by its resistance alone, at each time from those before.
+
+    Its first 2 s are taken for rest. The filter is trained at first, half a minute, and kept in the cache.
+    """
+    causal = trained(of_strip(rubber), rubber.memory)
+    log_ohm = np.log(series.resistance_ohm)
+    log_ratio = log_ohm - log_ohm[series.time_s <= series.time_s[0] + ZEROED_S].mean()
+    found = causal.followed(series.time_s, log_ratio[:, None])
+    strain, deviation = (each[:, 0] for each in found)
+    ahead, behind = (rubber.elastic.settled(strain + sign * deviation) for sign in (1, -1))
+    return rubber.force(strain, series.seconds), np.hypot((ahead - behind) / 2, rubber.force_noise_n)
 
 
 def resistance_from_strain(rubber: Rubber, series: Series) -> FloatArray:

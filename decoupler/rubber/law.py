@@ -57,8 +57,11 @@ class Elastic:
 
     def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
         """Force (time, ...) [N] under strains (time, ...) from rest on; it pulls where the strip is longer."""
-        settled = self.stiffness_n * settled_stress(strain, self.stiffening, self.second)
-        return relaxed_forces(settled, seconds, self.prony)
+        return relaxed_forces(self.settled(strain), seconds, self.prony)
+
+    def settled(self, strain: FloatArray) -> FloatArray:
+        """The force (...) [N] that it settles to under strains (...)."""
+        return self.stiffness_n * settled_stress(strain, self.stiffening, self.second)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -60,9 +60,9 @@ def draw(read: Read, fits: Mapping[str, Fitted], path: Path) -> None:
 
 
 def judge_pads(folder: Path, _out: Path) -> Tables:
-    """Pressed pads of velostat."""
+    """Pressed pads of velostat, but for the recurrent net, which takes minutes at 50 Hz."""
     read = partial(velostat.read_pad, folder)
-    fits = {name: Fitted(read(name), list(METHODS)[:-1]) for name in velostat.PAIRS}  # a GRU takes minutes at 50 Hz
+    fits = {name: Fitted(read(name), list(METHODS)[:-1]) for name in velostat.PAIRS}
     tables = judged(read, fits, velostat.PAIRS)
     return {f"velostat: {title}": rows for title, rows in tables.items()}
 

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.rubber.check import of_range, resistance_from_strain
+from decoupler.rubber.check import INTERVALS, forces_from_resistance, of_range, resistance_from_strain
 from decoupler.rubber.fit import identified
-from decoupler.rubber.law import Rubber
 from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
 from studies.real_rubber.others import METHODS, Applied
@@ -23,7 +22,7 @@ class Fitted:
 
     def __init__(self, series: Series, methods: Iterable[str] = METHODS) -> None:
         step_s, (log_ohm, force_n) = float(series.seconds[0]), zeroed(series)
-        self.rubber: Rubber = identified(series)
+        self.rubber = identified(series)
         ways = {name: METHODS[name] for name in methods}
         self.ohms: dict[str, Applied] = {name: way(series.strain, log_ohm, step_s) for name, way in ways.items()}
         self.forces: dict[str, Applied] = {name: way(log_ohm, force_n, step_s) for name, way in ways.items()}
@@ -40,20 +39,28 @@ class Fitted:
     def force_errors(self, series: Series) -> list[Row]:
         """Of each part and method the error of forces from resistances alone, in % of the series' range."""
         log_ohm, true_n = zeroed(series)
-        found_n = {name: method(log_ohm) for name, method in self.forces.items()}
+        ours_n, deviation_n = forces_from_resistance(self.rubber, series)
+        found_n = {"ours": ours_n - ours_n[: _resting(series)].mean()} | {
+            name: method(log_ohm) for name, method in self.forces.items()
+        }
         rows = []
         for part, which in parts_of(series).items():
             errors = {name: (force_n - true_n)[which] for name, force_n in found_n.items()}
             sizes = {name: 100 * float(np.sqrt(np.mean(e**2)) / np.ptp(true_n)) for name, e in errors.items()}
-            rows.append({"part": part, **sizes})
+            within = [100 * float(np.mean(np.abs(errors["ours"]) < k * deviation_n[which])) for k in INTERVALS]
+            rows.append({"part": part, **sizes, "ours within 68 / 95 % [%]": within})
         return rows
 
 
 def zeroed(series: Series) -> tuple[FloatArray, FloatArray]:
     """ln R and forces [N] less what a series begins with."""
-    n = round(RESTING_S / float(series.seconds[0]))
-    log_ohm, force_n = np.log(series.resistance_ohm), series.force_n
+    n, log_ohm, force_n = _resting(series), np.log(series.resistance_ohm), series.force_n
     return log_ohm - log_ohm[:n].mean(), force_n - force_n[:n].mean()
+
+
+def _resting(series: Series) -> int:
+    """Number of rows that a series begins with at rest."""
+    return round(RESTING_S / float(series.seconds[0]))
 
 
 def parts_of(series: Series) -> dict[str, NDArray[np.bool_]]:

@@ -18,7 +18,7 @@ Features = Callable[[FloatArray, float, float], list[FloatArray]]  #: of x, the 
 TAUS_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  #: of the relaxations
 PLAYS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.5)  #: of the play operators, over the range of x
 DEGREE, RIDGE = 4, 1e-4
-HIDDEN, STEPS, BATCH, WINDOW = 16, 300, 12, 400  #: of the recurrent net; readings in a window
+HIDDEN, STEPS, BATCH, WINDOW = 16, 200, 12, 400  #: of the recurrent net; readings in a window
 
 
 def relaxed(x: FloatArray, tau_s: float, step_s: float) -> FloatArray:

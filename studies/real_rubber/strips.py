@@ -30,9 +30,8 @@ PAIRS = {  #: a series to fit, and those to test it on; one is of another batch
 def read_strip(folder: Path, name: str) -> Series:
     """A series of a CSV without header: outer and inner resistance, time, position, time, force, time.
 
-    Position and force are put on the ohmmeter's times. The motor's axis points the other way in some files, and its
-    controller answers 0 or an old position now and then. What else is wrong (signs, readings that alternate)
-    `read_series` mends. In even steps of 1/`RATE_HZ`.
+    Position and force are put on the ohmmeter's times; the motor's controller answers 0 or an old position now and
+    then. What else is wrong (signs, readings that alternate) `read_series` mends. In even steps of 1/`RATE_HZ`.
     """
     rows = np.genfromtxt(folder / f"{name}.csv", delimiter=",")
     rows = rows[np.isfinite(rows).all(axis=1)]
@@ -40,7 +39,7 @@ def read_strip(folder: Path, name: str) -> Series:
     usual = median_filter(position[:, 1], NEIGHBOURS, mode="nearest")
     position = position[np.abs(position[:, 1] - usual) < GLITCH * LENGTH_MM]
     time_s, position_mm, force_n = rows[:, 2], _at(rows[:, 2], position), _at(rows[:, 2], rows[:, [6, 5]])
-    table = np.column_stack([time_s, np.abs(position_mm) / LENGTH_MM, force_n, rows[:, 1]])
+    table = np.column_stack([time_s, position_mm / LENGTH_MM, force_n, rows[:, 1]])
     with TemporaryDirectory() as tidied:
         tidy = Path(tidied, f"{name}.csv")
         np.savetxt(tidy, table, delimiter=",", header="time_s,strain,force_n,resistance_ohm", comments="")

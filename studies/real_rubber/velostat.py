@@ -11,8 +11,7 @@ from decoupler.rubber.series import Series
 from geometry.layout import FloatArray
 
 FOLDER = Path("src/experimental_data")
-PAIRS = {  #: a series to fit, and those to test it on: the same loads, and larger ones
-    "pike1/exp_pike1_sensor1_exp1": ("pike1/exp_pike1_sensor1_exp2",),
+PAIRS = {  #: a series to fit, and those to test it on: the same load, and twice as much
     "pike1_force_20/exp_pike1_force_20_sensor1_exp1": (
         "pike1_force_20/exp_pike1_force_20_sensor1_exp2",
         "pike1_force_40/exp_pike1_force_40_sensor1_exp2",

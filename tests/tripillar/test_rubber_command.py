@@ -1,9 +1,11 @@
 """`tripillar rubber` as it is typed: a series in, a rubber out, which designs extend and other series check."""
 
 import csv
+from functools import partial
 
 import pytest
 
+from decoupler.rubber.causal_training import of_rubber
 from decoupler.rubber.unknown import next_test
 from geometry.design_file import read_design
 from tests.decoupler.test_rubber import MEMORY, bench, written
@@ -16,12 +18,14 @@ SHORT = next_test()[0][:8], next_test()[1][:8]  #: rest and a hold
 def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("rubber"))
     for seed, name in enumerate(("series.csv", "other.csv")):
-        written(house.folder / name, bench(seed=seed, programme=SHORT, rate_hz=2.0))
+        written(house.folder / name, bench(seed=seed, programme=SHORT, rate_hz=1.0))
     return house
 
 
-def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house):
+def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house, monkeypatch):
     folder = house.folder
+    quick = partial(of_rubber, groups=3, pillars=6, readings=150, steps=100)  # a filter in a second, a bad one
+    monkeypatch.setattr("decoupler.rubber.check.of_rubber", quick)
     files = ("--out", "rubber.toml", "--picture", "rubber.png", "--next", "next.csv")
     found = house.result("rubber", "--data", "series.csv", "--section-mm2", "40", *files)
     assert found["parameters"]["b_shorten"][0] == pytest.approx(MEMORY.b_shorten, rel=0.5)
@@ -33,7 +37,10 @@ def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house):
         rows = [(float(row["time_s"]), float(row["strain"])) for row in csv.DictReader(opened)]
     assert (rows[0], rows[-1][1]) == ((0.0, 0.0), 0.0)
     assert max(strain for _, strain in rows) == pytest.approx(0.2, rel=1e-3)  # as far as the series went
-    assert house.result("rubber", "--check", "rubber.toml", "--data", "other.csv")["resistance_nrmse_pct"] < 8
+    judged = house.result("rubber", "--check", "rubber.toml", "--data", "other.csv")
+    assert judged["resistance_nrmse_pct"] < 8
+    assert 0 < judged["force_nrmse_pct"] < 100
+    assert 0 <= judged["coverage"][0] <= judged["coverage"][1] <= 100
     house.result("design", "--extend", "rubber.toml,elastosil-m4601", "--rows", "2", "--out", "sensor.toml")
     design = read_design(folder / "sensor.toml")
     assert design.pillar_material.memory == read_design(folder / "rubber.toml").pillar_material.memory

@@ -39,7 +39,7 @@ def rubber(
     out : path, optional
         Rubber file to write (.toml).
     check : path, optional
-        Rubber file (.toml) to check on the series: resistance from strain.
+        Rubber file (.toml) to check on the series: resistance from strain, and force from resistance alone.
     next_test : path, optional
         Table (.csv) for the strain over time of the test to take next: rest, holds, multisine, rest.
     picture : path, optional
@@ -87,7 +87,7 @@ def rubber(
         caller.say(f"warning: {data}: {note}")
     if check is not None:
         known = stages.read_rubber(Path(check))
-        judged = stages.check_rubber(known, series)
+        judged = stages.check_rubber(known, series, stages.forces_from_resistance(known, series))
         if picture is not None:
             stages.draw_rubber(known, series, Path(picture))
         caller.answer(lambda: asdict(judged), _told(asdict(judged)), picture)
