@@ -12,10 +12,9 @@ COMMON = 2  #: commands from which on an option of theirs is told once for all
 
 TITLE = """# Commands
 
-Every command with its options, as `tripillar COMMAND --help` prints them; this page is made from the commands
-themselves. Results go to stdout (with `--json` as one object), progress and names of files to stderr. A mistake is one
-line and exit code 2. *Also* names the options that are told here, since several commands have them; all have the first
-four:"""
+Every command with its options, made from the commands themselves; `tripillar COMMAND --help` prints the same. `INT=6`
+is 6 unless given, choices stand in brackets. *Also* names options that are told here, since several commands have them;
+all have the first four:"""
 
 OF_THE_PROGRAM = (
     "- `--version`: Print the version and exit.",
@@ -49,8 +48,10 @@ def flag_of(line: str) -> str:
 
 
 def shown(option: Any) -> str:
-    """A line for an argument or option: how it is typed, what it means, its default."""
-    return f"- `{', '.join(labels(option))}`: {meaning(option)}"
+    """A line for an argument or option: how it is typed, its default, what it means, its choices."""
+    default = f"={option.default}" if option.default and option.default != '""' else ""
+    told = meaning(option).replace("[one of ", "[").removesuffix(f" [default: {option.default}]")
+    return f"- `{', '.join(labels(option))}{default}`: {told.replace(f'; default: {option.default}]', ']')}"
 
 
 if __name__ == "__main__":
