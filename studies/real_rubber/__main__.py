@@ -21,7 +21,7 @@ from tripillar.terminal.entry import run_alone, say
 
 Tables = dict[str, list[Row]]
 Read = Callable[[str], Series]  #: a series by its name
-PICTURE, SHOWN_S = "real-rubber.png", 400.0  #: of each series
+PICTURE, SHOWN_S = "real-rubber.png", 900.0  #: of each series
 
 
 def judged(read: Read, fits: Mapping[str, Fitted], pairs: Mapping[str, Iterable[str]]) -> Tables:
