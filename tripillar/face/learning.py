@@ -100,9 +100,8 @@ def train(
     trainer : str
         Method of training: variable projection, Levenberg-Marquardt, or the paper's (momentum).
     feature : str
-        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses. From samples at
-        finite strain (all forces, with displacements) the maps of finite strain are learned, and a net of 60 nodes on
-        draws of them.
+        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses, and learns maps
+        of finite strain from samples with displacements.
     goal_mse : float, optional
         Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own.
     max_iterations : int
