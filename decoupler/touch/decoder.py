@@ -27,7 +27,7 @@ SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS, SECOND_STEPS, SECOND_KEPT = 4, 5, (4, 2)  #: of it, as `STARTS`, `STEPS` and `KEPT`
-RISE = 25.0  #: of the cost from scan to scan, from which its fits are sought anew
+RISE = 25.0  #: of the cost since fits were sought, from which they are sought anew
 #: scans from one search to the next at least, if it explains its scan and if not; between them few presses are tried
 #: beside the fits before
 PAUSES = 4, 30
@@ -68,6 +68,7 @@ class Touched:
     contacts: tuple[TouchContact, ...] = ()  #: none at rest
     fits: tuple[Fit, ...] = ()
     wait: int = 0  #: scans until fits may be sought among all presses again
+    sought_cost: float = -np.inf  #: of the best fit when they were sought last; it has not been since rest
 
     @property
     def force_n(self) -> FloatArray:
@@ -194,16 +195,17 @@ class TouchDecoder:
         for parts in {len(fit.parts) for fit in best}:
             alike = [(fit.parts, fit.q) for fit in best if len(fit.parts) == parts]
             fits += fitted(reading, deviation, alike, FOLLOWED_STEPS)
-        if fits and min(fit.cost for fit in fits) <= best[0].cost + RISE:
-            return replace(self._weighed(at_rest, fits), wait=wait)
+        if last and fits and min(fit.cost for fit in fits) <= last.sought_cost + RISE:
+            return replace(self._weighed(at_rest, fits), wait=wait, sought_cost=last.sought_cost)
         rows = self.regression.nearest(reading, NEAREST)
         near = self.regression.answer(reading, rows)
-        if wait:
+        if last and wait:
             starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
             fits += fitted(reading, deviation, starts, FOLLOWED_STEPS)
-            return replace(self._weighed(at_rest, fits, *near), wait=wait)
+            return replace(self._weighed(at_rest, fits, *near), wait=wait, sought_cost=last.sought_cost)
         found = self._weighed(at_rest, self._fits(reading, deviation, rows), *near)
-        return replace(found, wait=PAUSES[int(found.chi2 > SECOND)])
+        sought_cost = min(fit.cost for fit in found.fits)
+        return replace(found, wait=PAUSES[int(found.chi2 > SECOND)], sought_cost=sought_cost)
 
     def _weighed(
         self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
+from geometry.storage.files import stated
 
 Table = dict[str, Any]  #: a design file's nested tables
 
@@ -22,8 +23,8 @@ def _numeric_keys(table: Table, prefix: str = "") -> dict[str, type]:
     return keys
 
 
-#: every numeric key of a design by its dotted name, with its type; sweeps judge designs by eq. 1
-KEYS = _numeric_keys({name: value for name, value in asdict(SensorDesign()).items() if name != "electrics"})
+#: every numeric key of a design by its dotted name, with its type; sweeps judge by eq. 1, without memory
+KEYS = _numeric_keys(stated(SensorDesign()))
 UNITS = {"_ohm_mm": "Ω mm", "_mm": "mm", "_mpa": "MPa"}  #: by the ending of a key
 
 
@@ -115,7 +116,7 @@ def with_values(table: Table, variables: Sequence[Variable], numbers: Sequence[f
     """A copy of a full table with a number for each variable; shares are taken last, whole-number keys rounded.
 
     >>> pad = Variable(key=("pad.size_mm",), low=0.5, high=1.0, of="array.pitch_mm")
-    >>> with_values(asdict(SensorDesign()), [pad], [0.6])["pad"]["size_mm"]
+    >>> with_values(stated(SensorDesign()), [pad], [0.6])["pad"]["size_mm"]
     9.0
     """
     changed = {key: dict(value) if isinstance(value, dict) else value for key, value in table.items()}
