@@ -24,6 +24,7 @@ class PillarMemory:
     tau_s: tuple[Any, Any]
     g1: float
     g2: float
+    direction: str = "unknown"
 
     @classmethod
     def spread(cls, memory: Memory, factors: Any) -> "PillarMemory":
@@ -36,10 +37,19 @@ class PillarMemory:
             tau_s=(tau1 * memory.tau_s[0], tau2 * memory.tau_s[1]),
             g1=memory.g1,
             g2=memory.g2,
+            direction=memory.direction,
         )
 
 
 AnyMemory = Memory | PillarMemory
+
+
+def lengthening(strain: Any, memory: AnyMemory) -> Any:
+    """What grows where `b_lengthen` is of strains (...), of NumPy or torch: their size, of a rubber that loads so.
+
+    No step between two of them may lead from one sign to the other if states are to be exact.
+    """
+    return abs(strain) if memory.direction == "loading" else strain
 
 
 def decays(change: Any, seconds: Any, memory: AnyMemory) -> list[tuple[Any, Any]]:
@@ -65,7 +75,9 @@ def broken_contacts(
     was gone through for ever, states begin as they end.
     """
     apart = np.broadcast_to(seconds, (len(strain) - 1,)).reshape(-1, *[1] * (strain.ndim - 1))
-    return np.stack([_followed(*each, is_cycle) for each in decays(np.diff(strain, axis=0), apart, memory)])
+    return np.stack(
+        [_followed(*each, is_cycle) for each in decays(np.diff(lengthening(strain, memory), axis=0), apart, memory)]
+    )
 
 
 def log_rise(strain: Any, broken: Any, memory: AnyMemory) -> Any:

@@ -152,6 +152,7 @@ class Pad:
         require_sound(self)
 
 
+DIRECTIONS = ("unknown", "lengthening", "loading")
 RATES = (0.0, 1e3)  #: of broken contacts, per strain
 LOG_RISES = (-20.0, 20.0)  #: of ln R by memory, or per strain
 
@@ -161,9 +162,13 @@ class Memory:
     """What a conductive rubber's resistance remembers of its strain ε; nothing by default.
 
     ln R = ln R₀ + 2 ln(1 + ε) + g₁ ε + g₂ ε² + a₁ q₁ + a₂ q₂ with shares qᵢ of contacts that strain has broken and that
-    heal: q̇ᵢ = b |ε̇| (1 − qᵢ) − qᵢ/τᵢ, b another one while a pillar lengthens than while it shortens.
+    heal: q̇ᵢ = b |ε̇| (1 − qᵢ) − qᵢ/τᵢ, b another one while a pillar lengthens than while it shortens. By `direction`
+    loading, b_lengthen is of strains of either sign that grow in size; unknown is simulated as lengthening.
     """
 
+    direction: str = quantity(
+        "unknown", "which motion is b_lengthen's: lengthening, or loading; unknown: either", True, of=DIRECTIONS
+    )
     a: tuple[float, float] = quantity((0.0, 0.0), "rise of ln R with all contacts broken", count=2, within=LOG_RISES)
     b_lengthen: float = quantity(0.0, "rate at which lengthening breaks contacts, per strain", within=RATES)
     b_shorten: float = quantity(0.0, "the same of shortening; 4 to 8 times as much in silicone", within=RATES)

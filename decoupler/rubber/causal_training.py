@@ -33,6 +33,7 @@ GAPS = 0.4  #: share of groups with a gap
 GAP_S = (1.5, 40.0)
 OTHER = 0.6  #: deviation of the logarithms of another rubber's numbers
 OTHER_SLOPES = (0.8, 1.0)  #: of its g₁ and g₂
+BY_SIZE = {"unknown": 0.5, "lengthening": 0.0, "loading": 1.0}  #: shares, by what a rubber states
 CUT = 2.0  #: deviations beyond which nothing is drawn
 
 
@@ -64,6 +65,7 @@ def of_rubber(rubber: Rubber, **others: Any) -> Histories:
     numbers = tuple(float(f"{value:.6g}") for value in rubber.numbers)
     largest = max(0.3, min(0.6, 1.05 * rubber.max_strain))
     known: dict[str, Any] = {"noise": rubber.noise, "correlation_s": rubber.correlation_s, "strains": (-0.3, largest)}
+    known["by_size"] = BY_SIZE[rubber.memory.direction]
     return Histories(numbers=numbers, covariance=rows, **(known | others))
 
 
@@ -75,7 +77,7 @@ def of_strip(rubber: Rubber) -> Histories:
 
 def of_memory(memory: Memory, **others: Any) -> Histories:
     """Histories of the rubber that a design states."""
-    return Histories(numbers=tuple(numbers_of(memory).tolist()), **others)
+    return Histories(numbers=tuple(numbers_of(memory).tolist()), **({"by_size": BY_SIZE[memory.direction]} | others))
 
 
 def trained(histories: Histories, memory: Memory) -> CausalFilter:

@@ -106,9 +106,9 @@ def _line(key: str, value: Any, meaning: str) -> str:
     return "" if value is None else f"{f'{key} = {_short(value)!r}':27} # {meaning}"
 
 
-def _short(value: float) -> float:
-    """A number to six digits."""
-    return value if isinstance(value, int) else float(f"{value:.6g}")
+def _short(value: Any) -> Any:
+    """A number to six digits; others as they are."""
+    return value if not isinstance(value, float) else float(f"{value:.6g}")
 
 
 def _rounded(values: Any) -> Any:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from dataset.imperfections import log_normal
-from dataset.memory import AnyMemory, PillarMemory, decays, log_rise
+from dataset.memory import AnyMemory, PillarMemory, decays, lengthening, log_rise
 from geometry.design import Memory, SensorDesign
 from geometry.errors import ArgumentError
 from geometry.layout import rest_lengths
@@ -51,7 +51,8 @@ class RubberState:
         """
         self.require(seconds)
         strain = length_mm / self._rest_mm - 1.0
-        steps = decays(strain - self._strain, seconds, self._memory)
+        now, before = (lengthening(each, self._rubber) for each in (strain, self._strain))
+        steps = decays(now - before, seconds, self._memory)
         broken = [keep * own + gain for own, (keep, gain) in zip(self._broken, steps, strict=True)]
         self._strain, self._broken = strain.detach(), torch.stack(broken).detach()
         return log_rise(strain, broken, self._memory).exp()

@@ -1,20 +1,29 @@
 """Rubber that remembers: exact states for any time step, and closed forms of a hold and of a relaxation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dataset.memory import broken_contacts, decays, log_rise, relaxed_forces
+from dataset.memory import PillarMemory, broken_contacts, decays, log_rise, relaxed_forces
 from geometry.design import Material, Memory, Prony, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import DesignError
+from geometry.storage.files import digest
 
 MEMORY = Memory(a=(0.5, 0.3), b_lengthen=2.0, b_shorten=9.0, tau_s=(4.0, 90.0), g1=1.0, g2=-2.0)
 
 
-def test_a_ramp_and_a_hold_follow_their_closed_form() -> None:
-    b, rate = MEMORY.b_lengthen, 0.1
+@pytest.mark.parametrize(
+    ("direction", "sign", "b"),
+    [("unknown", 1, 2.0), ("unknown", -1, 9.0), ("lengthening", -1, 9.0), ("loading", 1, 2.0), ("loading", -1, 2.0)],
+)
+def test_a_ramp_and_a_hold_follow_their_closed_form(direction: str, sign: int, b: float) -> None:
+    rate = 0.1
     seconds = np.r_[0.0:2.0:21j, 2.0 + np.geomspace(0.1, 300.0, 40)]
-    q = broken_contacts(rate * np.minimum(seconds, 2.0), np.diff(seconds), MEMORY)
+    strain, memory = sign * rate * np.minimum(seconds, 2.0), replace(MEMORY, direction=direction)
+    q = broken_contacts(strain, np.diff(seconds), memory)
+    assert (broken_contacts(strain, np.diff(seconds), PillarMemory.spread(memory, np.ones(6))) == q).all()
     for own, tau in zip(q, MEMORY.tau_s, strict=True):
         total = b * rate + 1 / tau
         up = b * rate / total * (1 - np.exp(-total * np.minimum(seconds, 2.0)))
@@ -53,9 +62,14 @@ def test_a_force_relaxes_to_what_it_settles_to() -> None:
 def test_a_design_states_memory_and_files_hold_it() -> None:
     design = SensorDesign(pillar_material=Material(memory=MEMORY, prony=Prony(share=(0.05, 0.02))))
     assert design_from_toml(design_to_toml(design)) == design
+    loading = replace(design, pillar_material=Material(memory=replace(MEMORY, direction="loading")))
+    assert design_from_toml(design_to_toml(loading)) == loading
+    assert digest(replace(MEMORY, direction="unknown")) == digest(MEMORY) != digest(loading.pillar_material.memory)
     assert design.is_homogeneous
     assert "memory" not in design_to_toml(SensorDesign())
     with pytest.raises(DesignError, match="pillar_material"):
         SensorDesign(matrix_material=Material(memory=MEMORY))
     with pytest.raises(DesignError, match="tau_s"):
         Memory(tau_s=(1.0, 0.0))
+    with pytest.raises(DesignError, match="lengthening"):
+        Memory(direction="size")

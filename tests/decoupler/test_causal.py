@@ -132,6 +132,11 @@ def test_a_filter_comes_back_from_its_file(causal, tmp_path):
         read_filter(tmp_path / "none.npz", MEMORY, ASKED.strains)
 
 
+def test_histories_follow_the_rule_that_a_rubber_states():
+    shares = [of_memory(replace(MEMORY, direction=each)).by_size for each in ("unknown", "lengthening", "loading")]
+    assert shares == [0.5, 0.0, 1.0]
+
+
 def test_histories_are_those_of_their_seed():
     small = replace(ASKED, groups=1, readings=50, pillars=2)
     first, second = (next(drawn(small, np.random.default_rng(3)))[0] for _ in range(2))

@@ -82,7 +82,7 @@ def test_pillars_share_the_contact_of_their_electrode():
 
 def test_a_simulation_of_others_reads_what_a_file_holds():
     """Two ways to one reading: series of a data set, and a state that is carried from touch to touch."""
-    response = response_of(pillar_material=Material(memory=MEMORY), electrics=CONTACT)
+    response = response_of(pillar_material=Material(memory=replace(MEMORY, direction="loading")), electrics=CONTACT)
     asked = DatasetSettings(protocol="three-axis", samples=2, seed=2, history_s=12.0, rate_hz=10.0)
     series = simulate(response, asked)
     sensor = VirtualSensor(response.design, environments=2, response=response)
