@@ -27,6 +27,7 @@ SHARES, AT_CHI2 = (0.8, 0.5), (1.0, 1.3)
 OF_MODEL = 0.005  #: of the largest reading: what neither library nor grid have
 SECOND = 1.35  #: χ² over the readings' number from which a second contact is sought
 SECOND_STARTS, SECOND_STEPS, SECOND_KEPT = 4, 5, (4, 2)  #: of it, as `STARTS`, `STEPS` and `KEPT`
+FOLLOWED_WIDER = 1.4  #: deviations of these, which lack what other presses would say
 RISE = 25.0  #: of the cost since fits were sought, from which they are sought anew
 #: scans from one search to the next at least, if it explains its scan and if not; between them few presses are tried
 #: beside the fits before
@@ -196,7 +197,9 @@ class TouchDecoder:
             alike = [(fit.parts, fit.q) for fit in best if len(fit.parts) == parts]
             fits += fitted(reading, deviation, alike, FOLLOWED_STEPS)
         if last and fits and min(fit.cost for fit in fits) <= last.sought_cost + RISE:
-            return replace(self._weighed(at_rest, fits), wait=wait, sought_cost=last.sought_cost)
+            found = self._weighed(at_rest, fits)
+            wider = FOLLOWED_WIDER * found.factors
+            return replace(found, factors=wider, wait=wait, sought_cost=last.sought_cost)
         rows = self.regression.nearest(reading, NEAREST)
         near = self.regression.answer(reading, rows)
         if last and wait:
