@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from decoupler.rubber.causal_training import of_rubber
+from decoupler.rubber.causal_training import Histories
 from decoupler.rubber.unknown import next_test
 from geometry.design_file import read_design
 from tests.decoupler.test_rubber import MEMORY, bench, written
@@ -24,8 +24,8 @@ def house(tmp_path_factory):
 
 def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house, monkeypatch):
     folder = house.folder
-    quick = partial(of_rubber, groups=3, pillars=6, readings=150, steps=100)  # a filter in a second, a bad one
-    monkeypatch.setattr("decoupler.rubber.check.of_rubber", quick)
+    quick = partial(Histories, groups=3, pillars=6, readings=150, steps=100)  # a filter in a second, a bad one
+    monkeypatch.setattr("decoupler.rubber.causal_training.Histories", quick)
     files = ("--out", "rubber.toml", "--picture", "rubber.png", "--next", "next.csv")
     found = house.result("rubber", "--data", "series.csv", "--section-mm2", "40", *files)
     assert found["parameters"]["b_shorten"][0] == pytest.approx(MEMORY.b_shorten, rel=0.5)
