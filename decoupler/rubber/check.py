@@ -18,15 +18,13 @@ class RubberCheck:
     """Errors in % of a series' range, and how often what is said of them holds [%]."""
 
     resistance_nrmse_pct: float  #: of resistance from strain, the offset of ln R free
-    force_nrmse_pct: float | None = None  #: of force from resistance alone, zeroed; None where no filter stands by
-    coverage: tuple[float, float] | None = None  #: forces within what should hold 68 and 95 % of them
+    force_nrmse_pct: float  #: of force from resistance alone, zeroed
+    coverage: tuple[float, float]  #: forces within what should hold 68 and 95 % of them
 
 
-def checked(rubber: Rubber, series: Series, followed: tuple[FloatArray, FloatArray] | None = None) -> RubberCheck:
+def checked(rubber: Rubber, series: Series, followed: tuple[FloatArray, FloatArray]) -> RubberCheck:
     """Errors of a rubber on a series; `followed` are forces and deviations (n,) [N] by its resistance alone."""
     of_ohm = of_range(resistance_from_strain(rubber, series), series.resistance_ohm)
-    if followed is None:
-        return RubberCheck(resistance_nrmse_pct=of_ohm)
     early = series.time_s <= series.time_s[0] + ZEROED_S
     found, true = (force_n - force_n[early].mean() for force_n in (followed[0], series.force_n))
     first, second = (float(100 * np.mean(np.abs(found - true) <= k * followed[1])) for k in INTERVALS)

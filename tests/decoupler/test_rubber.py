@@ -159,7 +159,6 @@ def test_a_check_zeroes_forces_and_counts_what_deviations_hold(found, series):
     assert judged.coverage == pytest.approx((68, 95), abs=4)
     late = series.force_n + np.where(series.time_s <= 2.0, size, 0.0)
     assert checked(found, series, (late, off)).force_nrmse_pct == pytest.approx(100.0, abs=1.0)
-    assert checked(found, series).coverage is None
 
 
 def test_two_ways_of_reading_tell_contacts(series):

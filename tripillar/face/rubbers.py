@@ -150,8 +150,6 @@ def _said(result: dict[str, Any]) -> str:
 
 def _told(judged: dict[str, Any]) -> str:
     said = f"resistance from strain misses {judged['resistance_nrmse_pct']:.2f} % of the series' range"
-    if judged["coverage"] is None:
-        return said
     held = "{:.0f} and {:.0f} %".format(*judged["coverage"])
     forces = f"force from resistance misses {judged['force_nrmse_pct']:.2f} %"
     return f"{said}\n{forces}; its deviations hold {held} where they say 68 and 95 %"
