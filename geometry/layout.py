@@ -95,13 +95,44 @@ class Layout:
         """Number of the upper electrode at the top of each pillar."""
         return tuple(top for top, _ in self.pillar_terminals)
 
+    def sensing(self, axis: str) -> tuple[int, ...]:
+        """Numbers of the pillars that answer a force along x, y or z: those that lean along it, upright ones for z.
+
+        All pillars where none does.
+
+        >>> LAYOUTS["six-pillar"].sensing("x")
+        (1, 5)
+        """
+        places = {one.name: one.place for one in (*self.upper, *self.lower)}
+        leans = [tuple(a != b for a, b in zip(places[one.foot], places[one.top], strict=True)) for one in self.pillars]
+        found = [not any(lean) if axis == "z" else lean[AXES.index(axis)] for lean in leans]
+        return tuple(number for number, answers in enumerate(found) if answers or not any(found))
+
+
+_UPPER = {"U1": (-1.0, -1.0), "U2": (-1.0, 1.0), "U3": (1.0, 1.0), "U4": (1.0, -1.0)}
+_LOWER = {"L1": (-1.0, -1.0), "L2": (1.0, -1.0), "L3": (-1.0, 1.0), "L4": (1.0, 1.0)}
+
+
+def _on_corners(pillars: str) -> Layout:
+    """Layout of electrodes on a square's corners by the names, feet and tops of its pillars."""
+    joined = [one.split() for one in pillars.split(",")]
+    upper, lower = ({each[at] for each in joined} for at in (2, 1))
+    return Layout(
+        upper=tuple(Electrode(name, place) for name, place in _UPPER.items() if name in upper),
+        lower=tuple(Electrode(name, place) for name, place in _LOWER.items() if name in lower),
+        pillars=tuple(Pillar(*each) for each in joined),
+    )
+
 
 #: the paper's unit: electrodes "2", "7", "3" and "5", pillars "1", "4" and "6", named after the force that each senses
-SONG2018 = Layout(
-    upper=(Electrode("U1", (-1.0, -1.0)), Electrode("U2", (-1.0, 1.0))),
-    lower=(Electrode("L1", (-1.0, -1.0)), Electrode("L2", (1.0, -1.0))),
-    pillars=(Pillar("z", "L1", "U1"), Pillar("x", "L2", "U1"), Pillar("y", "L1", "U2")),
-)
+SONG2018 = _on_corners("z L1 U1, x L2 U1, y L1 U2")
+#: layouts by name; rank of what their pillars tell of a rigid plate's six motions: 3, 6, 6 and 3
+LAYOUTS = {
+    "song2018": SONG2018,
+    "six-pillar": _on_corners("z L1 U1, x L2 U1, y L1 U2, z2 L3 U2, z3 L4 U3, x3 L3 U3"),
+    "eight-pillar": _on_corners("z1 L1 U1, x1 L2 U1, z2 L3 U2, y2 L1 U2, z3 L4 U3, x3 L3 U3, z4 L2 U4, y4 L4 U4"),
+    "upright-four": _on_corners("z1 L1 U1, z2 L3 U2, z3 L4 U3, z4 L2 U4"),
+}
 ELECTRODES = SONG2018.upper_names  #: upper electrodes of the paper's unit
 PILLARS = SONG2018.pillar_names  #: its pillars
 PILLAR_TOP = SONG2018.pillar_top  #: number of the upper electrode at the top of each

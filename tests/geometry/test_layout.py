@@ -10,6 +10,7 @@ from geometry import Array, DesignError, Pad, SensorDesign, Unit
 from geometry.layout import (
     AXES,
     ELECTRODES,
+    LAYOUTS,
     PILLAR_TOP,
     PILLARS,
     Electrode,
@@ -41,6 +42,25 @@ def test_papers_unit_in_the_orders_of_the_file_contract():
     assert rest_lengths(Unit()) == pytest.approx([10.0, oblique, oblique], rel=EXACT)
     assert pillar_volumes(Unit()) == pytest.approx([40.0, 4 * oblique, 4 * oblique], rel=EXACT)
     assert pillar_sections(Unit()) == pytest.approx(np.array([[2, 2], [wide, 2], [2, wide]]), rel=EXACT)
+
+
+SENSING = {
+    "song2018": (((1,), (2,), (0,)), 3),
+    "six-pillar": (((1, 5), (2,), (0, 3, 4)), 6),
+    "eight-pillar": (((1, 5), (3, 7), (0, 2, 4, 6)), 6),
+    "upright-four": (((0, 1, 2, 3), (0, 1, 2, 3), (0, 1, 2, 3)), 3),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_pillars_by_what_they_sense_and_what_they_tell_of_a_rigid_plate(name):
+    """A plate moves by u + θ × p, a pillar d lengthens by d·(u + θ × p)/|d|."""
+    unit = Unit(layout=LAYOUTS[name])
+    along = np.subtract(*pillar_ends(unit).transpose(1, 0, 2)[::-1])
+    assert (along[:, 2] == unit.height_mm).all()
+    lengthened = np.hstack([along, np.cross(pillar_ends(unit)[:, 1], along)])
+    told = tuple(unit.layout.sensing(axis) for axis in AXES), np.linalg.matrix_rank(lengthened)
+    assert told == SENSING[name]
 
 
 def test_units_run_along_x_first_with_squares_of_electrodes_and_pads():
