@@ -1,37 +1,108 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
+import json
+import reprlib
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry.design import SensorDesign
-from geometry.errors import DesignError, FileFormatError
-from geometry.layout import SONG2018
+from geometry import wiring
+from geometry.design import SensorDesign, Unit
+from geometry.errors import DesignError
+from geometry.layout import LAYOUTS, SONG2018, Electrode, Layout, Pillar
 from geometry.storage.files import write_text
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
+LEVELS = ("upper", "lower")  #: of electrodes
+STATE_LAYOUT = ("layout", "electrode", "pillar")  #: keys of a design file that do
 BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are not the design's
 
 
 def design_to_toml(design: SensorDesign) -> str:
-    """Text of a design file: one table per group of quantities, each key with its meaning as a comment.
-
-    `FileFormatError` if the unit has another layout than the paper's: files cannot state one yet.
-    """
-    if design.unit.layout != SONG2018:
-        raise FileFormatError("a design file states no layout yet: this unit has another one than the paper's.")
+    """Text of a design file: one table per group of quantities, each key with its meaning as a comment."""
     lines = ["# A TriPillar sensor design. Lengths in mm, moduli in MPa, resistivity in Ω mm.", ""]
     tables = []
     for spec in fields(design):
         value = getattr(design, spec.name)
         if is_dataclass(value):
-            tables += table_lines(value, spec.name, spec.metadata["meaning"])
+            meaning = spec.metadata["meaning"] if value is not design.unit else _meaning(design.unit.layout)
+            tables += table_lines(value, spec.name, meaning)
         else:
             lines.append(_key_line(design, spec))
-    return "\n".join([*lines, *tables, ""])
+    return "\n".join([*lines, *_layout_lines(design.unit.layout), *tables, ""])
+
+
+def _meaning(layout: Layout) -> str:
+    """What a unit of a layout is."""
+    numbers = {3: "three", 4: "four"}
+    pillars, electrodes = (numbers.get(len(each), len(each)) for each in (layout.pillars, layout.terminals))
+    return f"one sensing unit: {pillars} pillars between {electrodes} electrodes"
+
+
+def _layout_lines(layout: Layout) -> list[str]:
+    """Lines that state a layout: none the paper's, one any other that has a name."""
+    if layout == SONG2018:
+        return []
+    note = f"# {wiring.explained(layout)}"
+    for name, known in LAYOUTS.items():
+        if layout == known:
+            return [
+                f"{f'layout = {chr(34)}{name}{chr(34)}':27} # electrodes of a unit and the pillars between them",
+                note,
+            ]
+    electrodes = [
+        {"name": one.name, "level": level, "place": list(one.place), "wire": one.wire}
+        for level in LEVELS
+        for one in getattr(layout, level)
+    ]
+    pillars = [
+        {"name": one.name, "from": one.foot, "to": one.top, "section": one.section, "width_mm": one.width_mm}
+        for one in layout.pillars
+    ]
+    lines = ["electrode = [  # place: along x and y from the unit's middle, in half spans"]
+    lines += [*map(_inline, electrodes), "]", "pillar = [", *map(_inline, pillars), "]", note]
+    return lines
+
+
+def _inline(values: dict[str, Any]) -> str:
+    """An inline table of texts and numbers, without those that are None."""
+    pairs = [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
+    return f"    {{ {', '.join(pairs)} }},"
+
+
+def _layout_of(table: dict[str, Any]) -> Layout:
+    """The layout that keys at the top of a file state, which are taken out of it; the paper's without any."""
+    stated = {key: table.pop(key) for key in STATE_LAYOUT if key in table}
+    if not stated:
+        return SONG2018
+    if "layout" in stated:
+        name = stated["layout"]
+        if not isinstance(name, str) or name not in LAYOUTS:
+            raise DesignError(
+                f"layout = {reprlib.repr(name)} must be one of {', '.join(LAYOUTS)}; state one of your own by "
+                "[[electrode]] and [[pillar]]."
+            )
+        if len(stated) > 1:
+            raise DesignError(f'layout = "{name}" has its own electrodes and pillars: state it, or those.')
+        return LAYOUTS[name]
+    levels: dict[str, list[Electrode]] = {level: [] for level in LEVELS}
+    for place, entry in STRICT.entries(stated, "electrode"):
+        level = entry.get("level")
+        if level not in LEVELS:
+            raise DesignError(f"{place}: level={reprlib.repr(level)} must be one of {', '.join(LEVELS)}.")
+        STRICT.require_keys(entry, ("name", "level", "place", "wire"), f" in {place}", ("name", "level", "place"))
+        own = {key: value for key, value in entry.items() if key != "level"}
+        levels[level].append(STRICT.made(place, partial(Electrode, **own)))
+    pillars, needed = [], ("name", "from", "to")
+    for place, entry in STRICT.entries(stated, "pillar"):
+        STRICT.require_keys(entry, (*needed, "section", "width_mm"), f" in {place}", needed)
+        own = {{"from": "foot", "to": "top"}.get(key, key): value for key, value in entry.items()}
+        pillars.append(STRICT.made(place, partial(Pillar, **own)))
+    return Layout(pillars=tuple(pillars), **{level: tuple(found) for level, found in levels.items()})
 
 
 def table_lines(values: Any, name: str, meaning: str) -> list[str]:
@@ -63,18 +134,26 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
 
     `DesignError`, which begins with `source`, for an unknown key or a value that makes no sense.
     """
-    return STRICT.made(source, _filled, kind=SensorDesign, table=table)
+    return STRICT.made(source, _design, table=dict(table))
 
 
-def _filled(kind: Any, table: dict[str, Any], place: str = "") -> Any:
+def _design(table: dict[str, Any]) -> SensorDesign:
+    layout = _layout_of(table)
+    if layout != SONG2018:  # a unit that suits it need not suit the paper's
+        table["unit"] = STRICT.table(table, "unit")
+    return _filled(SensorDesign, table, layout=layout)
+
+
+def _filled(kind: Any, table: dict[str, Any], place: str = "", *, layout: Layout) -> Any:
     specs = {spec.name: spec for spec in _keys(kind)}
     inner = {
-        key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]")
+        key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]", layout=layout)
         for key in table
         if key in specs and is_dataclass(specs[key].type)
     }
     STRICT.require_keys(table, specs, f" {place}" if place else "")
-    return STRICT.made(place, kind, **table | inner)
+    own = {"layout": layout} if kind is Unit else {}
+    return STRICT.made(place, kind, **table | inner | own)
 
 
 def design_from_toml(text: str, source: str = "the design") -> SensorDesign:
