@@ -12,18 +12,33 @@ from numpy.typing import NDArray
 from geometry.layout import SONG2018, Layout
 
 
+def unit_wires(layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row wire of each upper electrode and column wire of each lower one, counted from 0 within their unit."""
+    return np.arange(len(layout.upper)), np.arange(len(layout.lower))
+
+
+def unit_crossings(layout: Layout) -> NDArray[np.intp]:
+    """Number of the pillar at each crossing of a unit's wires, -1 where there is none, shape (row, column wires).
+
+    >>> unit_crossings(SONG2018).tolist()
+    [[0, 1], [2, -1]]
+    """
+    row_wire, column_wire = unit_wires(layout)
+    own = np.full((row_wire.max() + 1, column_wire.max() + 1), -1)
+    for number, (top, foot) in enumerate(layout.pillar_terminals):
+        own[row_wire[top], column_wire[foot - len(row_wire)]] = number
+    return own
+
+
 def _pillar_at(rows: int, cols: int, layout: Layout) -> NDArray[np.intp]:
     """Place in a flattened (rows, cols, n_pillars) array of the pillar of every crossing, -1 where there is none.
 
     Shape (row wires, column wires).
     """
-    n_upper, n_lower, n = len(layout.upper), len(layout.lower), len(layout.pillars)
-    own = np.full((n_upper, n_lower), -1)
-    for number, (top, foot) in enumerate(layout.pillar_terminals):
-        own[top, foot - n_upper] = number
-    i, row, j, column = np.indices((rows, n_upper, cols, n_lower))
-    places = np.where(own[row, column] < 0, -1, (i * cols + j) * n + own[row, column])
-    return places.reshape(rows * n_upper, cols * n_lower)
+    own = unit_crossings(layout)
+    i, row, j, column = np.indices((rows, own.shape[0], cols, own.shape[1]))
+    places = np.where(own[row, column] < 0, -1, (i * cols + j) * len(layout.pillars) + own[row, column])
+    return places.reshape(rows * own.shape[0], cols * own.shape[1])
 
 
 def crossings(rows: int, cols: int, layout: Layout = SONG2018) -> NDArray[np.intp]:
