@@ -1,24 +1,21 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
 import json
-import reprlib
 from dataclasses import fields, is_dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry import wiring
 from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import LAYOUTS, SONG2018, Electrode, Layout, Pillar
+from geometry.layout import SONG2018, Layout
+from geometry.layout_file import KEYS, layout_from_tables, layout_tables
 from geometry.storage.files import write_text
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
+from geometry.wiring import explained
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
-LEVELS = ("upper", "lower")  #: of electrodes
-STATE_LAYOUT = ("layout", "electrode", "pillar")  #: keys of a design file that do
 BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are not the design's
 
 
@@ -47,62 +44,17 @@ def _layout_lines(layout: Layout) -> list[str]:
     """Lines that state a layout: none the paper's, one any other that has a name."""
     if layout == SONG2018:
         return []
-    note = f"# {wiring.explained(layout)}"
-    for name, known in LAYOUTS.items():
-        if layout == known:
-            return [
-                f"{f'layout = {chr(34)}{name}{chr(34)}':27} # electrodes of a unit and the pillars between them",
-                note,
-            ]
-    electrodes = [
-        {"name": one.name, "level": level, "place": list(one.place), "wire": one.wire}
-        for level in LEVELS
-        for one in getattr(layout, level)
-    ]
-    pillars = [
-        {"name": one.name, "from": one.foot, "to": one.top, "section": one.section, "width_mm": one.width_mm}
-        for one in layout.pillars
-    ]
+    tables, note = layout_tables(layout), f"# {explained(layout)}"
+    if "layout" in tables:
+        line = f'layout = "{tables["layout"]}"'
+        return [f"{line:27} # electrodes of a unit and the pillars between them", note]
     lines = ["electrode = [  # place: along x and y from the unit's middle, in half spans"]
-    lines += [*map(_inline, electrodes), "]", "pillar = [", *map(_inline, pillars), "]", note]
-    return lines
+    return [*lines, *map(_inline, tables["electrode"]), "]", "pillar = [", *map(_inline, tables["pillar"]), "]", note]
 
 
 def _inline(values: dict[str, Any]) -> str:
-    """An inline table of texts and numbers, without those that are None."""
-    pairs = [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
-    return f"    {{ {', '.join(pairs)} }},"
-
-
-def _layout_of(table: dict[str, Any]) -> Layout:
-    """The layout that keys at the top of a file state, which are taken out of it; the paper's without any."""
-    stated = {key: table.pop(key) for key in STATE_LAYOUT if key in table}
-    if not stated:
-        return SONG2018
-    if "layout" in stated:
-        name = stated["layout"]
-        if not isinstance(name, str) or name not in LAYOUTS:
-            raise DesignError(
-                f"layout = {reprlib.repr(name)} must be one of {', '.join(LAYOUTS)}; state one of your own by "
-                "[[electrode]] and [[pillar]]."
-            )
-        if len(stated) > 1:
-            raise DesignError(f'layout = "{name}" has its own electrodes and pillars: state it, or those.')
-        return LAYOUTS[name]
-    levels: dict[str, list[Electrode]] = {level: [] for level in LEVELS}
-    for place, entry in STRICT.entries(stated, "electrode"):
-        level = entry.get("level")
-        if level not in LEVELS:
-            raise DesignError(f"{place}: level={reprlib.repr(level)} must be one of {', '.join(LEVELS)}.")
-        STRICT.require_keys(entry, ("name", "level", "place", "wire"), f" in {place}", ("name", "level", "place"))
-        own = {key: value for key, value in entry.items() if key != "level"}
-        levels[level].append(STRICT.made(place, partial(Electrode, **own)))
-    pillars, needed = [], ("name", "from", "to")
-    for place, entry in STRICT.entries(stated, "pillar"):
-        STRICT.require_keys(entry, (*needed, "section", "width_mm"), f" in {place}", needed)
-        own = {{"from": "foot", "to": "top"}.get(key, key): value for key, value in entry.items()}
-        pillars.append(STRICT.made(place, partial(Pillar, **own)))
-    return Layout(pillars=tuple(pillars), **{level: tuple(found) for level, found in levels.items()})
+    """An inline table of texts and numbers."""
+    return f"    {{ {', '.join(f'{key} = {json.dumps(value)}' for key, value in values.items())} }},"
 
 
 def table_lines(values: Any, name: str, meaning: str) -> list[str]:
@@ -138,7 +90,7 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
 
 
 def _design(table: dict[str, Any]) -> SensorDesign:
-    layout = _layout_of(table)
+    layout = layout_from_tables({key: table.pop(key) for key in KEYS if key in table})
     if layout != SONG2018:  # a unit that suits it need not suit the paper's
         table["unit"] = STRICT.table(table, "unit")
     return _filled(SensorDesign, table, layout=layout)

@@ -6,6 +6,7 @@ Units run k = i·cols + j over rows i (along y) and columns j (along x); electro
 
 import math
 import re
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,7 +28,7 @@ TURNS = (0.2, 0.3)  #: of a pad by a shear force, by its shift over the height; 
 
 
 SECTIONS = ("square", "round")  #: of a pillar, perpendicular to its axis
-NAME = re.compile(r"[A-Za-z0-9-]{1,16}")  #: of an electrode, a wire or a pillar: it becomes part of names of files
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")  #: of an electrode, a wire or a pillar: it becomes part of names
 MAX_PLACE = 1e3  #: of an electrode, in half spans
 OPTIONAL = {"optional": True}  #: no part of hashes at its default
 
@@ -48,7 +49,9 @@ class Electrode:
     def __post_init__(self) -> None:
         pair = isinstance(self.place, Sequence) and len(self.place) == 2
         if not pair or not all(_is_number(one) and abs(one) <= MAX_PLACE for one in self.place):
-            raise DesignError(f"place={self.place!r} must be two numbers, along x and y from the middle in half spans.")
+            raise DesignError(
+                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans."
+            )
         object.__setattr__(self, "place", tuple(map(float, self.place)))
 
 
@@ -64,10 +67,12 @@ class Pillar:
 
     def __post_init__(self) -> None:
         if self.section not in SECTIONS:
-            raise DesignError(f"section={self.section!r} must be one of {', '.join(SECTIONS)}.")
+            raise DesignError(f"section={reprlib.repr(self.section)} must be one of {', '.join(SECTIONS)}.")
         if self.width_mm is not None:
             if not _is_number(self.width_mm) or not 1e-12 <= self.width_mm <= 1e12:
-                raise DesignError(f"width_mm={self.width_mm!r} must be a number above 0; without, it is the unit's.")
+                raise DesignError(
+                    f"width_mm={reprlib.repr(self.width_mm)} must be a number above 0; without, it is the unit's."
+                )
             object.__setattr__(self, "width_mm", float(self.width_mm))
 
     @property
@@ -87,7 +92,7 @@ class Layout:
         wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
         for name in (*self.terminals, *wires, *self.pillar_names):
             if not isinstance(name, str) or not NAME.fullmatch(name):
-                raise DesignError(f"{name!r} is no name: write 1 to 16 letters, digits or hyphens.")
+                raise DesignError(f"{reprlib.repr(name)} is no name: give up to 8 letters and digits, such as U1 or z.")
         once: list[tuple[str, list[Any]]] = [
             ("electrodes are named", list(self.terminals)),
             ("upper electrodes lie at", [one.place for one in self.upper]),

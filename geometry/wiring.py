@@ -14,27 +14,32 @@ from numpy.typing import NDArray
 from geometry.layout import SONG2018, Layout
 
 
+def unit_wires(layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row wire of each upper electrode and column wire of each lower one, counted from 0 within their unit."""
+    return np.array(layout.row_wires), np.array(layout.column_wires)
+
+
+def unit_crossings(layout: Layout) -> NDArray[np.intp]:
+    """Number of the pillar at each crossing of a unit's wires, -1 where there is none, shape (row, column wires).
+
+    >>> unit_crossings(SONG2018).tolist()
+    [[0, 1], [2, -1]]
+    """
+    own = np.full((max(layout.row_wires) + 1, max(layout.column_wires) + 1), -1)
+    for number, crossing in enumerate(layout.pillar_crossings):
+        own[crossing] = number
+    return own
+
+
 def _pillar_at(rows: int, cols: int, layout: Layout) -> NDArray[np.intp]:
     """Place in a flattened (rows, cols, n_pillars) array of the pillar of every crossing, -1 where there is none.
 
     Shape (row wires, column wires).
     """
-    n_row, n_column = wires(1, 1, layout)
-    own = np.full((n_row, n_column), -1)
-    for number, crossing in enumerate(layout.pillar_crossings):
-        own[crossing] = number
-    i, row, j, column = np.indices((rows, n_row, cols, n_column))
+    own = unit_crossings(layout)
+    i, row, j, column = np.indices((rows, own.shape[0], cols, own.shape[1]))
     places = np.where(own[row, column] < 0, -1, (i * cols + j) * len(layout.pillars) + own[row, column])
-    return places.reshape(wires(rows, cols, layout))
-
-
-def wires(rows: int, cols: int, layout: Layout = SONG2018) -> tuple[int, int]:
-    """How many row and column wires an array has.
-
-    >>> wires(6, 6)
-    (12, 12)
-    """
-    return rows * (max(layout.row_wires) + 1), cols * (max(layout.column_wires) + 1)
+    return places.reshape(rows * own.shape[0], cols * own.shape[1])
 
 
 def crossings(rows: int, cols: int, layout: Layout = SONG2018) -> NDArray[np.intp]:
@@ -125,7 +130,7 @@ def _coloured(names: list[str], met: dict[str, set[int]], groups: list[list[str]
 
 def explained(layout: Layout) -> str:
     """In words how many wires and channels a unit has, and how few wires would do."""
-    n_row, n_column = wires(1, 1, layout)
+    n_row, n_column = unit_crossings(layout).shape
     said = f"Wires of a unit: {n_row} in rows, {n_column} in columns; {len(layout.pillars)} channels."
     fewest = fewest_wires(layout)
     if sum(map(len, fewest)) == n_row + n_column:

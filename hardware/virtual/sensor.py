@@ -172,7 +172,7 @@ class VirtualSensor:
         self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
-            host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+            host = replace(crossbar, shunt_siemens=())
             self._found = Corrector(host).correct if correct else host.uncorrected
         if decoder is None:
             self._twin = None

@@ -10,8 +10,7 @@ import pytest
 
 from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, SONG2018, Layout
-from geometry.wiring import crossing_of_pillar, crossings, explained, fewest_wires
-from geometry.wiring import wires as wires_of
+from geometry.wiring import crossing_of_pillar, crossings, explained, fewest_wires, unit_crossings
 from tests.fem.scenes import FOUR
 from tests.geometry.closed_forms import crossings_from_pillars
 
@@ -33,15 +32,16 @@ def test_order_of_a_1_by_2_array_is_the_hand_written_one_and_the_pages():
 
 
 def shared(name: str, *together: str) -> Layout:
-    """A layout in which electrodes share wires, named by those that do, with a hyphen between."""
-    of = {each: wire for wire in together for each in wire.split("-")}
-    levels = [
-        [replace(one, wire=of.get(one.name)) for one in level] for level in (LAYOUTS[name].upper, LAYOUTS[name].lower)
-    ]
-    return replace(LAYOUTS[name], upper=tuple(levels[0]), lower=tuple(levels[1]))
+    """A layout in which electrodes share wires: "L1 L2" that of L1."""
+    wire = {each: group.split()[0] for group in together for each in group.split()}
+    layout = LAYOUTS[name]
+    upper, lower = (
+        tuple(replace(one, wire=wire.get(one.name)) for one in level) for level in (layout.upper, layout.lower)
+    )
+    return replace(layout, upper=upper, lower=lower)
 
 
-SHARED = shared("six-pillar", "L1-L4", "L2-L3")
+SHARED = shared("six-pillar", "L1 L4", "L2 L3")
 EVERY = LAYOUTS | {"four pillars": FOUR, "shared": SHARED}
 
 
@@ -50,8 +50,8 @@ def test_every_pillar_has_a_crossing_of_its_own_where_its_electrodes_wires_cross
     """Sent row-major; the layout read the other way gives the place of each pillar."""
     rows, cols = 3, 5
     wires, n = crossings(rows, cols, layout), len(layout.pillars) * rows * cols
-    n_upper, (n_row, n_column) = len(layout.upper), wires_of(1, 1, layout)
-    assert (len(wires), wires_of(rows, cols, layout)) == (n, (rows * n_row, cols * n_column))
+    n_upper, (n_row, n_column) = len(layout.upper), unit_crossings(layout).shape
+    assert len(wires) == n
     row_wire, column_wire = wires.T
     assert (np.diff(row_wire * n_column * cols + column_wire) > 0).all()
 
@@ -71,18 +71,14 @@ def test_fewest_wires_are_those_of_a_search_of_all_sharings():
     """All maps of electrodes to wires, of both levels, that leave every pillar a crossing of its own."""
     for name, expected in {"song2018": 4, "six-pillar": 5, "eight-pillar": 6, "upright-four": 4}.items():
         layout = LAYOUTS[name]
-        pairs, n_upper = np.array(layout.pillar_terminals), len(layout.upper)
-        least = len(layout.terminals)
-        lower = [np.array(shared) for shared in product(range(4), repeat=len(layout.lower))]
-        for upper in (np.array(shared) for shared in product(range(n_upper), repeat=n_upper)):
-            for columns in lower:
-                used = len({*zip(upper[pairs[:, 0]].tolist(), columns[pairs[:, 1] - n_upper].tolist(), strict=True)})
-                if used == len(pairs):
-                    least = min(least, len({*upper.tolist()}) + len({*columns.tolist()}))
+        n_upper, n_lower, counts = len(layout.upper), len(layout.lower), set()
+        for wires in product(range(max(n_upper, n_lower)), repeat=n_upper + n_lower):
+            if len({(wires[top], wires[foot]) for top, foot in layout.pillar_terminals}) == len(layout.pillars):
+                counts.add(len({*wires[:n_upper]}) + len({*wires[n_upper:]}))
         found = fewest_wires(layout)
-        assert least == expected == sum(map(len, found))
-        shared(name, *("-".join(names) for level in found for names in level))  # each pillar has a crossing
+        assert min(counts) == expected == sum(map(len, found))
+        shared(name, *(" ".join(names) for level in found for names in level))  # each pillar has a crossing
     assert explained(LAYOUTS["six-pillar"]).endswith("3 and 2 would do: L1 and L4, L2 and L3 can share a wire.")
     assert explained(SHARED) == "Wires of a unit: 3 in rows, 2 in columns; 6 channels."
     with pytest.raises(DesignError, match="pillars z and x want one crossing of wires: give L1 and L2"):
-        shared("six-pillar", "L1-L2")
+        shared("six-pillar", "L1 L2")
