@@ -196,7 +196,7 @@ def _on_corners(pillars: str) -> Layout:
     return Layout(
         upper=tuple(Electrode(name, place) for name, place in _UPPER.items() if name in upper),
         lower=tuple(Electrode(name, place) for name, place in _LOWER.items() if name in lower),
-        pillars=tuple(Pillar(*each) for each in joined),
+        pillars=tuple(Pillar(name, foot, top) for name, foot, top in joined),
     )
 
 

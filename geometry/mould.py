@@ -84,7 +84,8 @@ def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
 
     `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.
     """
-    h, wedges = unit.height_mm, []
+    h = unit.height_mm
+    wedges: list[Solid] = []
     pillars = list(zip(unit.layout.pillars, unit_prisms(unit), pillar_widths(unit), strict=True))
     upright_at = {pillar.foot: (pillar.is_round, width) for pillar, straight, width in pillars if straight.is_upright}
     for pillar, straight, width in pillars:
