@@ -28,6 +28,7 @@ from geometry.layout import (
 )
 from geometry.prism import pillar_prisms, prisms_at, slab_prism
 from geometry.shares import pillar_shares
+from tests.fem.scenes import round_of
 
 EXACT = 1e-14  # rounding
 
@@ -159,8 +160,8 @@ def test_round_pillars_fill_their_circle_and_widths_of_their_own_count():
     volumes, square = pillar_volumes(Unit(layout=own)), pillar_volumes(Unit(layout=LAYOUTS["six-pillar"]))
     assert volumes / square == pytest.approx([0.25, np.pi / 4, 1, 1, 1, 1], rel=EXACT)
     assert pillar_sections(Unit(layout=own))[0].tolist() == [1.0, 1.0]
-    paper = LAYOUTS["song2018"]
-    unit = Unit(layout=replace(paper, pillars=tuple(replace(one, section="round") for one in paper.pillars)))
+    paper = SONG2018
+    unit = Unit(layout=round_of(paper))
     lines = np.linspace(-7.0, 7.0, 41), np.linspace(0.0, 10.0, 11)
     shares = pillar_shares(unit, lines[0], lines[0], lines[1])
     assert 0 <= shares.min() <= shares.max() <= 1
