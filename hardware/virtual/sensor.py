@@ -29,7 +29,7 @@ from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_comp
 from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import AXES, PILLARS, rest_lengths
+from geometry.layout import AXES, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
@@ -311,7 +311,7 @@ class VirtualSensor:
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm")
-        pillars = [PILLARS.index(pillar) for pillar in self._decoder.component.pillars]
+        pillars = self._decoder.pillars
         columns = resistance_ohm[..., pillars]
         if (dead := self._decoder.dead) is not None:
             columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
