@@ -104,7 +104,7 @@ def board(
         raise DesignError(stages.NO_TERMINALS)
     scan_mode = stages.scan_mode_named(mode)
     sense_ohm = round(stages.SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
-    asked = {} if rate_hz is None else {"rate_hz": rate_hz}
+    asked: dict[str, Any] = {} if rate_hz is None else {"rate_hz": rate_hz}
     told = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, serial=serial, **asked)
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
