@@ -132,7 +132,7 @@ def test_its_file_gives_the_same_bits(case, tmp_path):
     write_model(case.model, tmp_path / "model.safetensors")
     again, ohms = read_model(tmp_path / "model.safetensors"), case.test.resistance_ohm[:40]
     assert again.made_from == case.model.made_from
-    weights = np.ones((ohms[0].size // 3 * len(again.component.axes), 1))
+    weights = np.ones((case.test.force_n[0].size // 3 * len(again.component.axes), 1))
     answers = [
         lambda model: model.forces(ohms),
         lambda model: model.half_widths(ohms),
