@@ -31,6 +31,16 @@ def unit_crossings(layout: Layout) -> NDArray[np.intp]:
     return own
 
 
+def wires(rows: int, cols: int, layout: Layout) -> tuple[int, int]:
+    """Number of row wires and of column wires of an array.
+
+    >>> wires(6, 6, SONG2018)
+    (12, 12)
+    """
+    row, column = unit_crossings(layout).shape
+    return rows * row, cols * column
+
+
 def _pillar_at(rows: int, cols: int, layout: Layout) -> NDArray[np.intp]:
     """Place in a flattened (rows, cols, n_pillars) array of the pillar of every crossing, -1 where there is none.
 

@@ -26,7 +26,7 @@ from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.storage.files import cache_folder, digest, write_text
 from geometry.storage.netcdf import write_netcdf
-from geometry.wiring import crossings, unit_crossings
+from geometry.wiring import crossings, wires
 from hardware.boards.sensor_header import sensor_header
 from hardware.boards.simavr_board import (
     CHIP_BITS,
@@ -103,7 +103,7 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: 
     rise: FloatArray | float = 0.0
     if rubber != rubber.settled:
         around = [*range(len(traction)), 0]  # back to where it began
-        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3])
+        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3], design.unit.layout)
         strain = pillar_lengths(moved, design.unit)[around].reshape(sizes) / rest_lengths(design.unit) - 1.0
         whole = remembered(strain, STEP_S, memory, is_cycle=True)
         rise = whole if isinstance(whole, float) else whole[:-1].reshape(lengths.shape)
@@ -129,9 +129,9 @@ def counts_over_time(
 
     Of the imperfections gain, offset, temperature and dead pillars count; `crossbar` has the noise and the converter.
     """
-    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics)
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics, crossbar.layout)
     ohms = gain * exact_ohm + offset
-    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
+    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols, crossbar.layout)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 
@@ -178,9 +178,10 @@ def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
     }
     cache = cache_folder().absolute()
     folder = cache / f"firmware-{digest(str(FIRMWARE), settings, header)}"
-    require_own(folder, cache)
-    cache.mkdir(parents=True, exist_ok=True)
     sensor = Path(f"{folder}.h")
+    for place in (folder, sensor):
+        require_own(place, cache)
+    cache.mkdir(parents=True, exist_ok=True)
     if not sensor.exists() or sensor.read_text(encoding="utf-8") != header:
         write_text(header, sensor)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
@@ -206,7 +207,7 @@ def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
     """Counts (n, n_crossings) as what lies between each two wires, (n, row wires, column wires); `EMPTY` elsewhere."""
     row, column = crossings(info.rows, info.cols, info.layout).T
-    found = np.full((len(counts), *np.multiply(unit_crossings(info.layout).shape, (info.rows, info.cols))), EMPTY)
+    found = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
     found[:, row, column] = counts
     return found.astype(np.uint16)
 

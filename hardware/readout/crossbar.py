@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from geometry.design import quantity
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, FloatArray, Layout
-from geometry.wiring import crossing_of_pillar, crossings, unit_crossings
+from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires
 
@@ -130,8 +130,7 @@ class Crossbar:
     @cached_property
     def wires(self) -> tuple[int, int]:
         """Number of row wires and of column wires."""
-        row, column = unit_crossings(self.layout).shape
-        return self.rows * row, self.cols * column
+        return wires(self.rows, self.cols, self.layout)
 
     @cached_property
     def ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

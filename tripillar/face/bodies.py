@@ -193,7 +193,7 @@ def response(
     Returns
     -------
     ArrayResponse
-        ``influence_mm_per_n``, shape (rows, cols, 2, 3, rows, cols, 3): unit, electrode U1 or U2, axis of the
+        ``influence_mm_per_n``, shape (rows, cols, upper electrodes, 3, rows, cols, 3): unit, electrode, axis of the
         displacement; unit and axis of the load. ``error_estimate`` is relative.
 
     Examples
