@@ -117,3 +117,11 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(autouse=True)
+def leaves_ctrl_c_alone(interruptible: None) -> Iterator[None]:
+    """A test that left Ctrl-C to another handler, or held back, would make later ones fail in turn: it is named."""
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert sys.platform == "win32" or signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())

@@ -24,8 +24,8 @@ VERSION = 4  #: raise when the same designs give other answers
 class Answers:
     """Of a design under m loads on k units."""
 
-    displacement_mm: FloatArray  #: of the electrodes, (m, k, 2, 3)
-    squares_mm2: FloatArray  #: of the lengths that eq. 1 of the design as meant needs for the resistances, (m, k, 3)
+    displacement_mm: FloatArray  #: of the electrodes, (m, k, n_upper, 3)
+    squares_mm2: FloatArray  #: of the lengths that eq. 1 as meant needs for the resistances, (m, k, n_pillars)
     settled: NDArray[np.bool_]  #: which are answers, (m,)
 
 
@@ -58,7 +58,7 @@ class ChangedDesigns:
         change = [value_of(other, name) - value_of(design, name) for name in names]
         by_parameters = np.tensordot(change, self.sensitivities.influence_mm_per_n, axes=1)
         k = design.n_units
-        influence = (self.response.influence_mm_per_n + by_parameters).reshape(k, 2, 3, k, 3)
+        influence = (self.response.influence_mm_per_n + by_parameters).reshape(k, -1, 3, k, 3)
         with one_blas_thread():
             typical = design if other.unit == design.unit else other  # errors alike cancel in differences
             found = SampleSolver(other, influence, typical=typical).displacements(self.force_n)

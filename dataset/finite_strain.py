@@ -36,12 +36,12 @@ class Group:
     """`GROUP` samples of an array of k units, as they are kept until all are there."""
 
     traction_mpa: FloatArray  #: (GROUP, k, 3)
-    displacement_mm: FloatArray  #: (GROUP, k, 2, 3)
+    displacement_mm: FloatArray  #: (GROUP, k, n_upper, 3)
     error_estimate: FloatArray  #: (GROUP,): relative, of the displacements, the linear response's error included
     iterations: NDArray[np.int64]  #: (GROUP,)
     redrawn: NDArray[np.int64]  #: (GROUP,): draws that passed the cap
     unsolved: NDArray[np.int64]  #: (GROUP,): draws that had no answer below the cap, drawn again as well
-    resistance_ratio: FloatArray  #: (GROUP, k, 3): resistances by the design's electrics over those of eq. 1
+    resistance_ratio: FloatArray  #: (GROUP, k, n_pillars): resistances by the design's electrics over those of eq. 1
     ratio_error: FloatArray  #: (GROUP,): largest estimated error of these
 
     def as_plain(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class GroupSolver:
         require_finite(response.design)
         self.design, self._linear_error = response.design, response.error_estimate
         k = self.design.n_units
-        influence = response.influence_mm_per_n.reshape(k, 2, 3, k, 3)
+        influence = response.influence_mm_per_n.reshape(k, -1, 3, k, 3)
         conducted = response.conducted
         per_n = None if conducted is None else conducted.relative_per_n.reshape(k, -1, k, 3)
         unit, far = self.design.unit, FAR * settings.cap

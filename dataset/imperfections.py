@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
 from dataset.memory import AnyMemory, PillarMemory
-from geometry.design import Electrics, Memory, SensorDesign, quantity
+from geometry.design import Electrics, Memory, SensorDesign, Unit, quantity
 from geometry.errors import DesignError
-from geometry.layout import PILLARS, SONG2018, FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import stated
 from geometry.wiring import crossing_of_pillar, crossings
 
+PAPERS = Unit().layout  #: of arrays that state none
 OPEN_OHM = 1e9  #: reading of an open circuit: finite, as files need it, and far above any pillar
 
 SEEDS = (0, 2**63 - 1)  #: of random numbers: what files can hold
@@ -45,8 +46,8 @@ class Imperfections(ReadingError):
         0.0, "temperature above that of the stated resistivity [K]", True, within=(-200.0, 300.0)
     )
     dead_pillars: tuple[Place, ...] = quantity((), "broken pillar, such as 0,3,z; can be repeated")
-    dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, from 0 to below 2·rows; can be repeated")
-    dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, from 0 to below 2·cols; can be repeated")
+    dead_rows: tuple[int, ...] = quantity((), "number of a broken row wire, counted from 0; can be repeated")
+    dead_cols: tuple[int, ...] = quantity((), "number of a broken column wire, counted from 0; can be repeated")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,8 +55,8 @@ class Imperfections(ReadingError):
             raise DesignError(f"noise={self.noise:g} must be from 0 to 0.1; 0.001 is 0.1 % of the resistance.")
         if not (isinstance(self.dead_pillars, tuple) and all(map(_is_place, self.dead_pillars))):
             raise DesignError(
-                f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and one of the pillars "
-                f"{', '.join(PILLARS)} each, such as ((0, 3, 'z'),)."
+                f"dead_pillars={self.dead_pillars!r} must hold a row and a column from 0 on and the name of a pillar "
+                "each, such as ((0, 3, 'z'),)."
             )
         for name in ("dead_rows", "dead_cols"):
             wires = getattr(self, name)
@@ -63,9 +64,9 @@ class Imperfections(ReadingError):
                 raise DesignError(f"{name}={wires!r} must hold numbers of wires from 0 on, such as (4, 5).")
 
     def gain_and_offset(
-        self, rows: int, cols: int, electrics: Electrics | None = None
+        self, rows: int, cols: int, electrics: Electrics | None = None, layout: Layout = PAPERS
     ) -> tuple[FloatArray, FloatArray]:
-        """Factor [1] and offset [Ω] of every pillar of this specimen, each of shape (rows, cols, 3).
+        """Factor [1] and offset [Ω] of every pillar of this specimen, each of shape (rows, cols, n_pillars).
 
         Both are drawn whatever their size, so that a wider spread is the same specimen with larger deviations. Factors
         are of the rubber: with `electrics` they are those at its temperature, and offsets make of the contacts that are
@@ -74,14 +75,14 @@ class Imperfections(ReadingError):
         """
         # a spawn key keeps this stream apart from those of loads and noise, which have none, whatever their seed
         generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(0,)))
-        shape = (rows, cols, len(PILLARS))
+        shape = (rows, cols, len(layout.pillars))
         gain = 1.0 + self.gain_spread * generator.uniform(-1.0, 1.0, shape)
         offset = self.offset_ohm * generator.standard_normal(shape)
         if electrics is None:
             return gain, offset
         gain = self.warmed(gain, electrics)
         if electrics.contact_ohm:
-            offset = offset + self._contacts(rows, cols, electrics) - gain * electrics.contacts_ohm
+            offset = offset + self._contacts(rows, cols, electrics, layout) - gain * electrics.contacts_ohm
         return gain, offset
 
     def warmed(self, gain: Any, electrics: Electrics) -> Any:
@@ -94,49 +95,56 @@ class Imperfections(ReadingError):
             )
         return gain if factor == 1.0 else factor * gain
 
-    def _contacts(self, rows: int, cols: int, electrics: Electrics) -> FloatArray:
-        """Resistances of both contacts of each pillar together (rows, cols, 3) [Ω]."""
-        factors = self._factors(2, electrics.contact_spread, (rows, cols, len(SONG2018.terminals)))
-        return np.asarray(electrics.contact_ohm * of_both_ends(factors))
+    def _contacts(self, rows: int, cols: int, electrics: Electrics, layout: Layout) -> FloatArray:
+        """Resistances of both contacts of each pillar together (rows, cols, n_pillars) [Ω]."""
+        factors = self._factors(2, electrics.contact_spread, (rows, cols, len(layout.terminals)))
+        return np.asarray(electrics.contact_ohm * of_both_ends(factors, layout))
 
-    def memory_of(self, memory: Memory, rows: int, cols: int) -> AnyMemory:
-        """What the pillars of this specimen remember (rows, cols, 3), of a rubber that remembers so much."""
+    def memory_of(self, memory: Memory, rows: int, cols: int, layout: Layout = PAPERS) -> AnyMemory:
+        """What the pillars of this specimen remember (rows, cols, n_pillars), of a rubber that remembers so much."""
         if not self.memory_spread:
             return memory
-        return PillarMemory.spread(memory, self._factors(1, self.memory_spread, (6, rows, cols, len(PILLARS))))
+        return PillarMemory.spread(memory, self._factors(1, self.memory_spread, (6, rows, cols, len(layout.pillars))))
 
     def _factors(self, stream: int, spread: float, shape: tuple[int, ...]) -> FloatArray:
         """Factors of this specimen, as of `log_normal`; each kind has a stream of its own."""
         generator = np.random.default_rng(np.random.SeedSequence(self.specimen, spawn_key=(stream,)))
         return np.asarray(log_normal(generator.standard_normal(shape), spread))
 
-    def dead_mask(self, rows: int, cols: int) -> NDArray[np.bool_]:
-        """Which pillars cannot be read, shape (rows, cols, 3): broken themselves or on a broken wire.
+    def dead_mask(self, rows: int, cols: int, layout: Layout = PAPERS) -> NDArray[np.bool_]:
+        """Which pillars cannot be read, shape (rows, cols, n_pillars): broken themselves or on a broken wire.
 
         A pillar or wire that the array does not have is a `DesignError`.
 
         Examples
         --------
-        >>> Imperfections(dead_rows=(0,)).dead_mask(1, 1).tolist()  # U1's wire: z and x
+        >>> Imperfections(dead_rows=(0,)).dead_mask(1, 1).tolist()  # that of pillars z and x
         [[[True, True, False]]]
         """
-        for kind, wires, n_wires in (("row", self.dead_rows, 2 * rows), ("column", self.dead_cols, 2 * cols)):
+        wires_of = crossings(rows, cols, layout)
+        counts = (wires_of.max(axis=0) + 1).tolist()
+        given = ("row", self.dead_rows), ("column", self.dead_cols)
+        for (kind, wires), n_wires in zip(given, counts, strict=True):
             if max(wires, default=0) >= n_wires:
                 raise DesignError(
                     f"an array of {rows} × {cols} units has no {kind} wire {max(wires)}: its {kind} wires are 0 to "
                     f"{n_wires - 1}."
                 )
-        dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
+        dead, names = np.zeros((rows, cols, len(layout.pillars)), dtype=bool), layout.pillar_names
         for row, col, pillar in self.dead_pillars:
+            if pillar not in names:
+                raise DesignError(
+                    f"dead_pillars={row},{col},{pillar} names no pillar: write row,col and one of {', '.join(names)}."
+                )
             if row >= rows or col >= cols:
                 raise DesignError(
                     f"an array of {rows} × {cols} units has no pillar {row},{col},{pillar}: its rows are 0 to "
                     f"{rows - 1}, its columns 0 to {cols - 1}."
                 )
-            dead[row, col, PILLARS.index(pillar)] = True
-        row_wire, column_wire = crossings(rows, cols).T
+            dead[row, col, names.index(pillar)] = True
+        row_wire, column_wire = wires_of.T
         on_dead_wire = np.isin(row_wire, self.dead_rows) | np.isin(column_wire, self.dead_cols)
-        return dead | on_dead_wire[crossing_of_pillar(rows, cols)]
+        return dead | on_dead_wire[crossing_of_pillar(rows, cols, layout)]
 
     def apply(
         self,
@@ -144,20 +152,22 @@ class Imperfections(ReadingError):
         generator: np.random.Generator,
         readout: Readout | None = None,
         electrics: Electrics | None = None,
+        layout: Layout = PAPERS,
     ) -> FloatArray:
-        """Exact resistances (n, rows, cols, 3) [Ω] as this specimen shows them and its electronics read them.
+        """Exact resistances (n, rows, cols, n_pillars) [Ω] as this specimen shows them and its electronics read them.
 
-        Series are (n, time, rows, cols, 3). With `electrics` contacts and temperature are as of `gain_and_offset`.
-        They are finite and above 0, `OPEN_OHM` where a pillar cannot be read. A `readout` is electronics in place of a
-        converter that reads each pillar alone; a dead pillar is open to them. The generator gives one number of noise a
-        resistance whatever the settings. A pillar or wire that the array does not have, an offset that outweighs a
-        resistance, one that the converter cannot tell, or other `bits` than the readout's are a `DesignError`.
+        Series are (n, time, rows, cols, n_pillars). With `electrics` contacts and temperature are those of
+        `gain_and_offset`. They are finite and above 0, `OPEN_OHM` where a pillar cannot be read. A `readout` is
+        electronics in place of a converter that reads each pillar alone; a dead pillar is open to them. The generator
+        gives one number of noise a resistance whatever the settings. A pillar or wire that the array does not have, an
+        offset that outweighs a resistance, one that the converter cannot tell, or other `bits` than the readout's are a
+        `DesignError`.
         """
         if readout is not None and readout.bits != self.bits:
             raise DesignError(f"bits={self.bits}, but the readout's converter has {readout.bits}: give both the same.")
         rows, cols = exact_ohm.shape[-3:-1]
-        gain, offset = self.gain_and_offset(rows, cols, electrics)
-        dead = self.dead_mask(rows, cols)
+        gain, offset = self.gain_and_offset(rows, cols, electrics, layout)
+        dead = self.dead_mask(rows, cols, layout)
         ohms = gain * exact_ohm + offset
         ohms[..., dead] = SENSE_OHM  # anything in the converter's range: it is not what will be read
         if (ohms <= 0).any():
@@ -170,13 +180,14 @@ class Imperfections(ReadingError):
         else:
             ohms = measured(self.drifted(ohms, generator), self.noise, None, generator)
             ohms[..., dead] = OPEN_OHM
-            ohms = readout.measured(ohms.reshape(-1, rows, cols, len(PILLARS)), generator).reshape(ohms.shape)
+            ohms = readout.measured(ohms.reshape(-1, rows, cols, len(layout.pillars)), generator).reshape(ohms.shape)
         ohms[..., dead] = OPEN_OHM
         return ohms
 
     def of_samples(self, design: SensorDesign) -> dict[str, Any]:
         """Noise, converter and dead pillars of samples that were read so, by their names in `Samples`."""
-        return {"noise": self.noise, "bits": self.bits, "dead": self.dead_mask(design.array.rows, design.array.cols)}
+        dead = self.dead_mask(design.array.rows, design.array.cols, design.unit.layout)
+        return {"noise": self.noise, "bits": self.bits, "dead": dead}
 
     def as_attributes(self) -> dict[str, Any]:
         """Every field as a NetCDF attribute can hold it; what is None, empty or no drift is left out."""
@@ -191,18 +202,18 @@ def log_normal(draws: Any, spread: float) -> Any:
     return logarithms.exp() if hasattr(logarithms, "exp") else np.exp(logarithms)
 
 
-def of_both_ends(electrodes: Any) -> Any:
-    """Values of a unit's electrodes (..., 4), upper ones first, summed over both ends of each pillar (..., 3)."""
-    return electrodes[..., SONG2018.pillar_terminals].sum(-1)
+def of_both_ends(electrodes: Any, layout: Layout = PAPERS) -> Any:
+    """Values of a unit's electrodes (..., e), upper ones first, summed over both ends of pillars (..., n_pillars)."""
+    return electrodes[..., layout.pillar_terminals].sum(-1)
 
 
-def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int) -> Imperfections:
+def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int, layout: Layout = PAPERS) -> Imperfections:
     """The imperfections that a file's attributes state; one that is missing or makes no sense stays at its default."""
     found = Imperfections()
     for name in {spec.name for spec in fields(Imperfections)} & set(attributes):
         with suppress(DesignError):
             more = replace(found, **{name: _from_attribute(name, attributes[name])})
-            more.dead_mask(rows, cols)  # refuses what the array does not have
+            more.dead_mask(rows, cols, layout)  # refuses what the array does not have
             found = more
     return found
 
@@ -235,5 +246,8 @@ def _is_index(value: object) -> bool:
 
 def _is_place(value: object) -> bool:
     return (
-        isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_index, value[:2])) and value[2] in PILLARS
+        isinstance(value, tuple | list)
+        and len(value) == 3
+        and all(map(_is_index, value[:2]))
+        and isinstance(value[2], str)
     )

@@ -30,18 +30,17 @@ def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callab
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
     It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
-    (m, n_units, 2, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
+    (m, n_units, n_upper, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
     """
 
     def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
-        traction, displacement, moment = (
-            np.zeros((len(numbers), design.n_units, *shape)) for shape in ((3,), (2, 3), (2,))
-        )
+        shapes = (3,), (len(design.unit.layout.upper), 3), (2,)
+        traction, displacement, moment = (np.zeros((len(numbers), design.n_units, *shape)) for shape in shapes)
         for place in np.flatnonzero(numbers < wanted):
             contact = drawn_press(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
             traction[place] = contact.force_n.reshape(-1, 3) * per_area
-            displacement[place] = contact.electrode_mm.reshape(-1, 2, 3)
+            displacement[place] = contact.electrode_mm.reshape(displacement.shape[1:])
             moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
         return [traction, displacement, moment]
 

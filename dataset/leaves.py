@@ -21,7 +21,7 @@ import numpy as np
 
 from dataset.variables import TIME, VARIABLES, coordinates
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest, reported, require_folder
 from geometry.storage.netcdf import chosen_variables
 from geometry.storage.unfinished import unfinished_folder
@@ -96,6 +96,7 @@ def write_header(
     hashes: Mapping[str, Sequence[str]],
     attributes: Mapping[str, Any],
     dtype: str,
+    layout: Layout,
     time_s: FloatArray | None = None,
 ) -> None:
     """Write all of a directory but its leaves, of samples of rows × cols units and the variables that have `hashes`.
@@ -112,7 +113,7 @@ def write_header(
     group = zarr.create_group(folder, zarr_format=2, overwrite=False, attributes=said)
     for name, of_leaves in hashes.items():
         dims, notes = list(VARIABLES[name].dims_in(is_timed)), VARIABLES[name].notes
-        of_one = VARIABLES[name].shape(rows, cols, moments)
+        of_one = VARIABLES[name].shape(rows, cols, layout, moments)
         group.create_array(
             name,
             shape=(n, *of_one),
@@ -125,7 +126,7 @@ def write_header(
         )
     if is_timed:
         group.create_array("time_s", data=time_s, fill_value=None, attributes={"_ARRAY_DIMENSIONS": ["time"], **TIME})
-    for dim, labels in coordinates(hashes).items():
+    for dim, labels in coordinates(hashes, layout).items():
         group.create_array(dim, data=np.array(labels), fill_value=None, attributes={"_ARRAY_DIMENSIONS": [dim]})
     zarr.consolidate_metadata(group.store, zarr_format=2)
 
@@ -140,6 +141,7 @@ def write_leaves(
     arrays: Mapping[str, np.ndarray],
     attributes: Mapping[str, Any],
     dtype: str,
+    layout: Layout,
     time_s: FloatArray | None = None,
 ) -> None:
     """Write variables (samples, ...), or (series, time, ...), as a zarr directory, whole or not at all.
@@ -158,7 +160,7 @@ def write_leaves(
             write_leaf(folder, leaf)
             for name, one in leaf.hashes.items():
                 hashes[name].append(one)
-        write_header(folder, (n, rows, cols), hashes, attributes, dtype, time_s)
+        write_header(folder, (n, rows, cols), hashes, attributes, dtype, layout, time_s)
 
 
 def is_zarr(path: Path) -> bool:

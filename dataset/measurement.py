@@ -33,7 +33,7 @@ class Readout(Protocol):
         """The design as it shows: without contacts to electronics that see none."""
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """Resistances that it reads of pillars z, x, y, both (n_samples, rows, cols, 3) [Ω]; finite and above 0."""
+        """Resistances that it reads of pillars, both (n_samples, rows, cols, n_pillars) [Ω]; finite and above 0."""
 
 
 @dataclass(frozen=True, kw_only=True)

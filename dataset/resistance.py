@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geometry.design import SensorDesign, Unit
-from geometry.layout import PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, ConductedPillars
 
 
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
-    """Length of the z, x and y pillars (..., 3) [mm] when U1 and U2 have moved by (..., 2, 3) [mm] along x, y, z.
+    """Length of the pillars (..., n_pillars) [mm] when electrodes have moved by (..., n_upper, 3) [mm] along x, y, z.
 
     The distance between the electrode centroids, not linearised; the lower electrodes are clamped.
 
@@ -22,43 +22,43 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
     np.float64(9.0)
     """
-    along = _at_rest(unit) + displacement_mm[..., PILLAR_TOP, :]
+    along = _at_rest(unit) + displacement_mm[..., unit.layout.pillar_top, :]
     return np.sqrt(np.einsum("...k,...k->...", along, along))
 
 
 def _at_rest(unit: Unit) -> FloatArray:
-    """From the lower end of each pillar to the upper one, (3, 3) [mm]."""
+    """From the lower end of each pillar to the upper one, (n_pillars, 3) [mm]."""
     bottom, top = pillar_ends(unit).transpose(1, 0, 2)
     return top - bottom
 
 
 def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Unit) -> FloatArray:
-    """Size of every pillar's strain |l − l₀|/l₀, shape (..., 3); infinite where a pillar has turned over.
+    """Size of every pillar's strain |l − l₀|/l₀, shape (..., n_pillars); infinite where a pillar has turned over.
 
-    Takes displacements (..., 2, 3) [mm] and the lengths (..., 3) [mm] that `pillar_lengths` gives for them. A length is
-    a distance: an electrode pushed through the base and out below it would pass for a small strain.
+    Takes displacements (..., n_upper, 3) [mm] and the lengths that `pillar_lengths` gives for them. A length is a
+    distance: an electrode pushed through the base and out below it would pass for a small strain.
     """
     rest, rest_mm = _at_rest(unit), rest_lengths(unit)
     strain = np.abs(length_mm / rest_mm - 1.0)
     farthest_mm = max(displacement_mm.max(initial=0.0), -displacement_mm.min(initial=0.0))
     if farthest_mm * np.sqrt(3.0) < rest_mm.min():
         return strain  # no electrode has moved as far as a pillar is long, so none has turned over
-    along_rest = np.einsum("...k,...k->...", rest + displacement_mm[..., PILLAR_TOP, :], rest)
+    along_rest = np.einsum("...k,...k->...", rest + displacement_mm[..., unit.layout.pillar_top, :], rest)
     return np.where(along_rest > 0, strain, np.inf)
 
 
 def largest_strains(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
-    """Largest strain of a pillar of each sample, (n, n_units, 2, 3) [mm] -> (n,)."""
+    """Largest strain of a pillar of each sample, (n, n_units, n_upper, 3) [mm] -> (n,)."""
     return pillar_strains(displacement_mm, pillar_lengths(displacement_mm, unit), unit).max(axis=(1, 2))
 
 
 def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> FloatArray:
-    """Factors (n,) that scale displacements (n, n_units, 2, 3) up until some pillar's strain reaches the cap.
+    """Factors (n,) that scale displacements (n, n_units, n_upper, 3) up until some pillar's strain reaches the cap.
 
     |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
     sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
     """
-    rest, u = _at_rest(unit), displacement_mm[..., PILLAR_TOP, :]
+    rest, u = _at_rest(unit), displacement_mm[..., unit.layout.pillar_top, :]
     uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
     dd = rest_lengths(unit) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -71,7 +71,7 @@ def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> Floa
 
 
 def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivity_ohm_mm: float) -> FloatArray:
-    """Resistance (..., 3) [Ω] of conductive pillars z, x, y of these lengths (..., 3), which keep their volumes (3,).
+    """Resistance (..., n_pillars) [Ω] of conductive pillars of these lengths, which keep their volumes (n_pillars,).
 
     R = ρ l / S = ρ l² / V, eq. 1 of Song et al., Micromachines 2018, 9(5), 236; it falls in compression. A length that
     is not above 0, of a collapsed pillar, is a `ValueError`.
@@ -87,7 +87,7 @@ def pillar_resistances(length_mm: FloatArray, volume_mm3: FloatArray, resistivit
 
 
 def exact_resistances(effective_mm: FloatArray, design: SensorDesign, rise: FloatArray | float = 0.0) -> FloatArray:
-    """Resistances (..., 3) [Ω] of a design's pillars and their contacts, by `effective_lengths` (..., 3) [mm].
+    """Resistances (..., n_pillars) [Ω] of a design's pillars and their contacts, by `effective_lengths` [mm].
 
     `rise` is that of ln R by memory, as of `dataset.memory.remembered`.
     """
@@ -98,22 +98,23 @@ def exact_resistances(effective_mm: FloatArray, design: SensorDesign, rise: Floa
 
 
 def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
-    """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, 3) [mm].
+    """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, n_pillars) [mm].
 
     Takes forces (n, n_units, 3) [N] on the pads along x, y and z, z negative pushing down. Loads beyond the second
     order in strain, by which a resistance would not be above 0, are a `ValueError`.
     """
     n, n_units, _ = newtons.shape
-    n_components = conducted.rest_mm.shape[-1]
-    parts = newtons.reshape(n, -1) @ conducted.influence_mm_per_n.reshape(n_units * 3 * n_components, -1).T
+    n_pillars, n_components = conducted.rest_mm.shape[-2:]
+    parts = newtons.reshape(n, -1) @ conducted.influence_mm_per_n.reshape(n_units * n_pillars * n_components, -1).T
     parts += conducted.rest_mm.reshape(-1)
     parts *= parts
-    squares = np.einsum("npk,pk->np", parts.reshape(n, n_units * 3, -1), conducted.sign.reshape(-1, n_components))
+    parts = parts.reshape(n, n_units * n_pillars, n_components)
+    squares = np.einsum("npk,pk->np", parts, conducted.sign.reshape(-1, n_components))
     if not squares.min(initial=np.inf) > 0:
         raise ValueError(
             "a resistance of conduction is not above 0: the load is too large for linear strain, lower it."
         )
-    return np.sqrt(squares).reshape(n, n_units, 3)
+    return np.sqrt(squares).reshape(n, n_units, n_pillars)
 
 
 def effective_lengths(response: "ArrayResponse", displacement_mm: FloatArray, newtons: FloatArray) -> FloatArray:
@@ -124,7 +125,7 @@ def effective_lengths(response: "ArrayResponse", displacement_mm: FloatArray, ne
 
 
 def rest_resistances(design: SensorDesign) -> FloatArray:
-    """Resistance of the z, x and y pillars of any unit with nothing on the sensor, shape (3,) [Ω].
+    """Resistance of the pillars of any unit with nothing on the sensor, shape (n_pillars,) [Ω].
 
     >>> rest_resistances(SensorDesign()).round(1).tolist()
     [10000.0, 14142.1, 14142.1]
@@ -136,7 +137,7 @@ def rest_resistances(design: SensorDesign) -> FloatArray:
 
 @cache
 def _conducted_at_rest(unit: Unit) -> FloatArray:
-    """Resistances at rest by conduction over the resistivity, (3,) [1/mm]; solved when first asked for."""
+    """Resistances at rest by conduction over the resistivity, (n_pillars,) [1/mm]; solved when first asked for."""
     from fem.conduction.potentials import unit_conductances
 
     return unit_conductances(unit).pillars_per_mm

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import stated_imperfections
+from dataset.imperfections import PAPERS, Imperfections, stated_imperfections
 from dataset.leaves import is_zarr, leaf_size, write_leaves
 from dataset.measurement import ReadingError
 from dataset.variables import LABELS, TIME, VARIABLES, coordinates
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError, TriPillarError, require_type
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
 from geometry.storage.netcdf import write_netcdf
 
@@ -37,9 +37,10 @@ class AnySamples:
     """Samples in memory or on disk: the sensor that they are of, and how it was read."""
 
     design: SensorDesign | None  #: None if it is not known
+    layout: Layout  #: of a unit: the design's, or the one whose pillars the file names
     noise: float  #: relative standard deviation of the resistances; 0 if not known
     bits: int | None  #: resolution of the converter; None if exact or not known
-    dead: NDArray[np.bool_] | None  #: (rows, cols, 3): pillars that cannot be read; None if all can
+    dead: NDArray[np.bool_] | None  #: (rows, cols, n_pillars): pillars that cannot be read; None if all can
     made_from: dict[str, Any]  #: other attributes of the file: seed, protocol, hashes ...
     strain_model: FloatArray | None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     time_s: FloatArray | None  #: (t,): of each moment since the series began [s]; None of samples without a time
@@ -82,8 +83,11 @@ class AnySamples:
 
     @property
     def _own_errors(self) -> ReadingError:
-        stated = stated_imperfections(self.made_from, *self.shape)
-        return ReadingError(noise=self.noise, bits=self.bits).with_drifts_of(stated)
+        return ReadingError(noise=self.noise, bits=self.bits).with_drifts_of(self._stated)
+
+    @property
+    def _stated(self) -> Imperfections:
+        return stated_imperfections(self.made_from, *self.shape, self.layout)
 
     @property
     def _of_part(self) -> dict[str, Any]:
@@ -100,12 +104,12 @@ class AnySamples:
 
     def attributes(self) -> dict[str, Any]:
         """Attributes of a dataset file: `design`; `made_from`, corrected by `noise`, `bits` and `dead`."""
-        stated, said = stated_imperfections(self.made_from, *self.shape), dict(self.made_from)
+        stated, said, names = self._stated, dict(self.made_from), self.layout.pillar_names
         own = {"noise": self.noise, "bits": self.bits}
         said |= {name: value for name, value in own.items() if value != getattr(stated, name)}
-        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape)):
+        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape, self.layout)):
             said = {name: value for name, value in said.items() if not name.startswith("dead_")}
-            said["dead_pillars"] = [f"{row},{col},{PILLARS[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
+            said["dead_pillars"] = [f"{row},{col},{names[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
         design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
 
@@ -149,17 +153,18 @@ class Samples(AnySamples):
     """
 
     force_n: FloatArray  #: (n, rows, cols, 3): axes x, y, z [N]; Fz positive in compression
-    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y [Ω], as measured
+    resistance_ohm: FloatArray  #: (n, rows, cols, n_pillars) [Ω], as measured
     traction_mpa: FloatArray | None = None  #: (n, rows, cols, 3): force over pad area [MPa]; z < 0 pushes down
-    displacement_mm: FloatArray | None = None  #: (n, rows, cols, 2, 3): electrodes U1, U2 along x, y, z [mm]
-    length_mm: FloatArray | None = None  #: (n, rows, cols, 3): pillars z, x, y [mm]
+    displacement_mm: FloatArray | None = None  #: (n, rows, cols, n_upper, 3): electrodes along x, y, z [mm]
+    length_mm: FloatArray | None = None  #: (n, rows, cols, n_pillars): of pillars [mm]
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): ∫ p x, ∫ p y about each unit's middle; None of pads
-    effective_length_mm: FloatArray | None = None  #: (n, rows, cols, 3): √(R V/ρ) of conduction [mm]; None by eq. 1
+    effective_length_mm: FloatArray | None = None  #: (n, rows, cols, n_pillars): √(R V/ρ) of conduction; None by eq. 1
     strain_model: FloatArray | None = None  #: (n,): of the rubber, 0 linear, 1 neo-Hookean; None of linear samples
     error_estimate: FloatArray | None = None  #: (n,): of the displacements, relative; None if not known
     iterations: FloatArray | None = None  #: (n,): of the solution at finite strain
     time_s: FloatArray | None = None  #: (t,): of each moment [s], of series over time
     design: SensorDesign | None = None
+    layout: Layout = PAPERS  #: the design's, if one is given
     noise: float = 0.0
     bits: int | None = None
     dead: NDArray[np.bool_] | None = None
@@ -171,13 +176,18 @@ class Samples(AnySamples):
             wanted = "(n_samples, rows, cols, 3)" if moments is None else f"(n_series, {moments}, rows, cols, 3)"
             raise SampleError(f"force_n has shape {shape}, expected {wanted}: axes x, y, z last.")
         n, *_, rows, cols, _ = shape
+        if self.design is not None:
+            object.__setattr__(self, "layout", self.design.unit.layout)
         for name, values in self.arrays().items():
-            expected = (n, *VARIABLES[name].shape(rows, cols, moments))
+            expected = (n, *VARIABLES[name].shape(rows, cols, self.layout, moments))
             if np.shape(values) != expected:
-                raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of force_n.")
+                of_pillars = f" and of pillars {', '.join(self.layout.pillar_names)}"
+                of = f"force_n{of_pillars * ('pillar' in VARIABLES[name].dims)}"
+                raise SampleError(f"{name} has shape {np.shape(values)}, expected {expected}, as of {of}.")
             object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
-        if self.dead is not None and np.shape(self.dead) != shape[-3:]:
-            raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {shape[-3:]}: one entry a pillar.")
+        of_one = self.resistance_ohm.shape[-3:]
+        if self.dead is not None and np.shape(self.dead) != of_one:
+            raise SampleError(f"dead has shape {np.shape(self.dead)}, expected {of_one}: one entry a pillar.")
 
     def __len__(self) -> int:
         return len(self.force_n)
@@ -242,7 +252,7 @@ class Samples(AnySamples):
         timed = self.time_s is not None
         return xr.Dataset(
             {name: (VARIABLES[name].dims_in(timed), values, VARIABLES[name].notes) for name, values in held.items()},
-            coords=coordinates(held) | ({"time_s": ("time", self.time_s, TIME)} if timed else {}),
+            coords=coordinates(held, self.layout) | ({"time_s": ("time", self.time_s, TIME)} if timed else {}),
             attrs={**self.attributes(), "content_hash": self.content_hash},
         )
 
@@ -255,7 +265,7 @@ class Samples(AnySamples):
         path = Path(path)
         require_dtype(dtype, path)
         if is_zarr(path):
-            write_leaves(path, self.arrays(), self.attributes(), dtype, self.time_s)
+            write_leaves(path, self.arrays(), self.attributes(), dtype, self.layout, self.time_s)
         else:
             write_netcdf(self.to_xarray(), path)
 
@@ -267,8 +277,9 @@ def joined(parts: Sequence[Samples]) -> Samples:
     """
     first = parts[0]
     for number, part in enumerate(parts[1:], 2):
-        for name, said in (("design", "design"), ("noise", "noise"), ("bits", "bits"), ("errors", "drift")):
+        for name in ("design", "layout", "noise", "bits", "errors"):
             if getattr(part, name) != getattr(first, name):
+                said = "drift" if name == "errors" else name
                 raise SampleError(
                     f"data set {number} has another {said} than the first: join samples of one sensor, read alike."
                 )
@@ -284,7 +295,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 def _dead(samples: AnySamples) -> NDArray[np.bool_]:
-    return np.zeros((*samples.shape, len(PILLARS)), dtype=bool) if samples.dead is None else samples.dead
+    return np.zeros((*samples.shape, len(samples.layout.pillars)), dtype=bool) if samples.dead is None else samples.dead
 
 
 def require_variables(names: Sequence[str]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 from dataset.histories import between, programme
-from dataset.imperfections import SEEDS, Imperfections
+from dataset.imperfections import PAPERS, SEEDS, Imperfections
 from dataset.indentation import VERSION, indented
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
@@ -27,7 +27,7 @@ from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import Electrics, Memory, SensorDesign, quantity
 from geometry.errors import DesignError, TriPillarError, require_type
-from geometry.layout import AXES, FloatArray, rest_lengths
+from geometry.layout import AXES, FloatArray, Layout, rest_lengths
 from geometry.storage.files import digest
 from geometry.threads import one_blas_thread
 
@@ -172,7 +172,8 @@ def _kept_shapes(
     absent = {"effective_length_mm": not design.electrics.is_conduction, "moment_nmm": protocol != INDENT}
     by_design = [name for name in ARRAYS if not absent.get(name)]
     names = [name for name in by_design if only is None or name in (*LABELS, *only)]
-    return {name: VARIABLES[name].shape(design.array.rows, design.array.cols, moments) for name in names}
+    size = design.array.rows, design.array.cols, design.unit.layout
+    return {name: VARIABLES[name].shape(*size, moments) for name in names}
 
 
 def require_memory(design: SensorDesign, settings: DatasetSettings, only: Sequence[str] | None = None) -> None:
@@ -228,6 +229,7 @@ def measured_again(
             seed,
             readout,
             electrics=design.electrics,
+            layout=design.unit.layout,
         ),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
@@ -252,10 +254,12 @@ def read_resistances(
     readout: Readout | None,
     first: int = 0,
     electrics: Electrics | None = None,
+    layout: Layout = PAPERS,
 ) -> FloatArray:
-    """Exact resistances (n, rows, cols, 3) [Ω] as a sensor of these imperfections reads them, from sample `first` on.
+    """Exact resistances (n, rows, cols, n_pillars) [Ω] as a sensor of these imperfections reads them.
 
-    Each block, and each of series (n, time, rows, cols, 3), has a stream of noise that no loads use.
+    Their first is sample number `first`. Each block, and each of series (n, time, rows, cols, n_pillars), has a stream
+    of noise that no loads use.
     """
     size = BLOCK if exact_ohm.ndim == 4 else 1
     blocks = [
@@ -264,6 +268,7 @@ def read_resistances(
             np.random.default_rng([seed, (first + start) // size, MAX_ROUNDS]),
             readout,
             electrics,
+            layout,
         )
         for start in range(0, len(exact_ohm), size)
     ]
@@ -273,25 +278,25 @@ def read_resistances(
 def _rise(
     length_mm: FloatArray | None, design: SensorDesign, specimen: Imperfections, time_s: FloatArray | None
 ) -> FloatArray | float:
-    """Rise of ln R by a specimen's memory over series of lengths (n, time, rows, cols, 3) [mm]; 0 without a time."""
+    """Rise of ln R by a specimen's memory over lengths (n, time, rows, cols, n_pillars) [mm]; 0 without a time."""
     memory = design.pillar_material.memory
     if length_mm is None or time_s is None or memory == Memory():
         return 0.0
     strain = length_mm / rest_lengths(design.unit) - 1.0
-    own = specimen.memory_of(memory, design.array.rows, design.array.cols)
+    own = specimen.memory_of(memory, design.array.rows, design.array.cols, design.unit.layout)
     return np.stack([remembered(one, np.diff(time_s), own) for one in strain])
 
 
 def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
-    """Displacement of the upper electrodes (n, n_units, 2, 3) [mm] under tractions (n, n_units, 3) [MPa].
+    """Displacement of the upper electrodes (n, n_units, n_upper, 3) [mm] under tractions (n, n_units, 3) [MPa].
 
     Tractions along other axes than `axes` are known to be 0 and are skipped.
     """
     n, n_units, _ = traction_mpa.shape
     loaded = [AXES.index(axis) for axis in axes]
-    influence = response.influence_mm_per_n.reshape(n_units * 6, n_units, 3)[:, :, loaded]
+    influence = response.influence_mm_per_n.reshape(-1, n_units, 3)[:, :, loaded]
     newtons = traction_mpa[:, :, loaded].reshape(n, -1) * response.design.pad.size_mm**2
-    return (newtons @ influence.reshape(n_units * 6, -1).T).reshape(n, n_units, 2, 3)
+    return (newtons @ influence.reshape(len(influence), -1).T).reshape(n, n_units, -1, 3)
 
 
 def labelled(
@@ -308,7 +313,7 @@ def labelled(
     Of series (n, time, ...) tractions are those that displace electrodes so, once the rubber has settled.
     """
     grid = (*traction_mpa.shape[:-2], design.array.rows, design.array.cols)
-    traction, displacement = traction_mpa.reshape(*grid, 3), displacement_mm.reshape(*grid, 2, 3)
+    traction, displacement = traction_mpa.reshape(*grid, 3), displacement_mm.reshape(*grid, -1, 3)
     prony = design.pillar_material.prony
     length = pillar_lengths(displacement, design.unit)
     effective = length if effective_mm is None else effective_mm.reshape(length.shape)
@@ -321,7 +326,9 @@ def labelled(
         "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": read_resistances(exact_ohm, settings, settings.seed, readout, first, design.electrics),
+        "resistance_ohm": read_resistances(
+            exact_ohm, settings, settings.seed, readout, first, design.electrics, design.unit.layout
+        ),
     } | ({} if effective_mm is None else {"effective_length_mm": effective})
 
 

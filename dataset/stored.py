@@ -1,7 +1,7 @@
 """Samples on disk: NetCDF and CSV files are read whole, zarr directories leaf by leaf as they are used."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,11 +13,11 @@ from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
-from dataset.variables import COORDINATES, LABELS, TIMED, VARIABLES, senseless
+from dataset.variables import LABELS, TIMED, VARIABLES, labels_of, layout_of, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError, FileFormatError, TriPillarError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
 from geometry.storage.netcdf import read_netcdf
 from geometry.storage.seal import say_made_anew
@@ -39,15 +39,16 @@ class StoredSamples(AnySamples):
 
     def __init__(self, path: Path, labels_only: bool = False) -> None:
         self.path = Path(path)  #: of the directory
-        self._data = _contract(self.path, open_zarr(self.path, *_variables(labels_only)))
+        data = open_zarr(self.path, *_variables(labels_only))
+        self._described = _described(self.path, data.attrs, data.sizes["row"], data.sizes["col"], _names(data))
+        vars(self).update(self._described)
+        self._data = _contract(self.path, data, self.layout)
         self._last: tuple[int, dict[str, np.ndarray]] | None = None
         self.shape = self._data.sizes["row"], self._data.sizes["col"]
         self.time_s = _times(self.path, self._data)
         self.variables = tuple(name for name in VARIABLES if name in self._data)
         is_short = all(self._data[name].dtype == np.float32 for name in LABELS)
         self.dtype = np.dtype(np.float32 if is_short else np.float64)
-        self._described = _described(self.path, self._data.attrs, *self.shape)
-        vars(self).update(self._described)
         self._hashes = self._stated_hashes()
 
     def __len__(self) -> int:
@@ -94,8 +95,9 @@ class StoredSamples(AnySamples):
     def __getitem__(self, which: Choice) -> Samples:
         rows, whole = self._rows(which), range(len(self))
         numbers = np.array(whole[rows], int) if isinstance(rows, slice) else np.arange(len(self))[rows]
-        shapes = {name: (len(numbers), *VARIABLES[name].shape(*self.shape, self.moments)) for name in self.variables}
-        arrays: dict[str, Any] = {name: np.empty(shape) for name, shape in shapes.items()}
+        of_one = *self.shape, self.layout, self.moments
+        shapes = {name: VARIABLES[name].shape(*of_one) for name in self.variables}
+        arrays: dict[str, Any] = {name: np.empty((len(numbers), *shape)) for name, shape in shapes.items()}
         of_leaf = numbers // self.leaf_size
         for number in np.unique(of_leaf):
             places = np.flatnonzero(of_leaf == number)
@@ -123,7 +125,7 @@ class StoredSamples(AnySamples):
                         f"{self.path}: {name} of samples {start} to {start + len(arrays[name]) - 1} does not match the "
                         f"hash stated: damaged, make it again; drop '{HASHES}' if you changed it on purpose."
                     )
-            _require_sound(self.path, arrays, start)
+            _require_sound(self.path, arrays, self.layout, start)
             self._last = number, arrays
         return self._last[1]
 
@@ -156,23 +158,29 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
     Resistances and forces must be there; tractions, displacements and lengths may be missing, and `labels_only` leaves
-    them in the file. Axes and pillars may be unlabelled, x, y, z and z, x, y then. An attribute that is missing or
-    makes no sense counts as not stated. A file that is damaged or foreign, states another hash than its content's,
+    them in the file. Axes may be unlabelled, x, y, z then. Pillars are those of the stated design; else those of the
+    ready layout that has their names; unlabelled ones are the paper's z, x, y. An attribute that is missing or makes no
+    sense counts as not stated. A file that is damaged or foreign, states another hash than its content's,
     lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
     if is_zarr(path):
         return StoredSamples(path, labels_only)
     attributes: Mapping[str, Any] = {}
+    arrays: dict[str, Any]
     time_s: FloatArray | None = None
     if path.suffix == ".csv":
-        arrays: dict[str, Any] = read_csv(path)
+        arrays, layout = read_csv(path)
+        rows, cols = arrays["force_n"].shape[-3:-1]
+        described = _described(path, {}, rows, cols, layout.pillar_names)
     else:
-        data = _contract(path, read_netcdf(path, *_variables(labels_only)))
+        data = read_netcdf(path, *_variables(labels_only))
+        described = _described(path, data.attrs, data.sizes["row"], data.sizes["col"], _names(data))
+        data = _contract(path, data, described["layout"])
         attributes, time_s = data.attrs, _times(path, data)
         arrays = {str(name): values.to_numpy().astype(float, copy=False) for name, values in data.data_vars.items()}
-    _require_sound(path, arrays)
-    samples = Samples(**arrays, time_s=time_s, **_described(path, attributes, *arrays["force_n"].shape[-3:-1]))
+    _require_sound(path, arrays, described["layout"])
+    samples = Samples(**arrays, time_s=time_s, **described)
     if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
         raise FileFormatError(_changed(path))
     return samples
@@ -209,9 +217,14 @@ def _times(path: Path, data: "xr.Dataset") -> FloatArray | None:
     return time_s
 
 
-def _contract(path: Path, data: "xr.Dataset") -> "xr.Dataset":
+def _names(data: "xr.Dataset") -> list[str]:
+    """Names of the pillars, as they stand in the file; none if they are not labelled."""
+    return [str(name) for name in data["pillar"].values] if "pillar" in data.coords else []
+
+
+def _contract(path: Path, data: "xr.Dataset", layout: Layout) -> "xr.Dataset":
     """Numbers, with axes, pillars and electrodes in the order of the contract, which those without labels have."""
-    for dim, labels in COORDINATES.items():
+    for dim, labels in labels_of(layout).items():
         if dim not in data.dims or (dim not in data.coords and data.sizes[dim] == len(labels)):
             continue
         given = [str(label) for label in data[dim].values] if dim in data.coords else []
@@ -229,21 +242,25 @@ def _contract(path: Path, data: "xr.Dataset") -> "xr.Dataset":
     return data
 
 
-def _described(path: Path, attributes: Mapping[str, Any], rows: int, cols: int) -> dict[str, Any]:
-    """Design, measurement and origin of samples, by their names in `Samples`."""
+def _described(
+    path: Path, attributes: Mapping[str, Any], rows: int, cols: int, pillars: Sequence[str]
+) -> dict[str, Any]:
+    """Design, layout, measurement and origin of samples, by their names in `Samples`; of pillars of these names."""
     design = _stated_design(attributes.get("design"))
     if design is not None and (rows, cols) != (design.array.rows, design.array.cols):
         raise FileFormatError(
             f"{path}: holds {rows} × {cols} units, its attribute 'design' says "
             f"{design.array.rows} × {design.array.cols}: drop the attribute or correct it."
         )
-    sensor = stated_imperfections(attributes, rows, cols)
+    layout = layout_of(pillars) if design is None else design.unit.layout
+    sensor = stated_imperfections(attributes, rows, cols, layout)
     known = {"content_hash", LEAF_SIZE, HEADER_HASH} | ({"design"} if design is not None else set())
     return {
         "design": design,
+        "layout": layout,
         "noise": sensor.noise,
         "bits": sensor.bits,
-        "dead": sensor.dead_mask(rows, cols),
+        "dead": sensor.dead_mask(rows, cols, layout),
         "made_from": {name: value for name, value in attributes.items() if name not in known},
     }
 
@@ -264,8 +281,8 @@ def _changed(path: Path) -> str:
     )
 
 
-def _require_sound(path: Path, arrays: Mapping[str, np.ndarray], first: int = 0) -> None:
+def _require_sound(path: Path, arrays: Mapping[str, np.ndarray], layout: Layout, first: int = 0) -> None:
     """Refuse numbers that no sensor gives; `first` is the number of the first sample."""
     for name, values in arrays.items():
-        if said := senseless(name, values, first=first):
+        if said := senseless(name, values, labels_of(layout), first):
             raise FileFormatError(f"{path}: {said}: remove that sample or measure it again.")

@@ -2,31 +2,31 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 
 from dataset.samples import AnySamples
-from dataset.variables import COORDINATES, LABELS, VARIABLES
+from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
 from geometry.errors import FileFormatError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import replacing
 from geometry.storage.text_file import why_unreadable
 
-COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_[a-z]_(?:n|ohm)")
+COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"
 
 
-def columns_of(variables: Iterable[str], rows: int, cols: int) -> list[str]:
+def columns_of(variables: Iterable[str], rows: int, cols: int, layout: Layout) -> list[str]:
     """Names of the columns of variables of an array: quantity, place and unit.
 
-    >>> columns_of(["force_n", "resistance_ohm"], 1, 1)[2:4]
+    >>> columns_of(["force_n", "resistance_ohm"], 1, 1, layout_of("xyz"))[2:4]
     ['force_0_0_z_n', 'resistance_0_0_z_ohm']
     """
 
     def named(variable: str) -> Iterator[str]:
-        labels = {"row": range(rows), "col": range(cols), **COORDINATES}
+        labels = {"row": range(rows), "col": range(cols), **labels_of(layout)}
         dims = VARIABLES[variable].dims[1:]
         quantity, *unit = variable.rsplit("_", 1) if dims else [variable]
         for place in product(*(labels[dim] for dim in dims)):
@@ -47,7 +47,7 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
         raise FileFormatError(f"{path}: no form of a table: end the name in .csv.")
     import pandas as pd
 
-    columns, first = columns_of(data.variables, *data.shape), 0
+    columns, first = columns_of(data.variables, *data.shape, data.layout), 0
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         for block in data.blocks(4 * data.leaf_size):
             flat = block.at_moments()
@@ -62,18 +62,21 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
     return columns
 
 
-def read_csv(path: Path) -> dict[str, FloatArray]:
-    """Forces [N] and resistances [Ω] of a table, each (n, rows, cols, 3); other columns are left out.
+def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
+    """Forces (n, rows, cols, 3) [N] and resistances (n, rows, cols, n_pillars) [Ω] of a table, and its layout.
 
-    Numbers between semicolons may have a decimal comma. A file that is missing, lacks a column or holds what is no
-    number is a `FileFormatError` that says which.
+    Other columns are left out. Numbers between semicolons may have a decimal comma. A file that is missing, lacks a
+    column or holds what is no number is a `FileFormatError` that says which.
     """
     import pandas as pd
 
     header, separator = _header_of(path)
-    units = [(int(place[1]), int(place[2])) for place in map(COLUMN.fullmatch, header) if place]
+    places = [place for place in map(COLUMN.fullmatch, header) if place]
+    units = [(int(place[1]), int(place[2])) for place in places]
+    layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
-    expected = columns_of(LABELS, rows, cols)
+    of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
+    expected = [*chain(*of_each)]
     missing = [name for name in expected if name not in header]
     if missing:
         size = f" of {rows} × {cols} units" if units else ""
@@ -81,12 +84,12 @@ def read_csv(path: Path) -> dict[str, FloatArray]:
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
-        arrays = dict(zip(LABELS, np.split(table[expected].to_numpy(np.float64), 2, axis=1), strict=True))
+        arrays = {name: table[names].to_numpy(np.float64) for name, names in zip(LABELS, of_each, strict=True)}
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
-    return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}
+    return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 
 
 def holds_samples(path: Path) -> bool:

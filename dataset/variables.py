@@ -5,10 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dataset.imperfections import OPEN_OHM
-from geometry.layout import AXES, ELECTRODES, PILLARS
+from dataset.imperfections import OPEN_OHM, PAPERS
+from geometry.layout import AXES, LAYOUTS, Layout
 
-COORDINATES = {"axis": list(AXES), "pillar": list(PILLARS), "electrode": list(ELECTRODES), "place": list(AXES[:2])}
 #: limits that no sensor exceeds: a hundred tonnes on a pad, a superconductor, an insulator; none overflows when squared
 MAX_N, MIN_OHM, MAX_OHM = 1e6, 1e-9, 1e15
 _UNIT = ("sample", "row", "col")
@@ -23,9 +22,9 @@ class Variable(NamedTuple):
     notes: dict[str, Any]  #: its attributes
     limits: tuple[float, float] | None = None  #: beyond which no sensor gives a number; None: any finite one will do
 
-    def shape(self, rows: int, cols: int, moments: int | None = None) -> tuple[int, ...]:
+    def shape(self, rows: int, cols: int, layout: Layout, moments: int | None = None) -> tuple[int, ...]:
         """Shape of one sample of an array, or of a series of so many moments."""
-        sizes = {"row": rows, "col": cols} | {dim: len(labels) for dim, labels in COORDINATES.items()}
+        sizes = {"row": rows, "col": cols} | {dim: len(labels) for dim, labels in labels_of(layout).items()}
         return (*([] if moments is None else [moments]), *(sizes[dim] for dim in self.dims[1:]))
 
     def dims_in(self, is_timed: bool) -> tuple[str, ...]:
@@ -66,13 +65,11 @@ LABELS = ("force_n", "resistance_ohm")  #: variables that every dataset holds
 ARRAYS = tuple(name for name, variable in VARIABLES.items() if "row" in variable.dims)
 
 
-def senseless(
-    name: str, values: np.ndarray, labels: Mapping[str, Sequence[str]] = COORDINATES, first: int = 0
-) -> str | None:
+def senseless(name: str, values: np.ndarray, labels: Mapping[str, Sequence[str]], first: int = 0) -> str | None:
     """The first number of a variable (n, ...) that no sensor gives, and what is allowed; None if there is none.
 
-    Series over time have one more dim. `labels` are of the last dim where it holds some of the pillars or axes alone;
-    `first` is the number of sample 0.
+    Series over time have one more dim. `labels` are of `labels_of`, or of the last dim where it holds some of the
+    pillars or axes alone; `first` is the number of sample 0.
     """
     _, notes, limits = VARIABLES[name]
     dims = VARIABLES[name].dims_in(values.ndim > len(VARIABLES[name].dims))
@@ -88,7 +85,23 @@ def senseless(
     return f"{name} is {values[tuple(index)]} at {place}; it must be {allowed}"
 
 
-def coordinates(names: Iterable[str]) -> dict[str, list[str]]:
+def labels_of(layout: Layout) -> dict[str, list[str]]:
+    """Labels of all dims that have some.
+
+    >>> labels_of(PAPERS)["pillar"]
+    ['z', 'x', 'y']
+    """
+    pillars, electrodes = list(layout.pillar_names), list(layout.upper_names)
+    return {"axis": list(AXES), "pillar": pillars, "electrode": electrodes, "place": list(AXES[:2])}
+
+
+def layout_of(pillars: Iterable[str]) -> Layout:
+    """The layout, of those that are ready, whose pillars have these names in any order; the paper's if none has."""
+    names = sorted(pillars)
+    return next((layout for layout in LAYOUTS.values() if sorted(layout.pillar_names) == names), PAPERS)
+
+
+def coordinates(names: Iterable[str], layout: Layout) -> dict[str, list[str]]:
     """Labels of the dims of some variables."""
     dims = {dim for name in names for dim in VARIABLES[name].dims}
-    return {dim: labels for dim, labels in COORDINATES.items() if dim in dims}
+    return {dim: labels for dim, labels in labels_of(layout).items() if dim in dims}

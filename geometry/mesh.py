@@ -18,7 +18,7 @@ from trimesh.util import concatenate
 
 from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.cache import kept
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
 METHOD = 2  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
+ROUNDINGS = 6  #: steps by which round sides are given their volume; each leaves a tenth of the error
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 
 
@@ -133,8 +134,11 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     from geometry.surface import surface_from_solid
 
     thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
-    for name, mend in (("pillar_width_mm", "; or give pillars and matrix one material"), ("height_mm", "")):
-        size_mm = getattr(design.unit, name)
+    sizes = (
+        ("pillar_width_mm", min(pillar_widths(design.unit)), "; or give pillars and matrix one material"),
+        ("height_mm", design.unit.height_mm, ""),
+    )
+    for name, size_mm, mend in sizes:
         if size_mm < thinnest_mm and not (mend and design.is_homogeneous):
             raise GeometryError(
                 f"{name}={size_mm:g} is too thin to be meshed with surfaces that may move by {settings.envelope_mm:g} "
@@ -191,8 +195,11 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     faces, sides = faces_between(cells)
     region = np.where(prism <= task.outlined, -prism, task.region[prism])[sides]
     faces, sides = (each[(sides[:, 1] >= 0) & (region[:, 0] != region[:, 1])] for each in (faces, sides))
-    for number, each in enumerate(task.prisms, start=1):
-        points = snap_to_prism(points, faces[(prism[sides] == number).any(axis=1)], each, 2 * envelope_mm)
+    own = [faces[(prism[sides] == number).any(axis=1)] for number in range(1, len(task.prisms) + 1)]
+    for each, along in zip(task.prisms, own, strict=True):
+        points = snap_to_prism(points, along, each, 2 * envelope_mm)
+    if any(each.is_round for each in task.prisms):
+        points = _round_to_volume(points, cells, prism, own, task, 2 * envelope_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
     volumes = np.abs(cell_volumes(points, cells))
     points, cells = _used(points, cells[volumes > 1e-9 * volumes.max()])  # without those now flat on a face
@@ -200,6 +207,42 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     mesh = TetMesh(points, cells, task.region[prisms_at(points[cells].mean(axis=1), task.prisms)])
     check_volumes(mesh, task)
     return mesh
+
+
+def _round_to_volume(
+    points: FloatArray,
+    cells: NDArray[np.int64],
+    prism: NDArray[np.int64],
+    faces: Sequence[NDArray[np.int64]],
+    task: MeshTask,
+    slack_mm: float,
+) -> FloatArray:
+    """Points with the faces along every round prism's side moved onto an ellipse around it, all by one ratio.
+
+    Chords cut a circle off: the ratio gives all regions of known volume theirs.
+    """
+    inside = np.isin(task.region[prism], [region for region, _ in task.volumes_mm3.values()])
+    wanted, ratio, moved = sum(volume for _, volume in task.volumes_mm3.values()), 1.0, points
+    for _ in range(ROUNDINGS):
+        moved = points
+        for each, along in zip(task.prisms, faces, strict=True):
+            if each.is_round:
+                moved = snap_to_side(moved, along, each, slack_mm, ratio)
+        ratio *= np.sqrt(wanted / np.abs(cell_volumes(moved, cells[inside])).sum())
+    return moved
+
+
+def snap_to_side(
+    points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float, ratio: float
+) -> FloatArray:
+    """Points with every face along the side of a round prism moved onto it, the ellipse larger by a ratio."""
+    half = np.array(prism.section_mm) / 2
+    across = (points[:, :2] - prism.axis_at(points[:, 2])) / half
+    radius = np.linalg.norm(across, axis=1)
+    along = np.unique(faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)])
+    snapped = points.copy()
+    snapped[along, :2] = prism.axis_at(points[along, 2]) + half * across[along] / radius[along, None] * ratio
+    return snapped
 
 
 def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -225,12 +268,13 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 
 
 def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
-    """Points with every face along a side of a prism, all its points within the slack, moved onto that side."""
+    """Points with every face along a plane side of a prism, all its points within the slack, moved onto that side."""
     upright = points.copy()
     upright[:, :2] -= prism.axis_at(points[:, 2])  # the prism's sides are planes of a coordinate here
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
     (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
-    for axis, plane in ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high)):
+    sides = ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high))
+    for axis, plane in sides[4:] if prism.is_round else sides:
         along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
         snapped[along, axis] = plane
         moved[along] = True

@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from dataset.imperfections import OPEN_OHM
+from dataset.imperfections import OPEN_OHM, PAPERS
 from dataset.samples import SampleError, Samples
-from dataset.variables import senseless
+from dataset.variables import labels_of, senseless
 from geometry.layout import AXES, FloatArray
 from geometry.storage.files import digest
 
@@ -58,7 +58,8 @@ class Pairs:
                 raise SampleError(f"unknown_n of '{name}' has shape {unknown_n.shape}, expected (k, *{shape[1:]}).")
             ohms = self.resistance_ohm[k : k + 1]
             read = np.where(np.isnan(ohms), 1.0, ohms)
-            said = senseless("force_n", self.force_n[k : k + 1]) or senseless("resistance_ohm", read)
+            labels = labels_of(PAPERS)
+            said = senseless("force_n", self.force_n[k : k + 1], labels) or senseless("resistance_ohm", read, labels)
             if said or not np.isfinite(unknown_n).all():
                 raise SampleError(f"'{name}': {said or 'unknown_n is not finite'}: correct it or leave it out.")
         if np.isnan(self.resistance_ohm).all():

@@ -67,15 +67,16 @@ def simulate_twin(
     pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
-    design, own = twin.design, twin.design.electrics.by_four_wires  # contacts are in the twin's own offsets
+    design, layout = twin.design, twin.design.unit.layout
+    own = design.electrics.by_four_wires  # contacts are in the twin's own offsets
     return replace(
         samples,
-        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, numbers.start, own),
+        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, numbers.start, own, layout),
         displacement_mm=None,
         length_mm=None,
         noise=settings.noise,
         bits=settings.bits,
-        dead=settings.dead_mask(design.array.rows, design.array.cols),
+        dead=settings.dead_mask(design.array.rows, design.array.cols, layout),
         made_from={
             **samples.made_from,
             **settings.as_attributes(),

@@ -28,6 +28,8 @@ MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
 PACKAGES = "make gcc gcc-avr binutils-avr libsimavr-dev libelf-dev avr-libc"
 CHIP_BITS = 10  #: of their converter
 FULL_SCALE = 2**CHIP_BITS - 1
+EMPTY = 2**16 - 1  #: in the place of a count where no pillar joins two wires
+MAX_WIRES = 128  #: row wires, and column wires, that a board numbers
 
 _TABLE_HEADER = struct.Struct("<4s7I")  # magic, version, row wires, column wires, steps, step_us, full scale, flags
 _LOOPS = 1
@@ -63,7 +65,7 @@ def write_table(path: Path, counts: NDArray[np.integer], step_us: int) -> None:
         The file. A running board keeps the file that it was started with: to change its readings, write into that
         one in place, behind the header of 32 bytes, for example with `numpy.memmap`.
     counts : array of whole numbers, shape (steps, row wires, column wires)
-        From 0 to `FULL_SCALE`, crosstalk and noise included. What stands at empty crossings is never read.
+        From 0 to `FULL_SCALE`, crosstalk and noise included; `EMPTY` at crossings without a pillar.
     step_us : int
         How long a step lasts, in the board's time since its reset [µs].
 
@@ -73,12 +75,12 @@ def write_table(path: Path, counts: NDArray[np.integer], step_us: int) -> None:
         If a shape, a count or the step is none that a table can hold.
     """
     counts = np.asarray(counts)
-    if counts.ndim != 3 or 0 in counts.shape or max(counts.shape[1:]) > 16 or counts.dtype.kind not in "ui":
+    if counts.ndim != 3 or 0 in counts.shape or max(counts.shape[1:]) > MAX_WIRES or counts.dtype.kind not in "ui":
         raise SimavrError(
             f"counts is {counts.dtype} of shape {counts.shape}, expected whole numbers of shape (steps, row wires, "
-            "column wires) with at least one step and 1 to 16 wires each."
+            f"column wires) with at least one step and 1 to {MAX_WIRES} wires each."
         )
-    if counts.min() < 0 or counts.max() > FULL_SCALE:
+    if counts.min() < 0 or counts[counts != EMPTY].max(initial=0) > FULL_SCALE:
         raise SimavrError(f"counts run from {counts.min()} to {counts.max()}: clip them to 0 to {FULL_SCALE}.")
     if not 1 <= step_us < 2**32:
         raise SimavrError(f"step_us={step_us} must be from 1 to {2**32 - 1}.")

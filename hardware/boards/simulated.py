@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,13 @@ from dataset.simulation import displacements, require_conducted
 from geometry.design import Electrics, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
-from geometry.storage.files import cache_folder, digest
+from geometry.storage.files import cache_folder, digest, write_text
 from geometry.storage.netcdf import write_netcdf
-from geometry.wiring import crossings
+from geometry.wiring import crossings, wires
+from hardware.boards.sensor_header import sensor_header
 from hardware.boards.simavr_board import (
     CHIP_BITS,
+    EMPTY,
     FIRMWARE,
     SimavrBoard,
     SimavrError,
@@ -45,13 +47,14 @@ if TYPE_CHECKING:
 
 Kind = Literal["atmega328p", "atmega2560", "python"]
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
+USUAL_HZ, CONVERSION_US, MARGIN_US = 150, 52, 50  #: of the firmware: rate, time of a conversion, of a scan beside them
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
     """The sensor's state every `STEP_S`, one period of it; n steps."""
 
-    resistance_ohm: FloatArray  #: (n, rows, cols, 3), as designed
+    resistance_ohm: FloatArray  #: (n, rows, cols, n_pillars), as designed
     force_n: FloatArray  #: (n, rows, cols, 3) on each pad
 
 
@@ -91,7 +94,8 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: 
     Rubber that remembers or relaxes has gone through it for ever; `specimen` says how its pillars' memories differ.
     """
     require_conducted(response)
-    design, sizes = response.design, (-1, response.design.array.rows, response.design.array.cols, 3)
+    design, array = response.design, response.design.array
+    sizes = (-1, array.rows, array.cols, len(design.unit.layout.pillars))
     traction = script.tractions(STEP_S * np.arange(round(script.seconds / STEP_S), dtype=np.float64), design)
     newtons, rubber = traction * design.pad.size_mm**2, design.pillar_material
     moved = displacements(response, traction)
@@ -99,13 +103,13 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: 
     rise: FloatArray | float = 0.0
     if rubber != rubber.settled:
         around = [*range(len(traction)), 0]  # back to where it began
-        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3])
+        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3], design.unit.layout)
         strain = pillar_lengths(moved, design.unit)[around].reshape(sizes) / rest_lengths(design.unit) - 1.0
         whole = remembered(strain, STEP_S, memory, is_cycle=True)
         rise = whole if isinstance(whole, float) else whole[:-1].reshape(lengths.shape)
         traction = relaxed_forces(traction[around], STEP_S, rubber.prony, is_cycle=True)[:-1]
     ohms = exact_resistances(lengths, design, rise)
-    return Motion(resistance_ohm=ohms.reshape(sizes), force_n=forces(traction, design).reshape(sizes))
+    return Motion(resistance_ohm=ohms.reshape(sizes), force_n=forces(traction, design).reshape(*sizes[:3], 3))
 
 
 def write_truth(motion: Motion, path: Path) -> None:
@@ -121,13 +125,13 @@ def write_truth(motion: Motion, path: Path) -> None:
 def counts_over_time(
     exact_ohm: FloatArray, crossbar: Crossbar, sensor: Imperfections, electrics: Electrics | None = None
 ) -> NDArray[np.int64]:
-    """Counts of the board's converter at every step of a motion, (n, rows, cols, 3) [Ω] -> (n, rows·cols·3).
+    """Counts of the board's converter at every step of a motion, (n, rows, cols, n_pillars) [Ω] -> (n, n_crossings).
 
     Of the imperfections gain, offset, temperature and dead pillars count; `crossbar` has the noise and the converter.
     """
-    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics)
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics, crossbar.layout)
     ohms = gain * exact_ohm + offset
-    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
+    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols, crossbar.layout)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 
@@ -135,14 +139,27 @@ def suited_kind(info: Info) -> tuple[Kind, str]:
     """The chip, where it can be simulated and can be such a board; else Python, and why."""
     if info.bits != CHIP_BITS:
         return "python", f"frames from Python: chips have converters of {CHIP_BITS} bits, not {info.bits}"
-    try:
-        firmware_built(info)
-    except SimavrError as error:
-        return "python", f"frames from Python: {error}"
-    return "atmega328p", ""
+    why = ""
+    for kind in get_args(Kind)[:2]:
+        try:
+            firmware_built(info, kind)
+        except SimavrError as error:
+            why = str(error)
+        else:
+            return kind, ""
+    return "python", f"frames from Python: {why}"
 
 
-def firmware_built(info: Info) -> Path:
+def usual_rate(n_crossings: int) -> int:
+    """Scans a second that the firmware makes unless told otherwise [Hz]: `USUAL_HZ`, or as many as there is time for.
+
+    >>> usual_rate(108), usual_rate(216)
+    (150, 88)
+    """
+    return min(USUAL_HZ, 1_000_000 // (CONVERSION_US * n_crossings + MARGIN_US))
+
+
+def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
     """Folder with the firmware for a board that says `info`, and the simulator's program; made if need be.
 
     Raises
@@ -152,19 +169,22 @@ def firmware_built(info: Info) -> Path:
     """
     if missing := find_tools():
         raise SimavrError(missing)
+    header = sensor_header(info.rows, info.cols, info.layout)
     settings = {
-        "ROWS": info.rows,
-        "COLS": info.cols,
         "SCAN_MODE": int(info.scan_mode),
         "SENSE_OHM": info.sense_ohm,
         "RATE": info.rate_hz,
         "SERIAL": info.serial,
     }
     cache = cache_folder().absolute()
-    folder = cache / f"firmware-{digest(str(FIRMWARE), settings)}"
-    require_own(folder, cache)
-    command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}"]
+    folder = cache / f"firmware-{digest(str(FIRMWARE), settings, header)}"
+    sensor = Path(f"{folder}.h")
+    for place in (folder, sensor):
+        require_own(place, cache)
     cache.mkdir(parents=True, exist_ok=True)
+    if not sensor.exists() or sensor.read_text(encoding="utf-8") != header:
+        write_text(header, sensor)
+    command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
     with open(f"{folder}.lock", "w", encoding="utf-8") as lock:
         if sys.platform != "win32":
             import fcntl
@@ -184,11 +204,19 @@ def firmware_built(info: Info) -> Path:
     return folder
 
 
+def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
+    """Counts (n, n_crossings) as what lies between each two wires, (n, row wires, column wires); `EMPTY` elsewhere."""
+    row, column = crossings(info.rows, info.cols, info.layout).T
+    found = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
+    found[:, row, column] = counts
+    return found.astype(np.uint16)
+
+
 @contextmanager
 def run_board(
     kind: Kind, info: Info, counts: NDArray[np.int64], link: Path | None = None, fast: bool = False
 ) -> Iterator[Any]:
-    """Run a board whose sensor goes through counts (n, rows·cols·3), a step each `STEP_S`, over and over.
+    """Run a board whose sensor goes through counts (n, n_crossings), a step each `STEP_S`, over and over.
 
     Raises
     ------
@@ -203,13 +231,10 @@ def run_board(
         return
     if info.bits != CHIP_BITS:
         raise DesignError(f"bits={info.bits}, but the chip's converter has {CHIP_BITS}: simulate with --board python.")
-    built = firmware_built(info)
+    built = firmware_built(info, kind)
     with tempfile.TemporaryDirectory(prefix="tripillar-") as folder:
         table = Path(folder) / "table"
-        row, column = crossings(info.rows, info.cols).T
-        by_wire = np.zeros((len(counts), 2 * info.rows, 2 * info.cols), dtype=np.uint16)
-        by_wire[:, row, column] = counts
-        write_table(table, by_wire, step_us=round(STEP_S * 1e6))
+        write_table(table, by_wire(counts, info), step_us=round(STEP_S * 1e6))
         elf, program = built / f"tripillar-{kind}.elf", built / "simavr-board"
         with SimavrBoard(elf, kind, table, link=link, fast=fast, program=program) as chip:
             yield chip

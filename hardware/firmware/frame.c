@@ -1,5 +1,11 @@
 #include "frame.h"
 
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#else
+#define pgm_read_byte(address) (*(address))
+#endif
+
 // A frame being written: each byte goes through CRC and COBS on its way to the wire, so no second buffer is needed.
 typedef struct {
     uint8_t *next;   // where the next byte goes
@@ -104,6 +110,8 @@ uint16_t frame_info(uint8_t *wire, const frame_info_t *info)
     put_u32(&writer, info->serial);
     put_u32(&writer, info->sense_ohm);
     put_u16(&writer, info->vref_mv);
+    for (const char *next = info->layout; pgm_read_byte(next); next++)
+        put_u8(&writer, (uint8_t)pgm_read_byte(next));
     return end(&writer, wire);
 }
 

@@ -9,7 +9,7 @@
 // Bytes on the wire: CRC and the bytes before it, COBS' one byte for each 254 begun, the delimiter.
 #define FRAME_WIRE_SIZE(packed) ((packed) + ((packed) + 253) / 254 + 1)
 #define FRAME_DATA_WIRE_SIZE(count) FRAME_WIRE_SIZE(12 + 2 * (count) + 2)
-#define FRAME_INFO_WIRE_SIZE FRAME_WIRE_SIZE(23)
+#define FRAME_INFO_WIRE_SIZE(n_layout) FRAME_WIRE_SIZE(23 + (n_layout))
 #define FRAME_ERRORS_WIRE_SIZE FRAME_WIRE_SIZE(6)
 
 typedef struct {
@@ -27,6 +27,7 @@ typedef struct {
     uint16_t rate_hz;
     uint32_t serial, sense_ohm;
     uint16_t vref_mv;
+    const char *layout;  // in flash; empty: three pillars a unit, as the paper has them
 } frame_info_t;
 
 typedef struct {

@@ -2,12 +2,13 @@
 //
 // Interrupts do what has to be in time: the timer starts scans, the converter fills them, the serial port sends and
 // receives. The loop below does what may wait: it encodes finished scans and answers the host. So three frames are on
-// their way at a time: one is scanned, one encoded, one sent.
+// their way at a time: one is scanned, one encoded, one sent; of sensors whose frames leave no memory for that, two.
 //
 // Nothing here depends on how the board was powered up: every register used is written. A brown-out detector
 // (the boards' boot loaders set 2.7 V) resets the board cleanly; the host sees the sequence start again.
 
 #include <avr/interrupt.h>
+#include <avr/pgmspace.h>
 #include <avr/sleep.h>
 
 #include "commands.h"
@@ -17,9 +18,15 @@
 #include "uart.h"
 #include "watchdog.h"
 
-// Two frames as they go over the wire: one is sent while the next is encoded.
-static uint8_t wires[2][FRAME_DATA_WIRE_SIZE(CROSSINGS)];
-_Static_assert(sizeof wires[0] >= FRAME_INFO_WIRE_SIZE, "the smallest array's frame is no shorter than INFO");
+static const char layout[] PROGMEM = LAYOUT;  // stays in flash: it may be long
+
+// Two frames as they go over the wire: one is sent while the next is encoded. Where memory is short, one: the next is
+// encoded once it has gone, which at 1 Mbaud still takes less time than a scan.
+#define LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define WIRE_SIZE LARGER(FRAME_DATA_WIRE_SIZE((uint32_t)CROSSINGS), FRAME_INFO_WIRE_SIZE(sizeof layout - 1))
+#define OTHER_SIZE (2 * sizeof(scan_t) + 400)  // with the stack
+#define WIRES (2 * WIRE_SIZE + OTHER_SIZE > RAMEND - RAMSTART ? 1 : 2)
+static uint8_t wires[WIRES][WIRE_SIZE];
 static uint8_t free_wire;   // which of the two is not being sent
 static uint16_t n_encoded;  // bytes in it; 0: it is free
 
@@ -55,6 +62,7 @@ static void encode_info(void)
         .serial = SERIAL,
         .sense_ohm = SENSE_OHM,
         .vref_mv = VREF_MV,
+        .layout = layout,
     };
     n_encoded = frame_info(wires[free_wire], &info);
 }
@@ -114,13 +122,19 @@ static void encode_next(void)
 static void send_encoded(void)
 {
     uart_send(wires[free_wire], n_encoded);
-    free_wire ^= 1;
+    free_wire ^= WIRES - 1;
     n_encoded = 0;
+}
+
+static uint8_t may_encode(void)
+{
+    return !n_encoded && (WIRES == 2 || !uart_is_sending());
 }
 
 static uint8_t has_work(void)
 {
-    return uart_has_received() || (n_encoded ? !uart_is_sending() : infos_owed || errors_owed || scan_finished());
+    return uart_has_received() || (n_encoded && !uart_is_sending()) ||
+           (may_encode() && (infos_owed || errors_owed || scan_finished()));
 }
 
 // Sleep until the next interrupt, unless there is something to do already.
@@ -147,7 +161,7 @@ int main(void)
     sei();
     for (;;) {
         listen();
-        if (!n_encoded)
+        if (may_encode())
             encode_next();
         if (n_encoded && !uart_is_sending())
             send_encoded();

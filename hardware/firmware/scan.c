@@ -69,22 +69,43 @@ void scan_set_rate(uint16_t rate_hz)
 
 // ---- where ------------------------------------------------------------------------------------------------
 
-static uint8_t row, column;  // wires of the address on the pins
+static const uint16_t populated[UNIT_ROWS] = UNIT_CROSSINGS;
 
-static void address_first(void)
+static uint8_t row, column;      // wires of the address on the pins
+static uint8_t unit_row;         // the row wire within its unit
+static uint16_t left;            // crossings from this column wire on, to the end of its unit; bit 0 is the column's
+static uint8_t left_of_columns;  // column wires from this one on, to the end of its unit
+
+static void enter_unit(void)
 {
-    row = column = 0;
-    board_set_address(row, column);
+    left = populated[unit_row];
+    left_of_columns = UNIT_COLUMNS;
 }
 
 static void address_next(void)
 {
-    column += 1 + (row & 1);  // crossings of odd row and odd column are empty
-    if (column >= 2 * COLS) {
-        column = 0;
-        row = row + 1 < 2 * ROWS ? row + 1 : 0;
-    }
+    do {  // to the next crossing that is populated
+        column++;
+        left >>= 1;
+        if (--left_of_columns == 0) {
+            if (column == COLUMN_WIRES) {
+                column = 0;
+                row = row + 1 < ROW_WIRES ? row + 1 : 0;
+                unit_row = unit_row + 1 < UNIT_ROWS ? unit_row + 1 : 0;
+            }
+            enter_unit();
+        }
+    } while (!(left & 1));
     board_set_address(row, column);
+}
+
+static void address_first(void)
+{
+    row = ROW_WIRES - 1;  // from behind the last crossing
+    unit_row = UNIT_ROWS - 1;
+    column = COLUMN_WIRES - 1;
+    left_of_columns = 1;
+    address_next();
 }
 
 // ---- scan -------------------------------------------------------------------------------------------------
@@ -100,7 +121,7 @@ static void address_next(void)
 
 static volatile bool is_scanning;
 static uint8_t overruns;
-static uint8_t n_left;        // counts to come in this scan
+static uint16_t n_left;       // counts to come in this scan
 static uint16_t *next_count;  // where the next one goes
 static bool is_saturated;
 
@@ -161,6 +182,7 @@ ISR(ADC_vect)
 void scan_init(uint16_t rate_hz)
 {
     board_init();
+    address_first();
 
     DIDR0 = 1 << ANALOG_CHANNEL;             // no digital input on the analogue pin: less noise
     ADMUX = 1 << REFS0 | ANALOG_CHANNEL;     // reference AVcc: it feeds the crossbar too, so its drift cancels

@@ -17,6 +17,8 @@ from cobs import cobs
 from numpy.typing import NDArray
 
 from geometry.errors import TriPillarError
+from geometry.layout import SONG2018, Layout
+from geometry.layout_file import layout_from_text, layout_text
 
 PROTOCOL = 1  #: version of docs/frames.md that this code follows
 
@@ -92,6 +94,7 @@ class Info:
     serial: int = 0  #: the board's own number, 0 if it has none
     sense_ohm: int = 10_000  #: sense resistor, or the amplifiers' feedback resistor [Ω]
     vref_mv: int = 5_000  #: the converter's reference [mV]
+    layout: Layout = SONG2018  #: of a unit; boards that state none have the paper's
 
     def __post_init__(self) -> None:
         _require_whole(self, protocol=(PROTOCOL, PROTOCOL), rows=(1, _BYTE), cols=(1, _BYTE), bits=(8, 16))
@@ -106,8 +109,18 @@ class Info:
 
     @property
     def n_crossings(self) -> int:
-        """Counts in each of the board's frames: three pillars a unit."""
-        return 3 * self.rows * self.cols
+        """Counts in each of the board's frames: one a pillar."""
+        return len(self.layout.pillars) * self.rows * self.cols
+
+    def plain(self) -> dict[str, int | str]:
+        """The fields as numbers and text.
+
+        >>> plain = Info(firmware=(1, 2, 3)).plain()
+        >>> plain["scan_mode"], plain["firmware"], plain["layout"]
+        ('DIVIDER', '1.2.3', 'song2018')
+        """
+        words = {"scan_mode": self.scan_mode.name, "firmware": ".".join(map(str, self.firmware))}
+        return vars(self) | words | {"layout": layout_text(self.layout)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,10 +151,8 @@ def encode(frame: Frame | Info | Errors) -> bytes:
     return cobs.encode(pack(frame)) + _DELIMITER
 
 
-_ANSWERS = {  # by type: the class, and its fields in their order behind the type
-    b"I": (Info, struct.Struct("<cBBBBB3sHIIH")),
-    b"E": (Errors, struct.Struct("<cBBB")),
-}
+_INFO = struct.Struct("<cBBBBB3sHIIH")  # the fields in their order behind the type; the text of a layout may follow
+_ERRORS = struct.Struct("<cBBB")
 
 
 def pack(frame: Frame | Info | Errors) -> bytes:
@@ -149,11 +160,17 @@ def pack(frame: Frame | Info | Errors) -> bytes:
     if isinstance(frame, Frame):
         header = (b"D", frame.flags, frame.sequence, frame.device_us, frame.counts.size, frame.bits, frame.overruns)
         packed = _FRAME_HEADER.pack(*header) + frame.counts.astype("<u2").tobytes()
+    elif isinstance(frame, Info):
+        *numbers, layout = (vars(frame) | {"firmware": bytes(frame.firmware)}).values()
+        packed = _INFO.pack(b"I", *numbers) + stated(layout).encode()
     else:
-        letter = b"I" if isinstance(frame, Info) else b"E"
-        values = [bytes(value) if isinstance(value, tuple) else value for value in vars(frame).values()]
-        packed = _ANSWERS[letter][1].pack(letter, *values)
+        packed = _ERRORS.pack(b"E", *vars(frame).values())
     return packed + _crc(packed)
+
+
+def stated(layout: Layout) -> str:
+    """What an INFO frame says of its board's layout: nothing of the paper's, else its text."""
+    return "" if layout == SONG2018 else layout_text(layout)
 
 
 def packed_dtype(n_counts: int) -> np.dtype[np.void]:
@@ -187,13 +204,14 @@ def unpack(body: bytes) -> Frame | Info | Errors | str:
                 scan_mode=ScanMode(flags >> 1),  # a reserved bit that is set makes this no scan mode
                 overruns=overruns,
             )
-        if packed[:1] in _ANSWERS:
-            kind, form = _ANSWERS[packed[:1]]
-            _, *values = form.unpack(packed)
-            named: dict[str, Any] = dict(zip((each.name for each in fields(kind)), values, strict=True))
-            if kind is Info:
-                named |= {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])}
-            return kind(**named)
+        if packed[:1] == b"I":
+            _, *values = _INFO.unpack_from(packed)
+            layout = layout_from_text(packed[_INFO.size :].decode("ascii"))
+            named: dict[str, Any] = dict(zip((each.name for each in fields(Info)), [*values, layout], strict=True))
+            return Info(**named | {"scan_mode": ScanMode(named["scan_mode"]), "firmware": tuple(named["firmware"])})
+        if packed[:1] == b"E":
+            _, *values = _ERRORS.unpack(packed)
+            return Errors(**dict(zip((each.name for each in fields(Errors)), values, strict=True)))
     except (struct.error, ValueError):  # a length or a value that no frame has
         pass
     return "bad_form"

@@ -58,7 +58,7 @@ class LinkStatistics(Statistics):
         return f"{'at least ' * self.uncounted}{self.overruns} overruns"
 
 
-_IDENTITY = ("rows", "cols", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
+_IDENTITY = ("rows", "cols", "layout", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
 _OF_THE_DECODER = ("ok", "repeated", "bad_crc", "bad_cobs", "bad_form")  # the others need the host's clock or the INFO
 
 
@@ -153,9 +153,9 @@ class Reception:
         return Counter({name: getattr(self._decoder.statistics, name) for name in _OF_THE_DECODER})
 
     def _identify(self, info: Info) -> None:
-        known = self.info or info
-        pairs = [(name, getattr(info, name), getattr(known, name)) for name in _IDENTITY]
-        if difference := ", ".join(f"{name} {now} instead of {before}" for name, now, before in pairs if now != before):
+        now, before = info.plain(), (self.info or info).plain()
+        pairs = [(name, now[name], before[name]) for name in _IDENTITY]
+        if difference := ", ".join(f"{name} {new} instead of {old}" for name, new, old in pairs if new != old):
             self.counted["foreign"] += 1
             self._foreign = f"another device answers, {difference}: connect the first one again."
             return

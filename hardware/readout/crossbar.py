@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from geometry.design import quantity
 from geometry.errors import DesignError
-from geometry.layout import FloatArray
-from geometry.wiring import crossing_of_pillar, crossings
+from geometry.layout import SONG2018, FloatArray, Layout
+from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
+from hardware.readout.shunts import shunts, shunts_between_wires
 
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
 STEP_SHARE = 0.01  #: tolerance of apparent conductances, as a fraction of the converter's step
@@ -91,8 +92,8 @@ class Crossbar:
     the pillars alone and R the diagonal of series resistances.
     """
 
-    rows: int = 6  #: units along y; 2·rows row wires
-    cols: int = 6  #: units along x; 2·cols column wires
+    rows: int = 6  #: units along y
+    cols: int = 6  #: units along x
     scan_mode: ScanMode = ScanMode.ZERO_POTENTIAL
     sense_ohm: float = 4_700.0  #: sense resistor, or the amplifiers' feedback resistor [Ω]
     switch_ohm: float = 25.0  #: of a closed switch [Ω]
@@ -100,14 +101,19 @@ class Crossbar:
     amplifier_gain: float = 1e5  #: of the amplifiers, open-loop
     bits: int | None = 10  #: of the converter; None reads exactly
     noise: float = 0.0  #: standard deviation of a reading, as a share of full scale
-    #: conductances between U1 and U2, L1 and L2, U2 and L2 of each unit [S], through rubber that its pillars share
-    shunt_siemens: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), "shunts of a unit", optional=True)
+    #: conductances of each unit, through rubber that its pillars share, in the order of `shunts` [S]; none by default
+    shunt_siemens: tuple[float, ...] = quantity((), "shunts of a unit", optional=True)
+    layout: Layout = quantity(SONG2018, "electrodes and pillars of a unit", optional=True)
 
     def __post_init__(self) -> None:
         for name, (low, high) in BOUNDS.items():
             value = getattr(self, name)
             if value is not None and not all(low <= each <= high for each in np.atleast_1d(value)):
                 raise DesignError(f"{name}={value!r} must be from {low:g} to {high:g}.")
+        if len(self.shunt_siemens) not in (0, len(shunts(self.layout))):
+            raise DesignError(
+                f"shunt_siemens has {len(self.shunt_siemens)} numbers, units of this layout {len(shunts(self.layout))}."
+            )
 
     @classmethod
     def suited(cls, scan_mode: ScanMode, *, sense_ohm: float | None = None, **settings: Any) -> "Crossbar":
@@ -122,14 +128,19 @@ class Crossbar:
         return None if self.bits is None else 2**self.bits - 1
 
     @cached_property
+    def wires(self) -> tuple[int, int]:
+        """Number of row wires and of column wires."""
+        return wires(self.rows, self.cols, self.layout)
+
+    @cached_property
     def ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Node of the row and of the column wire of each sent crossing; nodes are row wires, then column wires."""
-        row_wire, column_wire = crossings(self.rows, self.cols).T
-        return row_wire, 2 * self.rows + column_wire
+        row_wire, column_wire = crossings(self.rows, self.cols, self.layout).T
+        return row_wire, self.wires[0] + column_wire
 
     @cached_property
     def _crossing(self) -> NDArray[np.intp]:
-        return crossing_of_pillar(self.rows, self.cols)
+        return crossing_of_pillar(self.rows, self.cols, self.layout)
 
     @cached_property
     def _pillar(self) -> NDArray[np.intp]:
@@ -140,7 +151,7 @@ class Crossbar:
     def _between(self) -> NDArray[np.intp]:
         """The crossing between each two wires, (n_wires²,); where there is none, the one behind the last."""
         row, column = self.ends
-        found = np.full((2 * (self.rows + self.cols),) * 2, len(row))
+        found = np.full((sum(self.wires),) * 2, len(row))
         found[row, column] = found[column, row] = np.arange(len(row))
         return found.reshape(-1)
 
@@ -154,7 +165,7 @@ class Crossbar:
         """R, what lies between the end of each wire and its pillars, shape (n_wires,) [Ω]."""
         switched = self.switch_ohm + self.line_ohm
         column = self.line_ohm + self.sense_ohm / (1.0 + self.amplifier_gain) if self.is_amplified else switched
-        return np.repeat([switched, column], [2 * self.rows, 2 * self.cols])
+        return np.repeat([switched, column], self.wires)
 
     @cached_property
     def loss_by_wire(self) -> FloatArray:
@@ -163,15 +174,15 @@ class Crossbar:
         Its series resistance, and where idle rows are grounded the sense resistor that a column's sum passes.
         """
         row, column = self.ends
-        wires = np.arange(2 * (self.rows + self.cols))
+        wires = np.arange(sum(self.wires))
         sense_ohm = self.sense_ohm if self.scan_mode == ScanMode.GROUNDED else 0.0
-        lossy_ohm = self.series_ohm + np.repeat([0.0, sense_ohm], [2 * self.rows, 2 * self.cols])
+        lossy_ohm = self.series_ohm + np.repeat([0.0, sense_ohm], self.wires)
         return np.asarray(((row[:, None] == wires) | (column[:, None] == wires)) * lossy_ohm)
 
     def readings(self, resistance_ohm: Array) -> Array:
-        """Share of full scale at every crossing, without noise or converter, (n, rows·cols·3).
+        """Share of full scale at every crossing, without noise or converter, (n, n_crossings).
 
-        In the order of `geometry.wiring.crossings`, of pillars (n, rows, cols, 3) [Ω]; a broken one is anything large,
+        In the order of `geometry.wiring.crossings`, of pillars (n, rows, cols, P) [Ω]; a broken one is anything large,
         such as `dataset.imperfections.OPEN_OHM`. Above 1 the converter will be saturated.
 
         >>> ideal = Crossbar(rows=1, cols=1, sense_ohm=5e3, switch_ohm=0.0, amplifier_gain=1e12)
@@ -184,17 +195,18 @@ class Crossbar:
         return self.gain_ohm * y
 
     def conductances(self, resistance_ohm: Array) -> Array:
-        """Conductance of the pillar at every crossing, (n, rows·cols·3) [S], of resistances (n, rows, cols, 3) [Ω]."""
-        if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != (self.rows, self.cols, 3):
+        """Conductance of the pillar at every crossing, (n, n_crossings) [S], of resistances (n, rows, cols, P) [Ω]."""
+        shape = (self.rows, self.cols, len(self.layout.pillars))
+        if resistance_ohm.ndim != 4 or resistance_ohm.shape[1:] != shape:
             raise DesignError(
-                f"resistances of shape {resistance_ohm.shape}, expected (n, {self.rows}, {self.cols}, 3): "
-                "give the crossbar the array's rows and cols."
+                f"resistances of shape {resistance_ohm.shape}, expected (n, {', '.join(map(str, shape))}): "
+                "give the crossbar the array's rows, cols and layout."
             )
         ohms = resistance_ohm.reshape(len(resistance_ohm), -1)[:, _like(self._pillar, resistance_ohm)]
         return 1.0 / ohms.clip(MIN_OHM, MAX_OHM)
 
     def counts(self, resistance_ohm: FloatArray, generator: np.random.Generator | None = None) -> NDArray[np.int64]:
-        """Counts of the converter for resistances (n, rows, cols, 3) [Ω], shape (n, rows·cols·3).
+        """Counts of the converter for resistances (n, rows, cols, P) [Ω], shape (n, n_crossings).
 
         Noise is drawn from `generator`; without one there is none.
         """
@@ -219,15 +231,15 @@ class Crossbar:
         return self.full_scale
 
     def uncorrected(self, readings: Array) -> Array:
-        """Resistances (n, rows, cols, 3) [Ω] with each crossing taken as read alone, by perfect switches."""
+        """Resistances (n, rows, cols, P) [Ω] with each crossing taken as read alone, by perfect switches."""
         if self.is_amplified:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars((self.sense_ohm / readings - self.sense_ohm).clip(MIN_OHM, None))
 
     def step_deviation(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Relative standard deviation of corrected resistances by the converter's steps, (rows, cols, 3).
+        """Relative standard deviation of corrected resistances by the converter's steps, (rows, cols, P).
 
-        Takes one state, (1, rows, cols, 3) [Ω]. A step holds its readings evenly, deviation 1/√12 of its width; the
+        Takes one state, (1, rows, cols, P) [Ω]. A step holds its readings evenly, deviation 1/√12 of its width; the
         inverse of the Jacobian mixes and amplifies them.
         """
         if self.full_scale is None:
@@ -242,7 +254,7 @@ class Crossbar:
         return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
 
     def as_pillars(self, values: Array) -> Array:
-        """Values by crossing, (n, rows·cols·3), as pillars z, x, y: (n, rows, cols, 3)."""
+        """Values by crossing, (n, n_crossings), as pillars: (n, rows, cols, P)."""
         return values[..., _like(self._crossing, values)]
 
     # y [S] is the apparent conductance of a crossing, g [S] that of its pillar, each of shape (n, n_crossings). Where
@@ -294,7 +306,7 @@ class Crossbar:
 
     def _laplacian(self, conductance: Array) -> Array:
         """L of pillars' conductances, (n, n_wires, n_wires)."""
-        xp, n_wires = namespace(conductance), 2 * (self.rows + self.cols)
+        xp, n_wires = namespace(conductance), sum(self.wires)
         with_none = xp.concatenate([conductance, 0.0 * conductance[:, :1]], axis=1)
         G = with_none[:, _like(self._between, conductance)].reshape(-1, n_wires, n_wires)
         if any(self.shunt_siemens):
@@ -326,13 +338,7 @@ class Crossbar:
     @cached_property
     def shunt_matrix(self) -> FloatArray:
         """Conductances of all units' shunts between wires, (n_wires, n_wires) [S]."""
-        upper, lower, across = self.shunt_siemens
-        G = np.zeros((2 * (self.rows + self.cols),) * 2)
-        row, column = 2 * np.arange(self.rows), 2 * self.rows + 2 * np.arange(self.cols)
-        G[row, row + 1] = self.cols * upper
-        G[column, column + 1] = self.rows * lower
-        G[np.ix_(row + 1, column + 1)] = across
-        return G + G.T
+        return shunts_between_wires(self.rows, self.cols, self.layout, self.shunt_siemens)
 
 
 class Corrector:
@@ -352,7 +358,7 @@ class Corrector:
         self._tangent = np.linalg.inv(jacobian[0]).T
 
     def correct(self, readings: Array) -> Array:
-        """Resistances (n, rows, cols, 3) [Ω] that would give readings (n, rows·cols·3), finite and above 0.
+        """Resistances (n, rows, cols, P) [Ω] that would give readings (n, n_crossings), finite and above 0.
 
         Readings are shares of full scale, above 0 and, with a divider, below 1.
         """
@@ -401,8 +407,9 @@ class Corrector:
             return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
             return guess, xp.zeros_like(unknown) if crossbar.series_ohm[0] == 0.0 else unknown
-        rows = 2 * crossbar.rows if crossbar.scan_mode == ScanMode.ZERO_POTENTIAL else None  # by four wires ε_column²
-        odds = xp.amax(lost[:, :rows], axis=1), xp.amax(lost[:, 2 * crossbar.rows :], axis=1)
+        n_rows = crossbar.wires[0]
+        rows = n_rows if crossbar.scan_mode == ScanMode.ZERO_POTENTIAL else None  # by four wires ε_column²
+        odds = xp.amax(lost[:, :rows], axis=1), xp.amax(lost[:, n_rows:], axis=1)
         return guess, NEUMANN * odds[0] / (1.0 - odds[0]) * odds[1] / (1.0 - odds[1])
 
     def _settled(self, u: Array, wanted: Array, tolerance: float) -> Array:

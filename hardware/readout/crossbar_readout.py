@@ -11,17 +11,15 @@ from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.shunts import shunts
 
-SHUNTS = ((0, 1), (2, 3), (1, 3))  #: electrodes between which no pillar lies, by their places in `TERMINALS`
 
-
-def shunts_of(design: SensorDesign) -> tuple[float, float, float]:
-    """Conductances at rest between U1 and U2, L1 and L2, U2 and L2 of a unit [S]; none by eq. 1."""
+def shunts_of(design: SensorDesign) -> tuple[float, ...]:
+    """Conductances at rest of a unit's `shunts` [S]; none by eq. 1."""
     if not design.electrics.is_conduction:
-        return 0.0, 0.0, 0.0
+        return ()
     matrix = unit_conductances(design.unit).matrix_mm
-    one, two, three = (max(0.0, float(-matrix[pair])) / design.resistivity_ohm_mm for pair in SHUNTS)
-    return one, two, three
+    return tuple(max(0.0, float(-matrix[pair])) / design.resistivity_ohm_mm for pair in shunts(design.unit.layout))
 
 
 def seen_by(crossbar: Crossbar, design: SensorDesign) -> SensorDesign:
@@ -50,7 +48,7 @@ class CrossbarReadout:
         return seen_by(self.crossbar, design)
 
     def measured(self, resistance_ohm: FloatArray, generator: np.random.Generator) -> FloatArray:
-        """Resistances (n, rows, cols, 3) [Ω] as the host of this crossbar finds them.
+        """Resistances (n, rows, cols, P) [Ω] as the host of this crossbar finds them.
 
         A count of 0 or full scale stands for no resistance: `DesignError` where the pillar is not broken.
         """
@@ -67,5 +65,5 @@ class CrossbarReadout:
                     f"{resistance_ohm[is_lost][0]:.4g} Ω in scan mode {crossbar.scan_mode.name}: choose sense_ohm so "
                     "that pillars stay inside its range."
                 )
-        host = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+        host = replace(crossbar, shunt_siemens=())
         return Corrector(host).correct(x) if self.corrected else crossbar.uncorrected(x)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
+from geometry.layout_file import layout_from_text
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
 from hardware.link.reception import DeviceClock
 
@@ -48,10 +49,8 @@ class Header:
         >>> plain["scan_mode"], plain["firmware"], plain["design_hash"], plain["model_recipe"]
         ('DIVIDER', '1.2.3', 'a1', '')
         """
-        info: dict[str, int | str] = asdict(self.info)
-        info |= {"scan_mode": self.info.scan_mode.name, "firmware": ".".join(map(str, self.info.firmware))}
         made_from = {name: self.made_from.get(name, "") for name in MADE_FROM}
-        return {"format": FORMAT, "version": VERSION, **info, "calibration": self.calibration, **made_from}
+        return {"format": FORMAT, "version": VERSION, **self.info.plain(), "calibration": self.calibration, **made_from}
 
 
 def read_header(plain: Mapping[str, Any], source: str) -> Header:
@@ -61,7 +60,8 @@ def read_header(plain: Mapping[str, Any], source: str) -> Header:
             f"{source}: not a recording of TriPillar, version {VERSION}: give a file made by this program's recorder."
         )
     try:
-        values: dict[str, Any] = {each.name: plain[each.name] for each in fields(Info)}
+        values: dict[str, Any] = {each.name: plain[each.name] for each in fields(Info) if each.name != "layout"}
+        values["layout"] = layout_from_text(plain.get("layout", ""))
         values["scan_mode"] = ScanMode[values["scan_mode"]]
         values["firmware"] = tuple(map(int, values["firmware"].split(".")))
         made_from = {name: str(plain[name]) for name in MADE_FROM if plain.get(name)}
@@ -76,7 +76,7 @@ def read_header(plain: Mapping[str, Any], source: str) -> Header:
 class Recording(Header):
     """The frames of a recording in the order received; n of them."""
 
-    counts: NDArray[np.uint16]  #: (n, rows·cols·3), in the order of `geometry.wiring.crossings`
+    counts: NDArray[np.uint16]  #: (n, n_crossings), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     device_us: NDArray[np.uint32]  #: (n,), the board's clock as sent [µs], modulo 2³²
     flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode

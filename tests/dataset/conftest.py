@@ -5,7 +5,8 @@ import pytest
 
 from fem.array.response import ArrayResponse
 from geometry import Array, SensorDesign
-from geometry.layout import unit_centres, upper_electrodes
+from geometry.design import Unit
+from geometry.layout import LAYOUTS, unit_centres, upper_electrodes
 
 #: mm per N that an electrode under the load gives along x, y, z; and by how much a shear tilts it
 COMPLIANCE = (0.005, 0.005, 0.0017)
@@ -21,6 +22,12 @@ def response() -> ArrayResponse:
     return made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
 
 
+@pytest.fixture(scope="session", params=LAYOUTS)
+def any_response(request) -> ArrayResponse:
+    """The same of each layout."""
+    return made_up_response(SensorDesign(unit=Unit(layout=LAYOUTS[request.param]), array=Array(rows=2, cols=3)))
+
+
 def made_up_response(design: SensorDesign) -> ArrayResponse:
     rows, cols = design.array.rows, design.array.cols
     centres = unit_centres(design)
@@ -33,7 +40,7 @@ def made_up_response(design: SensorDesign) -> ArrayResponse:
     influence = np.einsum("ek,ab->eakb", nearby, axes)
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=influence.reshape(rows, cols, 2, 3, rows, cols, 3),
+        influence_mm_per_n=influence.reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=1.25e-14,
         unknowns=1234,
         mesh_hash="00112233445566ff",

@@ -19,6 +19,7 @@ from dataset.stored import is_current
 from dataset.table import columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
+from geometry.design import Unit
 from geometry.storage.netcdf import write_netcdf
 from tests.house import House
 
@@ -98,6 +99,28 @@ def test_a_file_gives_back_every_bit_and_what_made_it(data, tmp_path, form):
     for text in (repr(samples), samples._repr_html_()):
         assert "5 samples of 2 × 3 units" in text
         assert "axis [N]: z" in text
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_file_names_the_pillars_of_its_layout(any_response, tmp_path, form):
+    """Without a design, too, by their names alone, in whatever order; other names and numbers of them are refused."""
+    made = simulate(any_response, DatasetSettings(protocol="three-axis", samples=3, noise=1e-3))
+    layout, bare = made.layout, replace(made, design=None)
+    assert made.displacement_mm.shape[-2:] == (len(layout.upper), 3)
+    path = write(bare, tmp_path / f"a.{form}")
+    back = read_samples(path)[:]
+    assert back.layout == layout == any_response.design.unit.layout
+    assert np.array_equal(back.resistance_ohm, made.resistance_ohm)
+    if form in LABELLED:
+        assert np.array_equal(back.displacement_mm, made.displacement_mm)
+        assert list(back.to_xarray().pillar) == list(layout.pillar_names)
+        other = by_others(bare, tmp_path / f"b.{form}", lambda d: d.isel(pillar=slice(None, None, -1)))
+        assert np.array_equal(read_samples(other)[:].resistance_ohm, made.resistance_ohm)
+        more = by_others(bare, tmp_path / f"c.{form}", lambda d: d.rename(pillar="p").drop_vars("p").rename(p="pillar"))
+        if layout == Unit().layout:
+            assert np.array_equal(read_samples(more)[:].resistance_ohm, made.resistance_ohm)
+        else:
+            assert f"is of size {len(layout.pillars)}, expected ['z', 'x', 'y']" in refusal(more)
 
 
 def test_netcdf_keeps_the_contract(data, response, tmp_path):
@@ -202,7 +225,7 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
     assert told == {"file": "own.csv", "samples": 5, "columns": 54}
     names, *lines = (tmp_path / "own.csv").read_text().splitlines()
-    assert names.split(",") == columns_of(["force_n", "length_mm", "resistance_ohm"], 2, 3)
+    assert names.split(",") == columns_of(["force_n", "length_mm", "resistance_ohm"], 2, 3, data.layout)
     numbers = np.loadtxt(lines, delimiter=",", dtype=np.float32)
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     rows = [line.split(",") for line in write(data, tmp_path / "own.csv").read_text().splitlines()]
@@ -268,7 +291,7 @@ def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
         refusal(copy)
         (copy / header).write_bytes(whole)
     assert len(read_samples(copy)[:5]) == 5
-    names = ",".join(columns_of(LABELS, 1, 1))
+    names = ",".join(columns_of(LABELS, 1, 1, data.layout))
     for text, said in (
         ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
         (f"{names}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),

@@ -177,9 +177,10 @@ NO_PLACE = r"is no place of a pillar: write row,col,pillar"
         (on_five_columns(dead_rows=(12,)), "an array of 6 × 5 units has no row wire 12: its row wires are 0 to 11."),
         (on_five_columns(dead_cols=(0, 10)), "has no column wire 10: its column wires are 0 to 9."),
         (on_five_columns(dead_pillars=((0, 5, "y"),)), "has no pillar 0,5,y: its rows are 0 to 5"),
+        (on_five_columns(dead_pillars=((0, 3, "w"),)), "dead_pillars=0,3,w names no pillar: write .* of z, x, y"),
         (on_five_columns(offset_ohm=1e4), "offset_ohm=10000 takes a pillar's resistance to -"),
         *((settings(dead_rows=wires), "must hold numbers of wires from 0 on") for wires in ((-1,), 4, ("4",))),
-        *((settings(dead_pillars=places), "must hold a row and a column") for places in (((0, 3, "w"),), (0, 3, "z"))),
+        *((settings(dead_pillars=places), "must hold a row and a column") for places in (((0, 3, 4),), (0, 3, "z"))),
         *(
             (lambda text=text: place_of(text), NO_PLACE)
             for text in ("", "0,3", "-1,3,z", "0,3,z\n4", "9" * 5000 + ",0,z")

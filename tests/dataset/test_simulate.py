@@ -29,27 +29,29 @@ def simulated(response, protocol="three-axis", samples=40, **changed):
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_a_dataset_is_what_the_equations_say(response, protocol):
-    """Forces of tractions on 12 mm × 12 mm; displacements summed over pads and axes; lengths by hand.
+def test_a_dataset_is_what_the_equations_say(any_response, protocol):
+    """Forces of tractions on 12 mm × 12 mm; displacements summed over pads and axes; lengths by the layout's places.
 
-    From the electrodes' places z goes from L1 to U1, x from L2 to U1, y from L1 to U2. Tolerances are for rounding.
+    Tolerances are for rounding.
     """
-    data = simulated(response, protocol)
-    sizes = {"sample": 40, "row": 2, "col": 3, "electrode": 2, "axis": 3, "pillar": 3}
+    data, layout = simulated(any_response, protocol), any_response.design.unit.layout
+    upper, pillars = len(layout.upper), len(layout.pillars)
+    sizes = {"sample": 40, "row": 2, "col": 3, "electrode": upper, "axis": 3, "pillar": pillars}
     assert tuple(data.arrays()) == ARRAYS
     for name, values in data.arrays().items():
         assert values.shape == tuple(sizes[dim] for dim in VARIABLES[name].dims)
         assert np.isfinite(values).all()
     assert np.array_equal(data.force_n, data.traction_mpa * 144.0 * np.array([1.0, 1.0, -1.0]))
     assert (data.force_n[..., 2] >= 0).all()
-    moved = np.einsum("rceaijb,nijb->nrcea", response.influence_mm_per_n, 144.0 * data.traction_mpa)
+    moved = np.einsum("rceaijb,nijb->nrcea", any_response.influence_mm_per_n, 144.0 * data.traction_mpa)
     assert data.displacement_mm == pytest.approx(moved, abs=1e-13)
-    L1, L2 = np.array([-5.0, -5.0, 0.0]), np.array([5.0, -5.0, 0.0])
-    U1 = np.array([-5.0, -5.0, 10.0]) + data.displacement_mm[..., 0, :]
-    U2 = np.array([-5.0, 5.0, 10.0]) + data.displacement_mm[..., 1, :]
-    lengths = [np.linalg.norm(top - low, axis=-1) for low, top in ((L1, U1), (L2, U1), (L1, U2))]
+    ends = {one.name: np.array([5.0 * one.place[0], 5.0 * one.place[1], 0.0]) for one in layout.lower}
+    for number, one in enumerate(layout.upper):
+        ends[one.name] = [5.0 * one.place[0], 5.0 * one.place[1], 10.0] + data.displacement_mm[..., number, :]
+    lengths = [np.linalg.norm(ends[one.top] - ends[one.foot], axis=-1) for one in layout.pillars]
     assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)
-    assert data.resistance_ohm == pytest.approx(4000.0 * data.length_mm**2 / (4.0 * REST_MM), rel=1e-14)
+    rest_mm = np.where(np.char.startswith(layout.pillar_names, "z"), 10.0, np.sqrt(200.0))
+    assert data.resistance_ohm == pytest.approx(4000.0 * data.length_mm**2 / (4.0 * rest_mm), rel=1e-14)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -66,14 +68,16 @@ def test_a_sample_is_the_same_alone_and_in_a_batch(response, protocol):
     assert not np.array_equal(many.resistance_ohm[:3], many.resistance_ohm[BLOCK:])
 
 
-def test_a_specimen_changes_the_resistances_alone_and_another_seed_only_its_noise(response):
-    exact, real = simulated(response), simulated(response, **vars(SPECIMEN))
+def test_a_specimen_changes_the_resistances_alone_and_another_seed_only_its_noise(any_response):
+    layout = any_response.design.unit.layout
+    specimen = replace(SPECIMEN, dead_pillars=((0, 1, layout.pillar_names[0]),))
+    exact, real = simulated(any_response), simulated(any_response, **vars(specimen))
     for name in ARRAYS[:-1]:
         assert np.array_equal(getattr(exact, name), getattr(real, name))
-    alive = ~SPECIMEN.dead_mask(2, 3)
+    alive = ~specimen.dead_mask(2, 3, layout)
     assert (real.resistance_ohm[:, ~alive] == OPEN_OHM).all()
     assert (real.resistance_ohm[:, alive] != exact.resistance_ohm[:, alive]).all()
-    quiet = replace(SPECIMEN, noise=1e-3, bits=None)
+    quiet = replace(specimen, noise=1e-3, bits=None)
     first, second = (measured_again(exact, quiet, seed).resistance_ohm for seed in (1, 2))
     ratio = first[:, alive] / second[:, alive] - 1.0
     assert ratio.std() == pytest.approx(np.sqrt(2) * 1e-3, rel=4 / np.sqrt(2 * ratio.size))  # of a deviation

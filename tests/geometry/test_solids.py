@@ -17,8 +17,9 @@ from geometry.cad import (
     unit_solid,
     write_solids,
 )
-from geometry.layout import pillar_ends, pillar_shares, pillar_volumes, unit_centres, upper_electrodes
+from geometry.layout import pillar_ends, pillar_volumes, unit_centres, upper_electrodes
 from geometry.mould import Mould, mould_solids, write_cad
+from geometry.shares import pillar_shares
 from geometry.surface import check_surface, surface_from_solid
 from tests.geometry.closed_forms import oblique_width, union_mm3
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from geometry.wiring import crossings
-from hardware.boards.simavr_board import FIRMWARE
+from hardware.boards.simavr_board import EMPTY, FIRMWARE
 from hardware.boards.virtual_board import CountedPort, a_frame
 from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode, encode
 from hardware.link.protocols import PROTOCOLS
@@ -22,8 +22,9 @@ COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))
 PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
 
 CHIP = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)  #: of the simulated chip
-DISTINCT = np.arange(144).reshape(1, 12, 12) * 7 + 1  # tells every crossing from all others; none saturates
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
+DISTINCT = np.full((1, 12, 12), EMPTY)  # tells every crossing from all others; none saturates
+DISTINCT[0, ROW_WIRE, COLUMN_WIRE] = (np.arange(144).reshape(12, 12) * 7 + 1)[ROW_WIRE, COLUMN_WIRE]
 
 
 def a_wire(sequence, *, info=INFO, device_us=None, overruns=0):

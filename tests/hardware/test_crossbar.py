@@ -162,7 +162,7 @@ def test_shunts_of_units_are_part_of_the_circuit_and_of_its_correction(mode):
     """Rubber that pillars share: three more conductances a unit, and back to the pillars."""
     crossbar = crossbar_of(mode, rows=2, cols=3, bits=None, shunt_siemens=(9e-6, 8e-6, 1e-6))
     ohm = pressed(4, rows=2, cols=3)
-    alone = replace(crossbar, shunt_siemens=(0.0, 0.0, 0.0))
+    alone = replace(crossbar, shunt_siemens=())
     assert np.abs(crossbar.readings(ohm) / alone.readings(ohm) - 1).max() > 1e-4
     np.testing.assert_allclose(Corrector(crossbar).correct(crossbar.readings(ohm)), ohm, rtol=1e-6)
     G, row, column = crossbar.shunt_matrix, 2 * 1, 4 + 2 * 2  # of unit (1, 2)
@@ -174,7 +174,7 @@ def test_shunts_of_units_are_part_of_the_circuit_and_of_its_correction(mode):
 
 def test_shunts_are_those_of_conduction():
     """None by eq. 1; by conduction U1 and U2 are joined past L1, and L1 and L2 past U1, by a tenth of a pillar."""
-    assert shunts_of(SensorDesign()) == (0.0, 0.0, 0.0)
+    assert shunts_of(SensorDesign()) == ()
     upper, lower, across = shunts_of(SensorDesign(electrics=Electrics(model="conduction")))
     assert upper == pytest.approx(lower, rel=1e-6)
     assert 0.05 < upper * 10e3 < 0.15

@@ -9,7 +9,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.layout import LAYOUTS
 from hardware.link.frames import Errors, Frame, FrameDecoder, Info, ScanMode, Statistics, encode
+from tests.geometry.test_layout_file import OWN
 
 fuzzed = settings(max_examples=100, derandomize=True, deadline=None)
 U8, U16, U32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
@@ -31,7 +33,7 @@ def frames(draw):
 
 
 @st.composite
-def infos(draw, max_rows=255, max_cols=85):
+def infos(draw, max_rows=255, max_cols=32):
     return Info(
         rows=draw(st.integers(1, max_rows)),
         cols=draw(st.integers(1, max_cols)),
@@ -42,6 +44,7 @@ def infos(draw, max_rows=255, max_cols=85):
         serial=draw(U32),
         sense_ohm=draw(st.integers(1, 2**32 - 1)),
         vref_mv=draw(st.integers(1, 65535)),
+        layout=draw(st.sampled_from([*LAYOUTS.values(), OWN])),
     )
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from hardware.boards.simavr_board import FIRMWARE
 from hardware.link.board_port import Commands
-from hardware.link.frames import Errors, Frame, Info, encode
+from hardware.link.frames import Errors, Frame, Info, encode, stated
 from tests.hardware.test_decoder import errors, frames, infos
 
 fuzzed = settings(max_examples=150, derandomize=True, deadline=None)
@@ -42,6 +42,7 @@ class InfoFields(ctypes.Structure):
         ("serial", c_uint32),
         ("sense_ohm", c_uint32),
         ("vref_mv", c_uint16),
+        ("layout", ctypes.c_char_p),
     )
 
 
@@ -81,8 +82,9 @@ def written(write, n_packed, *values):
 def wire_of(library, frame):
     if isinstance(frame, Info):
         names = ("rows", "cols", "bits", "scan_mode", "rate_hz", "serial", "sense_ohm", "vref_mv")
-        fields = InfoFields(firmware=frame.firmware, **{name: getattr(frame, name) for name in names})
-        return written(library.frame_info, 23, ctypes.byref(fields))
+        layout = stated(frame.layout).encode()
+        fields = InfoFields(firmware=frame.firmware, layout=layout, **{name: getattr(frame, name) for name in names})
+        return written(library.frame_info, 23 + len(layout), ctypes.byref(fields))
     if isinstance(frame, Errors):
         fields = ErrorFields(frame.reset_cause, frame.bad_bytes, frame.losses)
         return written(library.frame_errors, 6, ctypes.byref(fields))

@@ -71,8 +71,7 @@ def info(
             measured = stages.measure_link(scanner, sensor, seconds)
         else:
             told, errors = scanner.info, scanner.errors()
-            result = asdict(told) | ({} if errors is None else asdict(errors))
-            result |= {"scan_mode": told.scan_mode.name, "firmware": ".".join(map(str, told.firmware))}
+            result = told.plain() | ({} if errors is None else asdict(errors))
             caller.answer(lambda: result, "\n".join(f"{name:11} {value}" for name, value in result.items()))
             return result
     shown = {name: value for name, value in measured.items() if name not in ("latency_ms", "statistics")}

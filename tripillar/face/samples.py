@@ -10,7 +10,6 @@ from cyclopts import Parameter
 from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
-from geometry.layout import PILLARS
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import WIRES, DesignLike, File, Options, Protocol, design_of, job, require_pool
@@ -129,7 +128,8 @@ def dataset(
     asked = {"history_s": history, "rate_hz": rate}
     read |= {name: value for name, value in asked.items() if value is not None}
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
-    settings.dead_mask(sensor.array.rows, sensor.array.cols)  # refuses what the array lacks before anything is solved
+    # refuses what the array lacks before anything is solved
+    settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
     wires = WIRES.of(more) | ({} if sense_ohm is None else {"sense_ohm": sense_ohm})
     readout = _readout(sensor, crossbar, settings.bits, correct, wires)
     is_finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
@@ -197,11 +197,7 @@ def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, stages.TwinFile
 
 def _place(text: "str | tuple[int, int, str]") -> tuple[int, int, str]:
     """A place of a pillar, as typed or as a tuple."""
-    place = place_of(text) if isinstance(text, str) else text
-    if place[2] not in PILLARS:
-        typed = ",".join(map(str, place))
-        raise DesignError(f"dead_pillars={typed} names no pillar: write row,col and one of {', '.join(PILLARS)}.")
-    return place
+    return place_of(text) if isinstance(text, str) else text
 
 
 def _variables(only: str) -> tuple[str, ...]:
@@ -224,7 +220,7 @@ def _readout(
         if wires or not correct:
             raise DesignError("sense_ohm=, switch_ohm=, line_ohm= and correct=False belong to crossbar=: give it, too.")
         return None
-    rows, cols, shunts = sensor.array.rows, sensor.array.cols, stages.shunts_of(sensor)
-    mode = stages.scan_mode_named(crossbar)
-    wired = stages.Crossbar.suited(mode, rows=rows, cols=cols, bits=bits, shunt_siemens=shunts, **wires)
+    of_array: dict[str, Any] = {"rows": sensor.array.rows, "cols": sensor.array.cols, "layout": sensor.unit.layout}
+    mode, shunts = stages.scan_mode_named(crossbar), stages.shunts_of(sensor)
+    wired = stages.Crossbar.suited(mode, bits=bits, shunt_siemens=shunts, **of_array, **wires)
     return stages.CrossbarReadout(crossbar=wired, corrected=correct)

@@ -196,9 +196,9 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
             path.unlink()
     shutil.rmtree(header, ignore_errors=True)
     hashes = {name: [records[number]["hashes"][name] for number in job.numbers] for name in names}
-    array = job.response.design.array
-    shape = job.settings.samples, array.rows, array.cols
-    write_header(header, shape, hashes, attributes, job.dtype, job.settings.time_s)
+    design = job.response.design
+    shape = job.settings.samples, design.array.rows, design.array.cols
+    write_header(header, shape, hashes, attributes, job.dtype, design.unit.layout, job.settings.time_s)
     for path in sorted(header.rglob("*")):
         target = tree / path.relative_to(header)
         if path.is_dir():

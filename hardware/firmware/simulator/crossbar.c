@@ -9,54 +9,73 @@
 
 #include "options.h"
 
+#define LEAST_BITS 4  // that number wires, as the firmware has them
+
 typedef struct {
     char port;
-    int shift;
-} nibble_t;
+    int8_t bits[8];  // of the port that number wires, the lowest first; -1 behind the last
+} pins_t;
 
 static const struct {
     const char *mcu;
-    nibble_t row, column;
+    pins_t row, column;
 } PINS[] = {
-    {"atmega328p", {'B', 0}, {'D', 4}},
-    {"atmega2560", {'A', 0}, {'C', 0}},
+    {"atmega328p", {'B', {0, 1, 2, 3, 4, 5, -1}}, {'D', {4, 5, 6, 7, 3, 2, -1}}},
+    {"atmega2560", {'A', {0, 1, 2, 3, 4, 5, 6, -1}}, {'C', {0, 1, 2, 3, 4, 5, 6, -1}}},
 };
 
+typedef struct {
+    pins_t pins;  // that are looked at: as many as the table's wires need
+    uint32_t mask;
+} address_t;
+
 static const table_t *table;
-static nibble_t row_pins, column_pins;
+static address_t row_address, column_address;
 static avr_adc_t *adc;
 static avr_irq_t *input;
 static avr_cycle_count_t reset_at, changed_at;
 static uint16_t sampled_mv;
 static crossbar_statistics_t statistics = {.min_settle = UINT64_MAX};
 
-static uint32_t on_pins(uint32_t port, nibble_t nibble)
+static address_t address_of(pins_t pins, uint32_t wires)
 {
-    return port >> nibble.shift & 0x0F;
+    address_t address = {.pins = pins};
+    int n = 0;
+    while (pins.bits[n] >= 0 && (n < LEAST_BITS || wires > 1u << n))
+        address.mask |= 1u << pins.bits[n++];
+    address.pins.bits[n] = -1;
+    return address;
 }
 
 // -1 if the firmware does not drive the pins.
-static int address_from(avr_t *avr, nibble_t nibble)
+static int address_from(avr_t *avr, const address_t *address)
 {
     avr_ioport_state_t state = {0};
-    avr_ioctl(avr, AVR_IOCTL_IOPORT_GETSTATE(nibble.port), &state);
-    return on_pins(state.ddr, nibble) == 0x0F ? (int)on_pins(state.port, nibble) : -1;
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_GETSTATE(address->pins.port), &state);
+    if ((state.ddr & address->mask) != address->mask)
+        return -1;
+    int number = 0;
+    for (int k = 0; address->pins.bits[k] >= 0; k++)
+        number |= (int)(state.port >> address->pins.bits[k] & 1) << k;
+    return number;
 }
 
-static void on_port_written(avr_irq_t *irq, uint32_t value, void *nibble)
+static void on_port_written(avr_irq_t *irq, uint32_t value, void *address)
 {
-    if (on_pins(value, *(nibble_t *)nibble) != on_pins(irq->value, *(nibble_t *)nibble))  // irq->value: as before
+    if ((value ^ irq->value) & ((address_t *)address)->mask)  // irq->value: as before
         changed_at = adc->io.avr->cycle;
 }
 
 static avr_cycle_count_t sample(avr_t *avr, avr_cycle_count_t when, void *channel)
 {
     (void)when;
-    int row = address_from(avr, row_pins), column = address_from(avr, column_pins);
+    int row = address_from(avr, &row_address), column = address_from(avr, &column_address);
     int is_bad = *(int *)channel != 0 || row < 0 || column < 0 || row >= (int)table->rows ||
-                 column >= (int)table->columns || (row % 2 && column % 2);
+                 column >= (int)table->columns;
     uint64_t device_us = (avr->cycle - reset_at) * 1000000 / avr->frequency;
-    uint16_t count = is_bad ? 0 : table_count(table, device_us, (uint32_t)row, (uint32_t)column);
+    uint16_t count = is_bad ? TABLE_EMPTY : table_count(table, device_us, (uint32_t)row, (uint32_t)column);
+    is_bad = count == TABLE_EMPTY;
+    count = is_bad ? 0 : count;
     // Millivolts for which simavr's own conversion, floor(mV * 1023 / AVcc), gives just this count; 1024 would too.
     sampled_mv = (uint16_t)(count * (CROSSBAR_AVCC_MV / TABLE_FULL_SCALE));
     statistics.conversions++;
@@ -93,9 +112,9 @@ static void on_conversion(avr_irq_t *irq, uint32_t value, void *unused)
     avr_cycle_timer_register(avr, (adc->first ? 49 : 25) * half_clock, deliver, NULL);
 }
 
-static avr_irq_t *port_irq(avr_t *avr, nibble_t nibble)
+static avr_irq_t *port_irq(avr_t *avr, const address_t *address)
 {
-    return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(nibble.port), IOPORT_IRQ_REG_PORT);
+    return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(address->pins.port), IOPORT_IRQ_REG_PORT);
 }
 
 void crossbar_connect(avr_t *avr, const char *mcu, const table_t *counts)
@@ -103,19 +122,19 @@ void crossbar_connect(avr_t *avr, const char *mcu, const table_t *counts)
     table = counts;
     for (size_t k = 0; k < sizeof PINS / sizeof *PINS; k++) {
         if (strcmp(PINS[k].mcu, mcu) == 0) {
-            row_pins = PINS[k].row;
-            column_pins = PINS[k].column;
+            row_address = address_of(PINS[k].row, counts->rows);
+            column_address = address_of(PINS[k].column, counts->columns);
         }
     }
     for (avr_io_t *io = avr->io_port; io; io = io->next)
         if (strcmp(io->kind, "adc") == 0)
             adc = (avr_adc_t *)io;  // an avr_io_t is the first member of each module
-    if (!row_pins.port || !adc)
+    if (!row_address.mask || !adc)
         fail("--mcu %s is unknown, expected atmega328p or atmega2560.", mcu);
     input = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), on_conversion, NULL);
-    avr_irq_register_notify(port_irq(avr, row_pins), on_port_written, &row_pins);
-    avr_irq_register_notify(port_irq(avr, column_pins), on_port_written, &column_pins);
+    avr_irq_register_notify(port_irq(avr, &row_address), on_port_written, &row_address);
+    avr_irq_register_notify(port_irq(avr, &column_address), on_port_written, &column_address);
 }
 
 void crossbar_reset(avr_t *avr)

@@ -43,8 +43,8 @@ table_t table_open(const char *path)
         fail("%s: no table file: it does not start with TPTB.", path);
     if (header->version != 1)
         fail("%s: table version %u, this program reads 1.", path, header->version);
-    if (header->rows < 1 || header->rows > 16 || header->columns < 1 || header->columns > 16)
-        fail("%s: %u x %u wires, expected 1 to 16 each.", path, header->rows, header->columns);
+    if (header->rows < 1 || header->rows > 128 || header->columns < 1 || header->columns > 128)
+        fail("%s: %u x %u wires, expected 1 to 128 each.", path, header->rows, header->columns);
     if (header->steps < 1 || header->step_us < 1)
         fail("%s: %u steps of %u us, expected at least 1 of 1.", path, header->steps, header->step_us);
     if (header->full_scale != TABLE_FULL_SCALE)
@@ -69,5 +69,5 @@ uint16_t table_count(const table_t *table, uint64_t device_us, uint32_t row, uin
     if (step >= table->steps)
         step = table->loops ? step % table->steps : table->steps - 1;
     uint16_t count = table->counts[(step * table->rows + row) * table->columns + column];
-    return count > TABLE_FULL_SCALE ? TABLE_FULL_SCALE : count;
+    return count > TABLE_FULL_SCALE && count != TABLE_EMPTY ? TABLE_FULL_SCALE : count;
 }

@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #define TABLE_FULL_SCALE 1023
+#define TABLE_EMPTY 0xFFFF  // where no pillar joins the wires
 
 typedef struct {
     uint32_t rows, columns;  // wires
@@ -21,7 +22,7 @@ typedef struct {
 
 table_t table_open(const char *path);
 
-// The count of a crossing at a device time; 0 to TABLE_FULL_SCALE.
+// The count of a crossing at a device time; 0 to TABLE_FULL_SCALE, or TABLE_EMPTY.
 uint16_t table_count(const table_t *table, uint64_t device_us, uint32_t row, uint32_t column);
 
 #endif
