@@ -1,6 +1,7 @@
 """Judging a design: from its finite-element response to its metrics, without training; runs in worker processes.
 
-Every force is judged by the pillar named after it, its own. Definitions with their equations are in docs/results.md.
+Every pillar is judged by the force along which it leans, its own; an upright one by Fz. Definitions with their
+equations are in docs/results.md.
 """
 
 from time import perf_counter
@@ -17,14 +18,13 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.touch.limits import touch_limits
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray, pillar_ends
 from tripillar.sweep.rows import DISTANCES, Metrics, Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
 
-OWN_AXIS = tuple(AXES.index(pillar) for pillar in PILLARS)  #: the force component that each pillar is named after
 LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is the mean of
 SEED = 0  #: of those draws, the same for every design
 
@@ -65,7 +65,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     joint = component_named("all")
     forward = SensorModel.of(response, joint)
     G = relative_slopes(forward)
-    own = self_sensitivities(G, design.n_units)
+    own, pillars = self_sensitivities(G, design), design.unit.layout.pillar_names
     talk = crosstalk(G, design)
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
     errors = noise_limited_errors(forward, force_columns(force_n, joint), noise, bits)
@@ -83,13 +83,13 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
         "pressure_all_mpa": everywhere,
         **{
             f"sensitivity_{pillar}_pct_per_n": 100 * float(value)
-            for pillar, value in zip(PILLARS, own.mean(axis=0), strict=True)
+            for pillar, value in zip(pillars, own.mean(axis=0), strict=True)
         },
         "sensitivity_least_pct_per_n": 100 * float(own.min()),
         **{f"crosstalk_{d}": _number(talk[:, k].max()) for k, d in enumerate(DISTANCES)},
         **{
             f"crosstalk_{pillar}_{d}": _number(talk[p, k])
-            for p, pillar in enumerate(PILLARS)
+            for p, pillar in enumerate(pillars)
             for k, d in enumerate(DISTANCES)
         },
         "condition": float(np.linalg.cond(G)),
@@ -106,24 +106,36 @@ def relative_slopes(forward: SensorModel) -> FloatArray:
     return 2 * J[0] / lengths[0][:, None]
 
 
-def self_sensitivities(G: FloatArray, n_units: int) -> FloatArray:
-    """Size of the relative resistance change of every pillar by 1 N of its own component, (n_units, 3) [1/N]."""
-    by_unit = G.reshape(n_units, len(PILLARS), n_units, len(AXES))
-    every = np.arange(n_units)
-    return np.abs(by_unit[every[:, None], np.arange(len(PILLARS)), every[:, None], OWN_AXIS])
+def own_axes(unit: Unit) -> list[int]:
+    """Number of each pillar's own force component: along which it leans, of an upright one z.
+
+    >>> own_axes(Unit())
+    [2, 0, 1]
+    """
+    foot, top = pillar_ends(unit).transpose(1, 0, 2)
+    leans = top[:, :2] != foot[:, :2]
+    return np.where(leans.any(axis=1), leans.argmax(axis=1), AXES.index("z")).tolist()
+
+
+def self_sensitivities(G: FloatArray, design: SensorDesign) -> FloatArray:
+    """Size of the relative resistance change of every pillar by 1 N of its own component, (n_units, P) [1/N]."""
+    own, n_units = own_axes(design.unit), design.n_units
+    every = np.arange(n_units)[:, None]
+    return np.abs(G.reshape(n_units, len(own), n_units, len(AXES))[every, np.arange(len(own)), every, own])
 
 
 def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
-    """Worst crosstalk of each kind of pillar at each of `DISTANCES`, shape (3, 3); NaN where no unit is so far away.
+    """Worst crosstalk of each kind of pillar at each of `DISTANCES`, shape (P, 3); NaN where no unit is so far away.
 
-    Crosstalk is the response of a pillar so many pitches away along a row or a column to a force of its name, over that
-    of the loaded unit's own pillar.
+    Crosstalk is the response of a pillar so many pitches away along a row or a column to a force of its own component,
+    over that of the loaded unit's own pillar.
     """
     rows, cols = np.indices((design.array.rows, design.array.cols)).reshape(2, -1)
     apart = [np.abs(place[:, None] - place) for place in (rows, cols)]
-    by_unit = np.abs(G.reshape(design.n_units, len(PILLARS), design.n_units, len(AXES)))
-    found = np.full((len(PILLARS), len(DISTANCES)), np.nan)
-    for p, axis in enumerate(OWN_AXIS):
+    own = own_axes(design.unit)
+    by_unit = np.abs(G.reshape(design.n_units, len(own), design.n_units, len(AXES)))
+    found = np.full((len(own), len(DISTANCES)), np.nan)
+    for p, axis in enumerate(own):
         slopes = by_unit[:, p, :, axis]  # observed, loaded
         ratios = slopes / slopes.diagonal()
         for k, distance in enumerate(DISTANCES):
@@ -152,7 +164,7 @@ def loads_at_cap(response: ArrayResponse, cap: float, n: int, seed: int) -> tupl
     -------
     array, shape (n, rows, cols, 3)
         Forces [N], z positive in compression.
-    array, shape (n, n_units, 2, 3)
+    array, shape (n, n_units, n_upper, 3)
         Displacements of the electrodes [mm].
     """
     design = response.design

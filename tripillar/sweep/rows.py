@@ -4,18 +4,21 @@ A row is written as soon as it is known, so that nothing is lost; a Parquet file
 metrics with their equations are in docs/results.md.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.design import Unit
+from geometry.layout import AXES, FloatArray
 from geometry.storage.files import write_bytes
 
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
-#: the metrics of a row: name for tables and pictures, unit, meaning
+#: the metrics of a row: name for tables and pictures, unit, meaning; one with {pillar} is of each pillar of a unit
 METRICS = {
     "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
     "error_pct": ("error", "%", "the same in % of range_n"),
@@ -27,24 +30,19 @@ METRICS = {
     "pressure_all_mpa": (
         "pressure on all pads", "MPa", "largest pressure on all pads at once below the strain cap"
     ),
-    **{
-        f"sensitivity_{pillar}_pct_per_n": (
-            f"sensitivity of {pillar} pillars", "%/N", f"change of a {pillar} pillar by its own force, mean over units"
-        )
-        for pillar in PILLARS
-    },
+    "sensitivity_{pillar}_pct_per_n": (
+        "sensitivity of {pillar} pillars", "%/N", "change of a {pillar} pillar by its own force, mean over units"
+    ),
     "sensitivity_least_pct_per_n": ("least sensitivity", "%/N", "the same of the least sensitive of all pillars"),
     **{
         f"crosstalk_{d}": (f"crosstalk at {d} × pitch", "1", f"worst response {d} pitches away over the loaded unit's")
         for d in DISTANCES
     },
-    **{
-        f"crosstalk_{pillar}_{d}": (
-            f"crosstalk of {pillar} pillars at {d} × pitch", "1", f"the same of {pillar} pillars alone, {d} away"
-        )
-        for pillar in PILLARS
-        for d in DISTANCES
-    },
+    "crosstalk_{pillar}_{distance}": (
+        "crosstalk of {pillar} pillars at {distance} × pitch",
+        "1",
+        "the same of {pillar} pillars alone, {distance} away",
+    ),
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
     ),
@@ -61,6 +59,27 @@ METRICS = {
 }  # fmt: skip
 
 Metrics = dict[str, float | None]
+_BY_PILLAR = re.compile(r"(?:sensitivity|crosstalk)_(?!least_)(\w+?)_(?:pct_per_n|\d)")
+
+
+def metrics_for(pillars: Iterable[str]) -> dict[str, tuple[str, str, str]]:
+    """`METRICS` of units with pillars of these names.
+
+    >>> [name for name in metrics_for(["a"]) if "_a_" in name]
+    ['sensitivity_a_pct_per_n', 'crosstalk_a_1', 'crosstalk_a_2', 'crosstalk_a_3']
+    """
+    found = {}
+    for name, texts in METRICS.items():
+        for pillar, distance in product(pillars, DISTANCES) if "{" in name else [("", 0)]:
+            label, unit, meaning = (text.format(pillar=pillar, distance=distance) for text in texts)
+            found[name.format(pillar=pillar, distance=distance)] = label, unit, meaning
+    return found
+
+
+def metrics_in(names: Iterable[str]) -> dict[str, tuple[str, str, str]]:
+    """`METRICS` of the pillars that are in these names; of the paper's where there are none."""
+    pillars = dict.fromkeys(match[1] for name in names if (match := _BY_PILLAR.fullmatch(name)))
+    return metrics_for(pillars or Unit().layout.pillar_names)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +102,15 @@ class Row:
         value = self.metrics.get(name)
         return float("inf") if value is None else value
 
-    def flat(self) -> dict[str, Any]:
-        """The row as one line of a table: numbers of the varied keys, every metric, and the design's text."""
+    def flat(self, names: Iterable[str] | None = None) -> dict[str, Any]:
+        """The row as one line of a table: numbers of the varied keys, every metric, or these, the design's text."""
+        names = metrics_in(self.metrics) if names is None else names
         return {
             "recipe": self.cache_key,
             **self.values,
             "failed": self.failed,
             "reason": self.reason,
-            **{name: self.metrics.get(name) for name in METRICS},
+            **{name: self.metrics.get(name) for name in names},
             "design": self.design,
         }
 
@@ -106,7 +126,7 @@ def metric_label(name: str) -> str:
     >>> metric_label("area_cm2"), metric_label("condition")
     ('area [cm²]', 'condition number')
     """
-    label, unit, _ = METRICS[name]
+    label, unit, _ = metrics_in([name])[name]
     return label if unit == "1" else f"{label} [{unit}]"
 
 
@@ -116,8 +136,9 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
     import pyarrow.parquet as pq
 
     types = dict.fromkeys(("recipe", "reason", "design"), pa.string()) | {"failed": pa.bool_()}
-    notes = {name: {"units": units, "meaning": meaning} for name, (_, units, meaning) in METRICS.items()}
-    lines = [row.flat() for row in rows]
+    known = metrics_in(name for row in rows for name in row.metrics)
+    notes = {name: {"units": units, "meaning": meaning} for name, (_, units, meaning) in known.items()}
+    lines = [row.flat(known) for row in rows]
     schema = pa.schema([pa.field(name, types.get(name, pa.float64()), metadata=notes.get(name)) for name in lines[0]])
     content = pa.BufferOutputStream()
     pq.write_table(pa.Table.from_pylist(lines, schema=schema), content)

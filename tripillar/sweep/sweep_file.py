@@ -12,7 +12,7 @@ from geometry.design import SensorDesign, quantity, require_sound
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.storage.text_file import StrictTables, read_text, tables_of
-from tripillar.sweep.rows import METRICS
+from tripillar.sweep.rows import metrics_for
 from tripillar.sweep.variables import Variable
 
 STRICT = StrictTables(DesignError)
@@ -94,9 +94,10 @@ class Sweep:
             raise DesignError(f"samples={self.samples!r} must be a whole number from 1 to {MAX_SAMPLES}.")
         if not _whole(self.seed) or not 0 <= self.seed < 2**32:
             raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
+        known = metrics_for(self.base.unit.layout.pillar_names)
         for name in (self.least, *self.bounds):
-            if not isinstance(name, str) or name not in METRICS:
-                raise DesignError(f"no metric {name!r}; known are {', '.join(METRICS)}.")
+            if not isinstance(name, str) or name not in known:
+                raise DesignError(f"no metric {name!r}; known are {', '.join(known)}.")
             if name.startswith("touch_") and not self.judging.touch_n:
                 raise DesignError(
                     f"{name} needs touch_n, the normal force of a touch: write touch_n = 20.0 in [sweep]."

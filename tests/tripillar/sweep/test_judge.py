@@ -33,7 +33,7 @@ def test_sensitivity_and_crosstalk_of_springs():
     Crosstalk is over the loaded unit's own: that some pads press harder than others makes no difference.
     """
     G = judge.relative_slopes(forward(springs()))
-    own = judge.self_sensitivities(G, SPRINGS.n_units)
+    own = judge.self_sensitivities(G, SPRINGS)
     assert own == pytest.approx(np.tile([2 * C / 10, C / 10, C / 10], (10, 1)), rel=1e-12)
     found = judge.crosstalk(G * np.repeat(np.arange(1.0, 11.0), 3), SPRINGS)
     assert found == pytest.approx(np.tile([FALL, FALL**2, FALL**3], (3, 1)), rel=1e-12)
