@@ -24,9 +24,18 @@ from scipy import fft
 from fem.array.cell import EDGES, FACES, CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, CellBody, DesignCell, lone_unit, pad_plate
+from fem.array.meshed import (
+    GRID_DEGREE,
+    GRID_LEVEL,
+    MESH_DEGREE,
+    MESH_LEVEL,
+    CellBody,
+    DesignCell,
+    lone_unit,
+    pad_plate,
+)
 from fem.array.substructured import COMPARED_DEGREE
-from fem.contact.tiles import Strip, cell_strips, edges, on_plates, shares, slab_strips, tiles_per_pitch
+from fem.contact.tiles import MIN_TILES, Strip, cell_strips, edges, on_plates, shares, slab_strips, tiles_per_pitch
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign, bent
 from geometry.errors import DesignError
@@ -60,7 +69,9 @@ class SurfaceCompliance:
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
     on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
-    table: FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]
+    table: (
+        FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
+    )
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
 
@@ -161,12 +172,12 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     moved = moved.astype(np.float32)
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
     on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
+    on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx)
+    on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx)
+    if design.pad.kind == "stiff":  # electrodes follow tiles alone
+        return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
-    return _on_layer(
-        design,
-        on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx),
-    )
+    return _on_layer(design, on_tiles, on_electrodes)
 
 
 def _cells(design: SensorDesign) -> tuple[CondensedCell, CondensedCell]:

@@ -36,7 +36,9 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
         tiles = round(TILES_PER_HEIGHT * design.array.pitch_mm / height)
         return [Strip(-half, half, int(np.clip(tiles, MIN_TILES, MAX_TILES)))]
     low, high = (plate_middle(design, axis) + sign * design.pad.size_mm / 2 for sign in (-1, 1))
-    beside = round(TILES_PER_HEIGHT * (half - design.pad.size_mm / 2) / height)  # as many on both sides: cells are alike
+    beside = round(
+        TILES_PER_HEIGHT * (half - design.pad.size_mm / 2) / height
+    )  # as many on both sides: cells are alike
     beside = int(np.clip(beside, MIN_BESIDE, MAX_BESIDE))
     return [Strip(-half, low, beside), Strip(low, high, PLATE_TILES, is_plate=True), Strip(high, half, beside)]
 
