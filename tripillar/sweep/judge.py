@@ -51,7 +51,7 @@ def failed_row(sample: Sample, reason: str) -> Row:
 
 
 def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Metrics:
-    """Metrics of a design by the names of `METRICS`; None where the array is too small for one.
+    """Metrics of a design by the names of `metrics_for`; None where the array is too small for one.
 
     Parameters
     ----------

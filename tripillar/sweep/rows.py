@@ -4,21 +4,20 @@ A row is written as soon as it is known, so that nothing is lost; a Parquet file
 metrics with their equations are in docs/results.md.
 """
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from geometry.design import Unit
 from geometry.layout import AXES, FloatArray
 from geometry.storage.files import write_bytes
 
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
-#: the metrics of a row: name for tables and pictures, unit, meaning; one with {pillar} is of each pillar of a unit
+
+#: what rows hold: name for tables and pictures, unit, meaning; those with {pillar} for each pillar of a unit
 METRICS = {
     "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
     "error_pct": ("error", "%", "the same in % of range_n"),
@@ -39,9 +38,7 @@ METRICS = {
         for d in DISTANCES
     },
     "crosstalk_{pillar}_{distance}": (
-        "crosstalk of {pillar} pillars at {distance} × pitch",
-        "1",
-        "the same of {pillar} pillars alone, {distance} away",
+        "crosstalk of {pillar} pillars at {distance} × pitch", "1", "the same of {pillar} pillars, {distance} away"
     ),
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
@@ -58,28 +55,39 @@ METRICS = {
     "seconds_couple": ("coupling", "s", "of which coupling the array"),
 }  # fmt: skip
 
-Metrics = dict[str, float | None]
-_BY_PILLAR = re.compile(r"(?:sensitivity|crosstalk)_(?!least_)(\w+?)_(?:pct_per_n|\d)")
+
+class Metric(NamedTuple):
+    """What a number of a row is."""
+
+    words: str  #: its name in tables and pictures
+    unit: str
+    meaning: str
+
+    @property
+    def label(self) -> str:
+        """Its name with its unit.
+
+        >>> Metric("area", "cm²", "").label, Metric("condition number", "1", "").label
+        ('area [cm²]', 'condition number')
+        """
+        return self.words if self.unit == "1" else f"{self.words} [{self.unit}]"
 
 
-def metrics_for(pillars: Iterable[str]) -> dict[str, tuple[str, str, str]]:
-    """`METRICS` of units with pillars of these names.
+def metrics_for(pillars: Iterable[str]) -> dict[str, Metric]:
+    """The metrics of a row by name, some of them for each pillar of a unit.
 
-    >>> [name for name in metrics_for(["a"]) if "_a_" in name]
-    ['sensitivity_a_pct_per_n', 'crosstalk_a_1', 'crosstalk_a_2', 'crosstalk_a_3']
+    >>> [name for name in metrics_for(["z2"]) if "_z2_" in name]
+    ['sensitivity_z2_pct_per_n', 'crosstalk_z2_1', 'crosstalk_z2_2', 'crosstalk_z2_3']
     """
-    found = {}
+    pairs, found = list(product(pillars, DISTANCES)), {}
     for name, texts in METRICS.items():
-        for pillar, distance in product(pillars, DISTANCES) if "{" in name else [("", 0)]:
-            label, unit, meaning = (text.format(pillar=pillar, distance=distance) for text in texts)
-            found[name.format(pillar=pillar, distance=distance)] = label, unit, meaning
+        for pillar, distance in pairs if "{" in name else [("", 0)]:
+            filled = [text.format(pillar=pillar, distance=distance) for text in (name, *texts)]
+            found[filled[0]] = Metric(*filled[1:])
     return found
 
 
-def metrics_in(names: Iterable[str]) -> dict[str, tuple[str, str, str]]:
-    """`METRICS` of the pillars that are in these names; of the paper's where there are none."""
-    pillars = dict.fromkeys(match[1] for name in names if (match := _BY_PILLAR.fullmatch(name)))
-    return metrics_for(pillars or Unit().layout.pillar_names)
+Metrics = dict[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +97,7 @@ class Row:
     cache_key: str  #: hash of the design and of how it was judged
     values: dict[str, float]  #: of the varied keys
     design: str | None  #: as a design file; None if the numbers make no design
-    metrics: Metrics = field(default_factory=dict)  #: by the names of `METRICS`
+    metrics: Metrics = field(default_factory=dict)  #: by the names of `metrics_for`
     reason: str = ""  #: why it failed
 
     @property
@@ -102,15 +110,14 @@ class Row:
         value = self.metrics.get(name)
         return float("inf") if value is None else value
 
-    def flat(self, names: Iterable[str] | None = None) -> dict[str, Any]:
-        """The row as one line of a table: numbers of the varied keys, every metric, or these, the design's text."""
-        names = metrics_in(self.metrics) if names is None else names
+    def flat(self, metrics: Iterable[str]) -> dict[str, Any]:
+        """The row as one line of a table: numbers of the varied keys, these metrics, and the design's text."""
         return {
             "recipe": self.cache_key,
             **self.values,
             "failed": self.failed,
             "reason": self.reason,
-            **{name: self.metrics.get(name) for name in names},
+            **{name: self.metrics.get(name) for name in metrics},
             "design": self.design,
         }
 
@@ -120,25 +127,14 @@ def column(rows: Sequence[Row], name: str) -> FloatArray:
     return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
 
 
-def metric_label(name: str) -> str:
-    """The name of a metric with its unit, for tables and pictures.
-
-    >>> metric_label("area_cm2"), metric_label("condition")
-    ('area [cm²]', 'condition number')
-    """
-    label, unit, _ = metrics_in([name])[name]
-    return label if unit == "1" else f"{label} [{unit}]"
-
-
-def write_parquet(rows: Sequence[Row], path: Path) -> None:
+def write_parquet(rows: Sequence[Row], metrics: Mapping[str, Metric], path: Path) -> None:
     """Write rows as a Parquet table, whole or not at all; its metrics have their units and meaning as metadata."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     types = dict.fromkeys(("recipe", "reason", "design"), pa.string()) | {"failed": pa.bool_()}
-    known = metrics_in(name for row in rows for name in row.metrics)
-    notes = {name: {"units": units, "meaning": meaning} for name, (_, units, meaning) in known.items()}
-    lines = [row.flat(known) for row in rows]
+    notes = {name: {"units": metric.unit, "meaning": metric.meaning} for name, metric in metrics.items()}
+    lines = [row.flat(metrics) for row in rows]
     schema = pa.schema([pa.field(name, types.get(name, pa.float64()), metadata=notes.get(name)) for name in lines[0]])
     content = pa.BufferOutputStream()
     pq.write_table(pa.Table.from_pylist(lines, schema=schema), content)

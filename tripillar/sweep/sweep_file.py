@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +13,7 @@ from geometry.design import SensorDesign, quantity, require_sound
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.storage.text_file import StrictTables, read_text, tables_of
-from tripillar.sweep.rows import metrics_for
+from tripillar.sweep.rows import Metric, metrics_for
 from tripillar.sweep.variables import Variable
 
 STRICT = StrictTables(DesignError)
@@ -94,10 +95,9 @@ class Sweep:
             raise DesignError(f"samples={self.samples!r} must be a whole number from 1 to {MAX_SAMPLES}.")
         if not _whole(self.seed) or not 0 <= self.seed < 2**32:
             raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
-        known = metrics_for(self.base.unit.layout.pillar_names)
         for name in (self.least, *self.bounds):
-            if not isinstance(name, str) or name not in known:
-                raise DesignError(f"no metric {name!r}; known are {', '.join(known)}.")
+            if not isinstance(name, str) or name not in self.metrics:
+                raise DesignError(f"no metric {name!r}; known are {', '.join(self.metrics)}.")
             if name.startswith("touch_") and not self.judging.touch_n:
                 raise DesignError(
                     f"{name} needs touch_n, the normal force of a touch: write touch_n = 20.0 in [sweep]."
@@ -109,6 +109,11 @@ class Sweep:
             count = math.prod(len(variable.values) for variable in self.variables)
             if count > MAX_SAMPLES:
                 raise DesignError(f"the grid has {count} designs, at most {MAX_SAMPLES} are taken: use fewer values.")
+
+    @cached_property
+    def metrics(self) -> dict[str, Metric]:
+        """What its rows hold, by name."""
+        return metrics_for(self.base.unit.layout.pillar_names)
 
     def excess(self, metrics: dict[str, float | None]) -> float:
         """Sum of how far a design's metrics are out of bounds; 0 if all are within."""

@@ -10,7 +10,7 @@ from scipy.stats import spearmanr
 
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
-from tripillar.sweep.rows import Row, column, metric_label
+from tripillar.sweep.rows import Row, column
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
@@ -31,12 +31,12 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     best = ranked(rows, sweep)
     failed = sum(row.failed for row in rows)
     sound = len(rows) - failed
-    least = escape(metric_label(sweep.least))
+    least = escape(sweep.metrics[sweep.least].label)
     outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
     table = Table(title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed")
     deciding = (sweep.least, *sweep.bounds)
     shown = tuple(dict.fromkeys((*deciding, *SHOWN)))[: max(len(SHOWN), len(deciding))]
-    for label in (*(variable.label for variable in sweep.variables), *map(metric_label, shown)):
+    for label in (*(variable.label for variable in sweep.variables), *(sweep.metrics[name].label for name in shown)):
         table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
     for row in best[:count]:
         values = (f"{row.values[variable.name]:.4g}" for variable in sweep.variables)
@@ -80,10 +80,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
         axes.step(other[order], error[order], where="pre" if more else "post", **line)
         axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
-        axes.set(xlabel=f"{metric_label(name)}, {'more' if more else 'less'} is better")
+        axes.set(xlabel=f"{sweep.metrics[name].label}, {'more' if more else 'less'} is better")
         axes.set(**{f"{axis}scale": "log" for axis, values in (("x", other), ("y", error)) if _is_wide(values)})
         axes.grid(visible=True, which="major", alpha=0.25)
-    figure.axes[0].set_ylabel(f"{metric_label(sweep.least)}, less is better")
+    figure.axes[0].set_ylabel(f"{sweep.metrics[sweep.least].label}, less is better")
     figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
     figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
     failed = f"; {len(rows) - len(sound)} more failed" if len(sound) < len(rows) else ""
