@@ -101,7 +101,9 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
         rows=model.rows,
         cols=model.cols,
         axes=axes,
-        position_mm=unknown if model.design is None else pad_positions(model.design, of_units=model.knows_touch),
+        position_mm=np.full((*shape[:2], 3), np.nan)
+        if model.design is None
+        else pad_positions(model.design, of_units=model.knows_touch),
         pad_mm=np.nan if model.design is None else model.design.pad.size_mm,
         range_n=limits.reshape(*shape[:2], len(axes), 2),
         rest_ohm=unknown if rest_ohm is None else rest_ohm,
