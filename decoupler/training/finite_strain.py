@@ -85,7 +85,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     )
     lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
     if lengths_mm is None:
-        squares = pillar_columns(data.resistance_ohm, component) / forward.ohm_per_mm2
+        squares = pillar_columns(data.resistance_ohm, component, data.layout) / forward.ohm_per_mm2
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]

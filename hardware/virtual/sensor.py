@@ -317,7 +317,7 @@ class VirtualSensor:
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
-        pillars = [self._layout.pillar_names.index(pillar) for pillar in self._decoder.component.pillars]
+        pillars = self._decoder.pillars
         columns = resistance_ohm[..., pillars]
         if (dead := self._decoder.dead) is not None:
             columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)

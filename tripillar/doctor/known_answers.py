@@ -108,7 +108,7 @@ def forces_back_from_resistances() -> float:
     data = _samples("three-axis", 4)
     component = component_named("all")
     force_n = force_columns(data.force_n, component)
-    again = exact_inverse(forward, pillar_columns(data.resistance_ohm, component), force_n.mean(axis=0))
+    again = exact_inverse(forward, pillar_columns(data.resistance_ohm, component, data.layout), force_n.mean(axis=0))
     return float(np.abs(again - force_n).max() / np.abs(force_n).max())
 
 

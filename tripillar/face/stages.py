@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, component_named
     from decoupler.data.enough import ENOUGH, drawn
-    from decoupler.data.load_table import KnownLoad, read_pairs
+    from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import loads_of as loads_of_protocol
     from decoupler.evaluation.assessment import Assessment, as_plain, assess
@@ -95,7 +95,7 @@ if TYPE_CHECKING:
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
     from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor, warn_of_test
-    from tripillar.face.measured_loads import loads_of_table, measured_in_recording, measured_live
+    from tripillar.face.measured_loads import measured_in_recording, measured_live
     from tripillar.face.tables import (
         assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,
         stage_table,
