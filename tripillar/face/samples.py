@@ -140,7 +140,7 @@ def dataset(
     if is_finite or twin is not None:
         stages.pad_protocol(protocol)
     elif protocol == stages.INDENT:
-        stages.require_bare(sensor)
+        stages.require_pressable(sensor)
     if history is not None and (is_finite or twin is not None):
         raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
     if is_finite and twin is not None:
