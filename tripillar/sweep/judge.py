@@ -107,8 +107,8 @@ def errors_of(
     names = "error_n", "error_pct", *(f"error_{axis}_n" for axis in AXES), "condition"
     try:
         require_told(response.design.unit)
-    except DesignError as error:
-        return dict.fromkeys(names, str(error))
+    except DesignError as refusal:
+        return dict.fromkeys(names, str(refusal))
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
     errors = noise_limited_errors(forward, force_columns(force_n, component_named("all")), noise, bits)
     error = float(np.sqrt((errors**2).mean()))

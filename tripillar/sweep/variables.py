@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeGuard
 
 from decoupler.rubber.silicones import surrounded
 from geometry.design import PAD_KINDS, SensorDesign
@@ -71,7 +71,7 @@ CHOICES: dict[str, Callable[[str, Path], Table]] = {
 }  # fmt: skip
 
 
-def _is_number(given: Any) -> bool:
+def _is_number(given: Any) -> TypeGuard[float]:
     return isinstance(given, int | float) and not isinstance(given, bool)
 
 
