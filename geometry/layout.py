@@ -121,9 +121,10 @@ class Layout:
         """Refuse two pillars that are read at one crossing of wires."""
         for (one, at), (other, place) in combinations(zip(self.pillars, self.pillar_crossings, strict=True), 2):
             if at == place:
+                ends = [pair for pair in ((one.foot, other.foot), (one.top, other.top)) if pair[0] != pair[1]]
                 raise DesignError(
-                    f"pillars {one.name} and {other.name} want one crossing of wires: give {one.foot} and {other.foot} "
-                    f"or {one.top} and {other.top} wires of their own."
+                    f"pillars {one.name} and {other.name} want one crossing of wires: give "
+                    f"{' or '.join(' and '.join(pair) for pair in ends)} wires of their own."
                 )
 
     @cached_property
