@@ -68,6 +68,18 @@ def test_four_uprights_tell_shear_by_tilt_alone_and_their_deviations_say_how_bad
     assert found["fx"].baselines["eq. 8, each pillar alone"].rmse_n > 5 * found["fx"].errors.rmse_n
 
 
+def test_more_pillars_than_forces_tell_a_drift_of_all_readings_from_loads():
+    """A drift of 1 % of all resistances passes for pressure with three pillars, and is divided out with six."""
+    three, six = (
+        back_again(layer_response(design_of(layout)), 1500, noise=1e-3, bits=BITS, drift=0.01)["fz"]
+        for layout in ("song2018", "six-pillar")
+    )
+    assert six.errors.rmse_n < 0.15 * three.errors.rmse_n
+    for one in (three, six):
+        assert 0.6 < one.coverage[0] < 0.8
+        assert one.coverage[1] > 0.92
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_tell(layout):
     """(Jᵀ Σ⁻¹ J)⁻¹; of shared errors, too. Exact for exact readings."""
