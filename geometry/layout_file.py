@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from geometry.errors import DesignError
-from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
+from geometry.layout import LAYOUTS, SECTIONS, Electrode, Layout, Pillar
 from geometry.storage.text_file import StrictTables
 
 STRICT = StrictTables(DesignError)
@@ -74,7 +74,16 @@ def layout_text(layout: Layout) -> str:
     'six-pillar'
     """
     tables = layout_tables(layout)
-    return str(tables.get("layout") or json.dumps(tables, separators=(",", ":")))
+    return str(tables.get("layout") or json.dumps(_shortened(tables), separators=(",", ":")))
+
+
+def _shortened(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same in fewer letters, for boards of little memory: defaults left out, whole numbers without a point."""
+    places = [[int(x) if x == int(x) else x for x in one["place"]] for one in tables["electrode"]]
+    return {
+        "electrode": [one | {"place": place} for one, place in zip(tables["electrode"], places, strict=True)],
+        "pillar": [{k: v for k, v in one.items() if (k, v) != ("section", SECTIONS[0])} for one in tables["pillar"]],
+    }
 
 
 def layout_from_text(text: str) -> Layout:

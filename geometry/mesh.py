@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
 METHOD = 2  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
-ROUNDINGS = 6  #: steps by which round sides are given their volume; each leaves a tenth of the error
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 
 
@@ -198,8 +197,8 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     own = [faces[(prism[sides] == number).any(axis=1)] for number in range(1, len(task.prisms) + 1)]
     for each, along in zip(task.prisms, own, strict=True):
         points = snap_to_prism(points, along, each, 2 * envelope_mm)
-    if any(each.is_round for each in task.prisms):
-        points = _round_to_volume(points, cells, prism, own, task, 2 * envelope_mm)
+        if each.is_round:
+            points = snap_to_side(points, along, each, 2 * envelope_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
     volumes = np.abs(cell_volumes(points, cells))
     points, cells = _used(points, cells[volumes > 1e-9 * volumes.max()])  # without those now flat on a face
@@ -209,40 +208,32 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     return mesh
 
 
-def _round_to_volume(
-    points: FloatArray,
-    cells: NDArray[np.int64],
-    prism: NDArray[np.int64],
-    faces: Sequence[NDArray[np.int64]],
-    task: MeshTask,
-    slack_mm: float,
-) -> FloatArray:
-    """Points with the faces along every round prism's side moved onto an ellipse around it, all by one ratio.
+def snap_to_side(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
+    """Points with every face along the side of a round prism moved onto an ellipse a little larger than its section.
 
-    Chords cut a circle off: the ratio gives all regions of known volume theirs.
+    So much that the faces, which cut off the arc between their points, enclose what the side does.
     """
-    inside = np.isin(task.region[prism], [region for region, _ in task.volumes_mm3.values()])
-    wanted, ratio, moved = sum(volume for _, volume in task.volumes_mm3.values()), 1.0, points
-    for _ in range(ROUNDINGS):
-        moved = points
-        for each, along in zip(task.prisms, faces, strict=True):
-            if each.is_round:
-                moved = snap_to_side(moved, along, each, slack_mm, ratio)
-        ratio *= np.sqrt(wanted / np.abs(cell_volumes(moved, cells[inside])).sum())
+    half = np.array(prism.section_mm) / 2
+    across = (points[:, :2] - prism.axis_at(points[:, 2])) / half  # the side is a cylinder of radius 1 here
+    radius = np.linalg.norm(across, axis=1)
+    along = faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)]
+    if not len(along):
+        return points
+    on_side = np.column_stack([across / radius[:, None], points[:, 2]])
+    a, b, c = on_side[along].swapaxes(0, 1)
+    enclosed = np.abs(((a + b + c)[:, :2] * np.cross(b - a, c - a)[:, :2]).sum(axis=1)) / 6  # ∫ x·n dA, flat
+    turn, rise = (np.stack([angle_between(a, one), one[:, 2] - a[:, 2]]) for one in (b, c))
+    wanted = np.abs(turn[0] * rise[1] - turn[1] * rise[0]) / 2  # the same on the cylinder: ∫ dθ dz
+    moved, ends = points.copy(), np.unique(along)
+    ratio = np.sqrt(wanted.sum() / enclosed.sum())
+    moved[ends, :2] = prism.axis_at(points[ends, 2]) + half * ratio * on_side[ends, :2]
     return moved
 
 
-def snap_to_side(
-    points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float, ratio: float
-) -> FloatArray:
-    """Points with every face along the side of a round prism moved onto it, the ellipse larger by a ratio."""
-    half = np.array(prism.section_mm) / 2
-    across = (points[:, :2] - prism.axis_at(points[:, 2])) / half
-    radius = np.linalg.norm(across, axis=1)
-    along = np.unique(faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)])
-    snapped = points.copy()
-    snapped[along, :2] = prism.axis_at(points[along, 2]) + half * across[along] / radius[along, None] * ratio
-    return snapped
+def angle_between(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Angle about z from points (n, 3) to others, from −π to π, shape (n,)."""
+    (x, y), (u, v) = one[:, :2].T, other[:, :2].T
+    return np.asarray(np.arctan2(x * v - y * u, x * u + y * v))
 
 
 def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int64]]:

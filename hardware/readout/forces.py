@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
+from geometry.layout_file import layout_text
 from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
@@ -180,6 +181,11 @@ class ForceReader:
             raise FileFormatError(
                 f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
                 f"take a model trained for {info.rows} × {info.cols} units."
+            )
+        if model.layout != info.layout:
+            raise FileFormatError(
+                f"the board's units are of layout {layout_text(info.layout)}, the model's of "
+                f"{layout_text(model.layout)}: take a model of that layout."
             )
         self.model = model
         self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)

@@ -170,8 +170,8 @@ class VirtualSensor:
             if other is not None and (other.rows, other.cols) != self.shape:
                 sizes = f"{other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}"
                 raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
-        if crossbar is not None and crossbar.layout != self._layout:
-            raise ArgumentError("the crossbar is of another layout than the design: give it layout=design.unit.layout.")
+            if other is not None and other.layout != self._layout:
+                raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
         feels = model is not None and model.knows_touch
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
         self._decoder: Any = None if model is None or feels else in_torch(model, self._like)

@@ -3,7 +3,6 @@
 import re
 import time
 import tomllib
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -25,6 +24,7 @@ from geometry.design_file import read_tolerances, whole_design
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
+from tests.fem.scenes import round_of
 
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
 conductions = st.builds(Electrics, model=st.just("conduction"), elastoresistance_along=st.floats(-10.0, 10.0))
@@ -117,10 +117,7 @@ def test_later_tables_and_layouts_leave_older_files_and_hashes_alone():
     assert len({*map(digest, [SensorDesign(), *changed])}) == 1 + len(changed)
 
 
-ROUND = {
-    f"{name}, round": replace(layout, pillars=tuple(replace(one, section="round") for one in layout.pillars))
-    for name, layout in LAYOUTS.items()
-}
+ROUND = {f"{name}, round": round_of(layout) for name, layout in LAYOUTS.items()}
 OWN = Layout(
     upper=(Electrode("Up", (0.0, 0.5), wire="a"), Electrode("V2", (1.2, 0.5))),
     lower=(Electrode("L1", (0.0, 0.5)), Electrode("L2", (1.2, 0.5), wire="b"), Electrode("L3", (0.0, -1.0), wire="b")),
