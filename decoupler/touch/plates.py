@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri, stdtrit
 
 from decoupler.data.columns import Scaling
 from decoupler.touch.decoder import AT_REST, TouchDecoder, Touched
@@ -25,6 +25,7 @@ ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
 OF_MODEL = 1e-3  #: of the largest reading: what touches the rubber between plates
 FIRST_N, LEAST_N = 10.0, 0.02  #: sizes of wrenches: at first, and of untouched plates
+OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
 STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at which they end
 
 
@@ -92,7 +93,7 @@ class PlateDecoder(TouchDecoder):
         -----
         Sparse Bayes (Tipping, J. Mach. Learn. Res. 1 (2001) 211): loads x of a plate have the prior N(0, vₖ A), A of
         the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Eq. 1 is linearised about the
-        last x.
+        last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
         own, n = self.sensing.deviation(reading, self.errors), self.rows * self.cols
         at_rest = float((reading / own) @ (reading / own))
@@ -119,7 +120,11 @@ class PlateDecoder(TouchDecoder):
             )
             if np.abs(np.log(size2 / before)).max() < CONVERGED:
                 break
-        # factors of V − V Jᵀ (J V Jᵀ + 1)⁻¹ J V
+        # a size is known by as many numbers as the reading tells of its plate: Student's t has wider tails
+        wider = stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE)
+        prior = (np.where(size2 > LEAST_N**2, wider**2 * size2, size2)[:, None] * self._scale**2).ravel()
+        JV = J * prior
+        half = np.linalg.solve(np.linalg.cholesky(JV @ J.T + np.eye(len(J))), JV)
         left = np.diag(prior) - half.T @ half
         values, vectors = np.linalg.eigh((left + left.T) / 2)
         factors = vectors * np.sqrt(np.maximum(values, 0.0))

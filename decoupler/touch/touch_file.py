@@ -43,13 +43,14 @@ def read_model(path: Path) -> AnyDecoder:
     try:
         if header["format"] != FORMAT:
             raise ValueError(f"format is {header['format']}, not {FORMAT}")
+        design = design_from_toml(header["design"])
         said = {
-            "design": design_from_toml(header["design"]),
+            "design": design,
             "errors": ReadingError(noise=float(header["noise"]), bits=header["bits"]),
             "made_from": dict(header["made_from"]),
             "library.cache_key": str(header["library"]),
         }
-        kind = PlateDecoder if said["design"].pad.kind == "stiff" else TouchDecoder
+        kind = PlateDecoder if design.pad.kind == "stiff" else TouchDecoder
         found: TouchDecoder = built_of(kind, arrays, said)
         found.touches(0.99 * found.rest_resistances()[None])  # no decoder is given out that cannot
         return found
