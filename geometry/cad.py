@@ -41,13 +41,14 @@ def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
 def pillar_solids(unit: Unit) -> list[Solid]:
     """The pillars in the unit's frame, each ending flush with z = 0 and z = h.
 
-    The section is width × width perpendicular to the axis, so that a horizontal cut is width × width·l/h,
-    longer along the tilt. Such a rectangle swept along the axis is the whole pillar, and V = S·l exactly.
+    The section is width × width perpendicular to the axis, or a circle of that diameter, so that a horizontal cut is
+    width × width·l/h, longer along the tilt. That swept along the axis is the whole pillar, and V = S·l exactly.
 
     >>> [round(pillar.volume, 6) for pillar in pillar_solids(Unit())]
     [40.0, 56.568542, 56.568542]
     """
-    return [prism(one.corners()[:4].tolist(), one.axis_mm.tolist()) for one in unit_prisms(unit)]
+    prisms = [(one.corners(), one.axis_mm) for one in unit_prisms(unit)]
+    return [prism(corners[: len(corners) // 2].tolist(), axis.tolist()) for corners, axis in prisms]
 
 
 def unit_solid(unit: Unit) -> Solid:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from geometry.errors import DesignError, TriPillarError
-from geometry.layout import SONG2018, Layout, footprint, min_span
+from geometry.layout import OPTIONAL, SONG2018, Layout, crossing_pillars, footprint, min_span
 
 
 def quantity(
@@ -101,8 +101,8 @@ class Unit:
     height_mm: float = positive(10.0, "height h of the pillars and of the slab; the top z = h is touched")
     pillar_width_mm: float = positive(2.0, "side of a pillar's square section, perpendicular to its axis")
     electrode_mm: float = positive(2.0, "side of the square electrodes")
-    #: not in design files, which have the paper's
-    layout: Layout = field(default=SONG2018, metadata={"optional": True})
+    #: at the top of design files: by name, or as tables of its own
+    layout: Layout = field(default=SONG2018, metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
         require_sound(self)
@@ -112,6 +112,11 @@ class Unit:
                 f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above {least_mm:.4g} "
                 f"for pillar_width_mm={self.pillar_width_mm:g} and electrode_mm={self.electrode_mm:g}; widen the span "
                 "or thin the pillars."
+            )
+        if crossing := crossing_pillars(self):
+            raise DesignError(
+                f"pillars {' and '.join(crossing)} cross between their electrodes at span_mm={self.span_mm:g}: widen "
+                "the span, thin them, or join other electrodes."
             )
 
     @property

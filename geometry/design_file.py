@@ -1,15 +1,18 @@
 """Designs as TOML: written with every default and its meaning, read with unknown keys refused by name."""
 
+import json
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from geometry.design import SensorDesign
-from geometry.errors import DesignError, FileFormatError
-from geometry.layout import SONG2018
+from geometry.design import SensorDesign, Unit
+from geometry.errors import DesignError
+from geometry.layout import SONG2018, Layout
+from geometry.layout_file import KEYS, layout_from_tables, layout_tables
 from geometry.storage.files import write_text
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
+from geometry.wiring import explained
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
@@ -17,21 +20,41 @@ BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are no
 
 
 def design_to_toml(design: SensorDesign) -> str:
-    """Text of a design file: one table per group of quantities, each key with its meaning as a comment.
-
-    `FileFormatError` if the unit has another layout than the paper's: files cannot state one yet.
-    """
-    if design.unit.layout != SONG2018:
-        raise FileFormatError("a design file states no layout yet: this unit has another one than the paper's.")
+    """Text of a design file: one table per group of quantities, each key with its meaning as a comment."""
     lines = ["# A TriPillar sensor design. Lengths in mm, moduli in MPa, resistivity in Ω mm.", ""]
     tables = []
     for spec in fields(design):
         value = getattr(design, spec.name)
         if is_dataclass(value):
-            tables += table_lines(value, spec.name, spec.metadata["meaning"])
+            meaning = spec.metadata["meaning"] if value is not design.unit else _meaning(design.unit.layout)
+            tables += table_lines(value, spec.name, meaning)
         else:
             lines.append(_key_line(design, spec))
-    return "\n".join([*lines, *tables, ""])
+    return "\n".join([*lines, *_layout_lines(design.unit.layout), *tables, ""])
+
+
+def _meaning(layout: Layout) -> str:
+    """What a unit of a layout is."""
+    numbers = {3: "three", 4: "four"}
+    pillars, electrodes = (numbers.get(len(each), len(each)) for each in (layout.pillars, layout.terminals))
+    return f"one sensing unit: {pillars} pillars between {electrodes} electrodes"
+
+
+def _layout_lines(layout: Layout) -> list[str]:
+    """Lines that state a layout: none the paper's, one any other that has a name."""
+    if layout == SONG2018:
+        return []
+    tables, note = layout_tables(layout), f"# {explained(layout)}"
+    if "layout" in tables:
+        line = f'layout = "{tables["layout"]}"'
+        return [f"{line:27} # electrodes of a unit and the pillars between them", note]
+    lines = ["electrode = [  # place: along x and y from the unit's middle, in half spans"]
+    return [*lines, *map(_inline, tables["electrode"]), "]", "pillar = [", *map(_inline, tables["pillar"]), "]", note]
+
+
+def _inline(values: dict[str, Any]) -> str:
+    """An inline table of texts and numbers."""
+    return f"    {{ {', '.join(f'{key} = {json.dumps(value)}' for key, value in values.items())} }},"
 
 
 def table_lines(values: Any, name: str, meaning: str) -> list[str]:
@@ -63,18 +86,26 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
 
     `DesignError`, which begins with `source`, for an unknown key or a value that makes no sense.
     """
-    return STRICT.made(source, _filled, kind=SensorDesign, table=table)
+    return STRICT.made(source, _design, table=dict(table))
 
 
-def _filled(kind: Any, table: dict[str, Any], place: str = "") -> Any:
+def _design(table: dict[str, Any]) -> SensorDesign:
+    layout = layout_from_tables({key: table.pop(key) for key in KEYS if key in table})
+    if layout != SONG2018:  # a unit that suits it need not suit the paper's
+        table["unit"] = STRICT.table(table, "unit")
+    return _filled(SensorDesign, table, layout=layout)
+
+
+def _filled(kind: Any, table: dict[str, Any], place: str = "", *, layout: Layout) -> Any:
     specs = {spec.name: spec for spec in _keys(kind)}
     inner = {
-        key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]")
+        key: _filled(specs[key].type, STRICT.table(table, key), f"in [{key}]", layout=layout)
         for key in table
         if key in specs and is_dataclass(specs[key].type)
     }
     STRICT.require_keys(table, specs, f" {place}" if place else "")
-    return STRICT.made(place, kind, **table | inner)
+    own = {"layout": layout} if kind is Unit else {}
+    return STRICT.made(place, kind, **table | inner | own)
 
 
 def design_from_toml(text: str, source: str = "the design") -> SensorDesign:

@@ -1,11 +1,14 @@
 """Layout of a unit as data, and the places of a design's units, electrodes, pillars and pads as plain arrays (mm).
 
-A layout names electrodes and the pillars between them; this file and `wiring.py` alone know one by heart, the paper's.
+A layout names electrodes and the pillars between them; this file alone knows some by heart, the paper's among them.
 Units run k = i·cols + j over rows i (along y) and columns j (along x); electrodes and pillars in the layout's order.
 """
 
 import math
-from dataclasses import dataclass
+import re
+import reprlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -21,6 +24,17 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 AXES = ("x", "y", "z")  #: displacement, traction and force components
+TURNS = (0.2, 0.3)  #: of a pad by a shear force, by its shift over the height; two, as one may just cancel a shift
+
+
+SECTIONS = ("square", "round")  #: of a pillar, perpendicular to its axis
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")  #: of an electrode, a wire or a pillar: it becomes part of names
+MAX_PLACE = 1e3  #: of an electrode, in half spans
+OPTIONAL = {"optional": True}  #: no part of hashes at its default
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -29,6 +43,16 @@ class Electrode:
 
     name: str
     place: tuple[float, float]  #: of its middle along x and y from the unit's middle, in half spans
+    #: name of a wire that it shares with others of the unit and level; without, it has one of its own
+    wire: str | None = field(default=None, metadata=OPTIONAL)
+
+    def __post_init__(self) -> None:
+        pair = isinstance(self.place, Sequence) and len(self.place) == 2
+        if not pair or not all(_is_number(one) and abs(one) <= MAX_PLACE for one in self.place):
+            raise DesignError(
+                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans."
+            )
+        object.__setattr__(self, "place", tuple(map(float, self.place)))
 
 
 @dataclass(frozen=True)
@@ -38,6 +62,22 @@ class Pillar:
     name: str
     foot: str  #: name of the lower electrode
     top: str  #: name of the upper one
+    section: str = field(default="square", metadata=OPTIONAL)  #: one of `SECTIONS`
+    width_mm: float | None = field(default=None, metadata=OPTIONAL)  #: side or diameter; by default the unit's
+
+    def __post_init__(self) -> None:
+        if self.section not in SECTIONS:
+            raise DesignError(f"section={reprlib.repr(self.section)} must be one of {', '.join(SECTIONS)}.")
+        if self.width_mm is not None:
+            if not _is_number(self.width_mm) or not 1e-12 <= self.width_mm <= 1e12:
+                raise DesignError(
+                    f"width_mm={reprlib.repr(self.width_mm)} must be a number above 0; without, it is the unit's."
+                )
+            object.__setattr__(self, "width_mm", float(self.width_mm))
+
+    @property
+    def is_round(self) -> bool:
+        return self.section == "round"
 
 
 @dataclass(frozen=True)
@@ -49,6 +89,10 @@ class Layout:
     pillars: tuple[Pillar, ...]
 
     def __post_init__(self) -> None:
+        wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
+        for name in (*self.terminals, *wires, *self.pillar_names):
+            if not isinstance(name, str) or not NAME.fullmatch(name):
+                raise DesignError(f"{reprlib.repr(name)} is no name: give up to 8 letters and digits, such as U1 or z.")
         once: list[tuple[str, list[Any]]] = [
             ("electrodes are named", list(self.terminals)),
             ("upper electrodes lie at", [one.place for one in self.upper]),
@@ -71,6 +115,33 @@ class Layout:
         idle = {*self.terminals} - {name for one in self.pillars for name in (one.foot, one.top)}
         if idle or not self.pillars:
             raise DesignError(f"no pillar joins {', '.join(sorted(idle)) or 'electrodes'}: each needs one.")
+        self._require_crossings()
+
+    def _require_crossings(self) -> None:
+        """Refuse two pillars that are read at one crossing of wires."""
+        for (one, at), (other, place) in combinations(zip(self.pillars, self.pillar_crossings, strict=True), 2):
+            if at == place:
+                ends = [pair for pair in ((one.foot, other.foot), (one.top, other.top)) if pair[0] != pair[1]]
+                raise DesignError(
+                    f"pillars {one.name} and {other.name} want one crossing of wires: give "
+                    f"{' or '.join(' and '.join(pair) for pair in ends)} wires of their own."
+                )
+
+    @cached_property
+    def row_wires(self) -> tuple[int, ...]:
+        """Number, among a unit's row wires, of each upper electrode's; wires count as electrodes first name them."""
+        return _wires(self.upper)
+
+    @cached_property
+    def column_wires(self) -> tuple[int, ...]:
+        """Number, among a unit's column wires, of each lower electrode's."""
+        return _wires(self.lower)
+
+    @cached_property
+    def pillar_crossings(self) -> tuple[tuple[int, int], ...]:
+        """Row and column wire, among the unit's, of each pillar."""
+        n_upper = len(self.upper)
+        return tuple((self.row_wires[top], self.column_wires[foot - n_upper]) for top, foot in self.pillar_terminals)
 
     @cached_property
     def upper_names(self) -> tuple[str, ...]:
@@ -109,6 +180,12 @@ class Layout:
         return tuple(number for number, answers in enumerate(found) if answers or not any(found))
 
 
+def _wires(level: tuple[Electrode, ...]) -> tuple[int, ...]:
+    names = [one.name if one.wire is None else f"wire {one.wire}" for one in level]
+    found = list(dict.fromkeys(names))
+    return tuple(found.index(name) for name in names)
+
+
 _UPPER = {"U1": (-1.0, -1.0), "U2": (-1.0, 1.0), "U3": (1.0, 1.0), "U4": (1.0, -1.0)}
 _LOWER = {"L1": (-1.0, -1.0), "L2": (1.0, -1.0), "L3": (-1.0, 1.0), "L4": (1.0, 1.0)}
 
@@ -120,7 +197,7 @@ def _on_corners(pillars: str) -> Layout:
     return Layout(
         upper=tuple(Electrode(name, place) for name, place in _UPPER.items() if name in upper),
         lower=tuple(Electrode(name, place) for name, place in _LOWER.items() if name in lower),
-        pillars=tuple(Pillar(*each) for each in joined),
+        pillars=tuple(Pillar(name, foot, top) for name, foot, top in joined),
     )
 
 
@@ -169,23 +246,55 @@ def rest_lengths(unit: "Unit") -> FloatArray:
     return np.linalg.norm(top - bottom, axis=1)
 
 
+def pillar_widths(unit: "Unit") -> list[float]:
+    """Side or diameter of each pillar, perpendicular to its axis [mm]."""
+    return [unit.pillar_width_mm if one.width_mm is None else one.width_mm for one in unit.layout.pillars]
+
+
+def pillar_areas(unit: "Unit") -> FloatArray:
+    """Area S of each pillar's section, perpendicular to its axis, shape (n_pillars,) [mm²]: w², or π w²/4."""
+    widths = zip(unit.layout.pillars, pillar_widths(unit), strict=True)
+    return np.array([math.pi / 4 * w**2 if one.is_round else w**2 for one, w in widths])
+
+
 def pillar_volumes(unit: "Unit") -> FloatArray:
     """Volume of the pillars, V = S·l exactly, shape (n_pillars,) [mm³]."""
-    return unit.pillar_width_mm**2 * rest_lengths(unit)
+    return pillar_areas(unit) * rest_lengths(unit)
 
 
 def pillar_sections(unit: "Unit") -> FloatArray:
     """Extent along x and y of the pillars' horizontal sections, shape (n_pillars, 2) [mm].
 
-    Perpendicular to its axis a pillar is w × w; along its tilt the horizontal section is wider, w·l/h.
+    Perpendicular to its axis a pillar is w × w, or round of that width; along its tilt it is wider, w·l/h.
 
     >>> from geometry.design import Unit
     >>> pillar_sections(Unit()).round(3).tolist()
     [[2.0, 2.0], [2.828, 2.0], [2.0, 2.828]]
     """
-    w, h = unit.pillar_width_mm, unit.height_mm
-    runs = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
-    return np.array([[w * math.hypot(run, h) / h if run else w for run in both] for both in runs])
+    h, runs = unit.height_mm, (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
+    widths = zip(pillar_widths(unit), runs, strict=True)
+    return np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
+
+
+def require_told(unit: "Unit", axes: Sequence[str] = AXES) -> None:
+    """Refuse a layout whose pillars cannot tell forces along some axes from those along the others; `DesignError`.
+
+    A force along x or y moves a pad along and turns it, as far as `TURNS` say; one along z presses it down. Lengths of
+    pillars must change in ways of their own by each of the axes that are asked.
+    """
+    (along, tops), h = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0], pillar_ends(unit)[:, 1, :2]), unit.height_mm
+    columns = [AXES.index(axis) for axis in axes]
+
+    def rank(some: list[int]) -> int:
+        turned = [np.hstack([along[:, :2] - turn * tops, along[:, 2:]])[:, some] / h for turn in TURNS]
+        return max(int(np.linalg.matrix_rank(each)) for each in turned) if some else 0
+
+    if (told := rank(columns)) < len(columns):
+        said = [AXES[each] for each in columns if rank([one for one in columns if one != each]) == told]
+        raise DesignError(
+            f"pillars {', '.join(unit.layout.pillar_names)} do not tell forces along {' and '.join(said)} from others: "
+            "ask for fewer components, or add pillars: one that leans along x, one along y and an upright one."
+        )
 
 
 def footprint(unit: "Unit") -> float:
@@ -205,43 +314,24 @@ def min_span(unit: "Unit") -> float:
     return max(found)
 
 
-def pillar_shares(unit: "Unit", x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
-    """Share of each box between lines (nx + 1,), (ny + 1,), (nz + 1,) of the unit's frame that its pillars fill.
-
-    Shape (nx, ny, nz). By 8 Gauss points along z of every box: exact where no pillar's face crosses its uprights.
-
-    >>> from geometry.design import Unit
-    >>> around_z = np.array([-6.0, -4.0]), np.array([-6.0, -4.0])
-    >>> round(float(pillar_shares(Unit(), *around_z, np.array([4.0, 6.0]))[0, 0, 0]), 9)
-    1.0
-    """
-    points, weights = np.polynomial.legendre.leggauss(8)
-    z = (z_mm[:-1] + z_mm[1:])[:, None] / 2 + np.diff(z_mm)[:, None] / 2 * points
-    ends = pillar_ends(unit)[:, :, :2]
-    middle = ends[:, 0, None, None] + (z / unit.height_mm)[..., None] * (ends[:, 1] - ends[:, 0])[:, None, None]
-    half = pillar_sections(unit)[:, None, None] / 2
-    sections = np.stack([middle - half, middle + half])  # (2, n_pillars, nz, 8, 2): low and high corners of each
-
-    def filled(pillars: tuple[int, ...]) -> FloatArray:
-        """Area of the boxes that all of some pillars cover, its mean along z."""
-        low, high = sections[0, pillars].max(axis=0), sections[1, pillars].min(axis=0)
-        low, high = (np.moveaxis(ends, -1, 0) for ends in (low, high))
-        along = (
-            np.maximum(np.minimum(line[1:, None, None], top) - np.maximum(line[:-1, None, None], bottom), 0.0)
-            for line, bottom, top in zip((x_mm, y_mm), low, high, strict=True)
-        )
-        return np.einsum("xzq,yzq,q->xyz", *along, weights / 2)
-
-    # of the union: what one pillar covers less what two do, and so on, as far as any are in one place
-    whole, sign = np.zeros((len(x_mm) - 1, len(y_mm) - 1, len(z_mm) - 1)), 1.0
-    groups: list[tuple[int, ...]] = [(k,) for k in range(len(ends))]
-    while groups:
-        areas = {group: filled(group) for group in groups}
-        for area in areas.values():
-            whole += sign * area
-        groups = [(*group, k) for group, area in areas.items() if area.any() for k in range(group[-1] + 1, len(ends))]
-        sign = -sign
-    return whole / (np.diff(x_mm)[:, None, None] * np.diff(y_mm)[:, None])
+def crossing_pillars(unit: "Unit", samples: int = 65) -> tuple[str, str] | None:
+    """Names of two pillars without a common electrode that meet, outside one that joins an electrode of each."""
+    ends, sections, pairs = pillar_ends(unit)[..., :2], pillar_sections(unit), unit.layout.pillar_terminals
+    share = np.linspace(0.0, 1.0, samples)[:, None]
+    middle = ends[:, None, 0] + share * (ends[:, None, 1] - ends[:, None, 0])  # (n_pillars, samples, 2)
+    low, high = middle - sections[:, None] / 2, middle + sections[:, None] / 2
+    slack = 1e-9 * sections.max()
+    for i, j in combinations(range(len(ends)), 2):
+        if {*pairs[i]} & {*pairs[j]}:
+            continue
+        bottom, top = np.maximum(low[i], low[j]), np.minimum(high[i], high[j])
+        met = (top - bottom > slack).all(axis=1)
+        for k, pair in enumerate(pairs):
+            if {*pair} & {*pairs[i]} and {*pair} & {*pairs[j]}:  # inside it both are one body with it anyway
+                met &= ~((bottom >= low[k] - slack) & (top <= high[k] + slack)).all(axis=1)
+        if met.any():
+            return unit.layout.pillar_names[i], unit.layout.pillar_names[j]
+    return None
 
 
 def electrode_squares(design: "SensorDesign") -> FloatArray:

@@ -4,13 +4,16 @@ In TOML these are the keys ``layout``, or ``[[electrode]]`` and ``[[pillar]]``; 
 """
 
 import json
+import reprlib
+from functools import partial
 from typing import Any
 
 from geometry.errors import DesignError
-from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
+from geometry.layout import LAYOUTS, SECTIONS, Electrode, Layout, Pillar
 from geometry.storage.text_file import StrictTables
 
 STRICT = StrictTables(DesignError)
+LEVELS = ("upper", "lower")  #: of electrodes
 KEYS = ("layout", "electrode", "pillar")  #: of the tables of a layout
 
 
@@ -19,14 +22,17 @@ def layout_tables(layout: Layout) -> dict[str, Any]:
     name = next((name for name, ready in LAYOUTS.items() if ready == layout), None)
     if name is not None:
         return {"layout": name}
-    levels = (("upper", layout.upper), ("lower", layout.lower))
     electrodes = [
-        {"name": one.name, "place": list(one.place), "level": level} for level, those in levels for one in those
+        {"name": one.name, "level": level, "place": list(one.place)} | ({"wire": one.wire} if one.wire else {})
+        for level in LEVELS
+        for one in getattr(layout, level)
     ]
-    return {
-        "electrode": electrodes,
-        "pillar": [{"name": one.name, "from": one.foot, "to": one.top} for one in layout.pillars],
-    }
+    pillars = [
+        {"name": one.name, "from": one.foot, "to": one.top, "section": one.section}
+        | ({"width_mm": one.width_mm} if one.width_mm else {})
+        for one in layout.pillars
+    ]
+    return {"electrode": electrodes, "pillar": pillars}
 
 
 def layout_from_tables(table: dict[str, Any]) -> Layout:
@@ -40,34 +46,25 @@ def layout_from_tables(table: dict[str, Any]) -> Layout:
         if len(table) > 1 or not isinstance(name, str) or name not in LAYOUTS:
             beside = f" and [[{next(key for key in table if key != 'layout')}]]" if len(table) > 1 else ""
             raise DesignError(
-                f"layout = {name!r}{beside}: give one of {', '.join(LAYOUTS)}, or [[electrode]] and [[pillar]] alone."
+                f"layout = {reprlib.repr(name)}{beside}: give one of {', '.join(LAYOUTS)}, or [[electrode]] and "
+                "[[pillar]] alone."
             )
         return LAYOUTS[name]
-    levels: dict[str, list[Electrode]] = {"upper": [], "lower": []}
+    levels: dict[str, list[Electrode]] = {level: [] for level in LEVELS}
     for where, entry in STRICT.entries(table, "electrode"):
-        STRICT.require_keys(entry, ("name", "place", "level"), f" in {where}", ("name", "place", "level"))
-        place = entry["place"]
-        if not (isinstance(place, list) and len(place) == 2 and all(_is_number(each) for each in place)):
-            raise DesignError(f"{where}: place = {place!r} must be two numbers, along x and y, in half spans.")
-        if entry["level"] not in levels:
-            raise DesignError(f"{where}: level = {entry['level']!r} must be 'upper' or 'lower'.")
-        levels[entry["level"]].append(Electrode(_name(entry, where), (float(place[0]), float(place[1]))))
+        needed = ("name", "place", "level")
+        STRICT.require_keys(entry, (*needed, "wire"), f" in {where}", needed)
+        if entry["level"] not in LEVELS:
+            raise DesignError(f"{where}: level = {reprlib.repr(entry['level'])} must be one of {', '.join(LEVELS)}.")
+        own = {key: value for key, value in entry.items() if key != "level"}
+        levels[entry["level"]].append(STRICT.made(where, partial(Electrode, **own)))
     pillars = []
     for where, entry in STRICT.entries(table, "pillar"):
-        STRICT.require_keys(entry, ("name", "from", "to"), f" in {where}", ("name", "from", "to"))
-        pillars.append(Pillar(*(_name(entry, where, key) for key in ("name", "from", "to"))))
+        needed = ("name", "from", "to")
+        STRICT.require_keys(entry, (*needed, "section", "width_mm"), f" in {where}", needed)
+        own = {{"from": "foot", "to": "top"}.get(key, key): value for key, value in entry.items()}
+        pillars.append(STRICT.made(where, partial(Pillar, **own)))
     return Layout(upper=tuple(levels["upper"]), lower=tuple(levels["lower"]), pillars=tuple(pillars))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
-
-
-def _name(entry: dict[str, Any], where: str, key: str = "name") -> str:
-    name = entry[key]
-    if not (isinstance(name, str) and name.isidentifier() and name.isascii() and len(name) <= 8):
-        raise DesignError(f"{where}: {key} = {name!r} must be a name of up to 8 letters and digits, such as U1 or z.")
-    return name
 
 
 def layout_text(layout: Layout) -> str:
@@ -77,7 +74,16 @@ def layout_text(layout: Layout) -> str:
     'six-pillar'
     """
     tables = layout_tables(layout)
-    return str(tables.get("layout") or json.dumps(tables, separators=(",", ":")))
+    return str(tables.get("layout") or json.dumps(_shortened(tables), separators=(",", ":")))
+
+
+def _shortened(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same in fewer letters, for boards of little memory: defaults left out, whole numbers without a point."""
+    places = [[int(x) if x == int(x) else x for x in one["place"]] for one in tables["electrode"]]
+    return {
+        "electrode": [one | {"place": place} for one, place in zip(tables["electrode"], places, strict=True)],
+        "pillar": [{k: v for k, v in one.items() if (k, v) != ("section", SECTIONS[0])} for one in tables["pillar"]],
+    }
 
 
 def layout_from_text(text: str) -> Layout:

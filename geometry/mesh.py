@@ -18,7 +18,7 @@ from trimesh.util import concatenate
 
 from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.cache import kept
@@ -133,8 +133,11 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     from geometry.surface import surface_from_solid
 
     thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
-    for name, mend in (("pillar_width_mm", "; or give pillars and matrix one material"), ("height_mm", "")):
-        size_mm = getattr(design.unit, name)
+    sizes = (
+        ("pillar_width_mm", min(pillar_widths(design.unit)), "; or give pillars and matrix one material"),
+        ("height_mm", design.unit.height_mm, ""),
+    )
+    for name, size_mm, mend in sizes:
         if size_mm < thinnest_mm and not (mend and design.is_homogeneous):
             raise GeometryError(
                 f"{name}={size_mm:g} is too thin to be meshed with surfaces that may move by {settings.envelope_mm:g} "
@@ -191,8 +194,11 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     faces, sides = faces_between(cells)
     region = np.where(prism <= task.outlined, -prism, task.region[prism])[sides]
     faces, sides = (each[(sides[:, 1] >= 0) & (region[:, 0] != region[:, 1])] for each in (faces, sides))
-    for number, each in enumerate(task.prisms, start=1):
-        points = snap_to_prism(points, faces[(prism[sides] == number).any(axis=1)], each, 2 * envelope_mm)
+    own = [faces[(prism[sides] == number).any(axis=1)] for number in range(1, len(task.prisms) + 1)]
+    for each, along in zip(task.prisms, own, strict=True):
+        points = snap_to_prism(points, along, each, 2 * envelope_mm)
+        if each.is_round:
+            points = snap_to_side(points, along, each, 2 * envelope_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
     volumes = np.abs(cell_volumes(points, cells))
     points, cells = _used(points, cells[volumes > 1e-9 * volumes.max()])  # without those now flat on a face
@@ -200,6 +206,34 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     mesh = TetMesh(points, cells, task.region[prisms_at(points[cells].mean(axis=1), task.prisms)])
     check_volumes(mesh, task)
     return mesh
+
+
+def snap_to_side(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
+    """Points with every face along the side of a round prism moved onto an ellipse a little larger than its section.
+
+    So much that the faces, which cut off the arc between their points, enclose what the side does.
+    """
+    half = np.array(prism.section_mm) / 2
+    across = (points[:, :2] - prism.axis_at(points[:, 2])) / half  # the side is a cylinder of radius 1 here
+    radius = np.linalg.norm(across, axis=1)
+    along = faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)]
+    if not len(along):
+        return points
+    on_side = np.column_stack([across / radius[:, None], points[:, 2]])
+    a, b, c = on_side[along].swapaxes(0, 1)
+    enclosed = np.abs(((a + b + c)[:, :2] * np.cross(b - a, c - a)[:, :2]).sum(axis=1)) / 6  # ∫ x·n dA, flat
+    turn, rise = (np.stack([angle_between(a, one), one[:, 2] - a[:, 2]]) for one in (b, c))
+    wanted = np.abs(turn[0] * rise[1] - turn[1] * rise[0]) / 2  # the same on the cylinder: ∫ dθ dz
+    moved, ends = points.copy(), np.unique(along)
+    ratio = np.sqrt(wanted.sum() / enclosed.sum())
+    moved[ends, :2] = prism.axis_at(points[ends, 2]) + half * ratio * on_side[ends, :2]
+    return moved
+
+
+def angle_between(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Angle about z from points (n, 3) to others, from −π to π, shape (n,)."""
+    (x, y), (u, v) = one[:, :2].T, other[:, :2].T
+    return np.asarray(np.arctan2(x * v - y * u, x * u + y * v))
 
 
 def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -225,12 +259,13 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 
 
 def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
-    """Points with every face along a side of a prism, all its points within the slack, moved onto that side."""
+    """Points with every face along a plane side of a prism, all its points within the slack, moved onto that side."""
     upright = points.copy()
     upright[:, :2] -= prism.axis_at(points[:, 2])  # the prism's sides are planes of a coordinate here
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
     (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
-    for axis, plane in ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high)):
+    sides = ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high))
+    for axis, plane in sides[4:] if prism.is_round else sides:
         along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
         snapped[along, axis] = plane
         moved[along] = True

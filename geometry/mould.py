@@ -5,7 +5,7 @@ under the wedges of ``mould_lid``; the rubber in the lid's vents then holds ever
 which is filled with silicone. It opens, as every vertical line meets a unit in a single piece: oblique pillars are no
 undercut for a lid that is lifted straight up. The one exception is the heel of a pillar that leans from an upright
 one's foot, which juts out by (oblique width − width)/2 under the wall of its trough: 0.41 mm, past which rubber bends.
-All this is checked for the paper's layout alone.
+The upper half of a round oblique pillar is shaped by the wedge, the lower one by the trough.
 
 Parts are drawn closed, in the sensor's coordinates; print the lid upside down. None has been printed yet.
 """
@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from build123d import Location, Solid
 
-from geometry.cad import at_units, box, prism, sensor_solids, unit_solid, write_solids
+from geometry.cad import at_units, box, pillar_solids, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit, positive, quantity, require_sound
 from geometry.errors import DesignError
-from geometry.layout import upper_electrodes
+from geometry.layout import pillar_ends, pillar_sections, pillar_widths, upper_electrodes
 from geometry.prism import unit_prisms
 from geometry.storage.files import require_folder
 
@@ -43,16 +43,19 @@ def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
     wide as the room beside the pillars, so that it meets no wedge.
     """
     unit, plate_mm, rim_mm = design.unit, mould.plate_mm, 2 * mould.wall_mm
-    if mould.clearance_mm >= unit.pillar_width_mm / 2:
+    widths = pillar_widths(unit)
+    if mould.clearance_mm >= min(widths) / 2:
         raise DesignError(
             f"clearance_mm={mould.clearance_mm:g} leaves no wedges on the lid: it must be below half of "
-            f"pillar_width_mm, {unit.pillar_width_mm / 2:g}; 0.1 to 0.2 suits most printers."
+            f"pillar_width_mm, {min(widths) / 2:g}; 0.1 to 0.2 suits most printers."
         )
-    (x, y, h), w, room_mm = design.slab_mm, unit.pillar_width_mm, unit.span_mm - unit.pillar_width_mm
+    (x, y, h), room_mm = design.slab_mm, _room_mm(unit)
     below, above = box(x + rim_mm, y + rim_mm, -plate_mm, h), box(x + rim_mm, y + rim_mm, h, h + plate_mm)
     trough = unit_solid(unit).fuse(*_wedges(unit, clearance_mm=0.0))
-    vent, window = box(w, w, h, h + plate_mm), box(room_mm / 2, room_mm / 2, h, h + plate_mm)
-    openings = [window, *(vent.moved(Location((x, y, 0.0))) for x, y, _ in upper_electrodes(unit))]
+    openings = [box(room_mm / 2, room_mm / 2, h, h + plate_mm)] if room_mm > 0 else []
+    for top, (at_x, at_y, _) in enumerate(upper_electrodes(unit)):
+        w = max(width for width, at in zip(widths, unit.layout.pillar_top, strict=True) if at == top)
+        openings.append(box(w, w, h, h + plate_mm).moved(Location((at_x, at_y, 0.0))))
     lid = above.cut(*(hole for part in openings for hole in at_units(part, design)))
     wedges = [wedge for part in _wedges(unit, mould.clearance_mm) for wedge in at_units(part, design)]
     return {
@@ -69,24 +72,45 @@ def write_cad(design: SensorDesign, folder: Path, mould: Mould | None = None) ->
     return write_solids(sensor_solids(design) | parts, folder)
 
 
+def _room_mm(unit: Unit) -> float:
+    """Side of the largest centred square that has no pillar in or below it [mm]."""
+    beside = np.abs(pillar_ends(unit)[..., :2]) - pillar_sections(unit)[:, None] / 2
+    opposite = (np.diff(np.sign(pillar_ends(unit)[..., :2]), axis=1) != 0)[:, 0]
+    return 2 * float(np.where(opposite, 0.0, beside.min(axis=1)).max(axis=1).min())
+
+
 def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
     """The space above each oblique pillar up to z = h, beside an upright one at its foot: right-angled prisms.
 
     `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.
     """
-    h, half, wedges = unit.height_mm, unit.pillar_width_mm / 2, []
-    pillars = list(zip(unit.layout.pillars, unit_prisms(unit), strict=True))
-    upright_at = {pillar.foot for pillar, straight in pillars if straight.is_upright}
-    for pillar, straight in pillars:
+    h = unit.height_mm
+    wedges: list[Solid] = []
+    pillars = list(zip(unit.layout.pillars, unit_prisms(unit), pillar_widths(unit), strict=True))
+    upright_at = {pillar.foot: (pillar.is_round, width) for pillar, straight, width in pillars if straight.is_upright}
+    for pillar, straight, width in pillars:
         if straight.is_upright:
             continue
-        axis = int(straight.lean[1] != 0)
+        axis, half = int(straight.lean[1] != 0), width / 2
         run, b, side = straight.axis_mm[axis], straight.section_mm[axis] / 2, half - clearance_mm
-        # corners (distance from the foot's middle, z): the pillar's upper face rises from (-b, 0) to (s - b, h)
-        s, start = abs(run), half if pillar.foot in upright_at else clearance_mm - b
-        outline, across = np.zeros((3, 3)), np.zeros(3)
-        outline[:, [axis, 2]] = [(start, h), (s - b, h), (start, h * (start + b) / s)]
+        s, foot = abs(run), upright_at.get(pillar.foot)
+        # corners (distance from the foot's middle, z): a square pillar's upper face rises from (-b, 0) to (s - b, h)
+        start = clearance_mm - b if foot is None else foot[1] / 2
+        corners = [(start, h), (s - b, h), (start, h * (start + b) / s)]
+        is_flat = not pillar.is_round and foot in (None, (False, width))
+        if not is_flat:  # from the middle of a round pillar, or of an upright one of another section, up
+            start = clearance_mm - b if foot is None else 0.0
+            low = (0.0, 0.0) if pillar.is_round else (start, h * (start + b) / s)
+            corners = [
+                (start, h),
+                (s if pillar.is_round else s - b, h),
+                low,
+                *([(start, 0.0)] if start < low[0] else []),
+            ]
+        outline, across = np.zeros((len(corners), 3)), np.zeros(3)
+        outline[:, [axis, 2]] = corners
         outline[:, axis] *= np.sign(run)
         outline[:, 1 - axis], across[1 - axis] = -side, 2 * side
-        wedges.append(prism((outline + straight.base_mm).tolist(), across.tolist()))
+        wedge = prism((outline + straight.base_mm).tolist(), across.tolist())
+        wedges += [wedge] if is_flat else wedge.cut(*pillar_solids(unit)).solids()
     return wedges

@@ -1,25 +1,31 @@
-"""Straight prisms between equal horizontal rectangles: the shape of the slab, of pillars and of inclusions."""
+"""Straight prisms between equal horizontal rectangles or ellipses: the shape of slab, pillars and inclusions."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import OPTIONAL, FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
 
+if TYPE_CHECKING:
+    from geometry.design import SensorDesign, Unit
+
+SIDES = 24  #: of the polygon that is drawn for a circle: flat faces meet exactly, and lie within 1 % of its radius
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prism:
-    """A straight prism between two equal horizontal rectangles: the shape of every body and every inclusion."""
+    """A straight prism between two equal horizontal rectangles, or ellipses: every body, every inclusion."""
 
     base_mm: Triple  #: centre of the lower end
     top_mm: Triple  #: centre of the upper end
     section_mm: Pair  #: extent of the horizontal section along x and y
+    is_round: bool = field(default=False, metadata=OPTIONAL)  #: whether the section is an ellipse
 
     @property
     def is_upright(self) -> bool:
@@ -43,7 +49,7 @@ class Prism:
 
     @property
     def volume_mm3(self) -> float:
-        return self.section_mm[0] * self.section_mm[1] * self.height_mm
+        return self.section_mm[0] * self.section_mm[1] * self.height_mm * (math.pi / 4 if self.is_round else 1.0)
 
     def axis_at(self, z_mm: FloatArray) -> FloatArray:
         """Centre of the section at heights (n,), shape (n, 2) [mm]."""
@@ -55,20 +61,36 @@ class Prism:
         return self.distance(points_mm) <= slack_mm
 
     def distance(self, points_mm: FloatArray) -> FloatArray:
-        """Distance of points (n, 3) from the prism along the axis by which they are furthest out, shape (n,) [mm]."""
-        z = points_mm[:, 2]
+        """Distance of points (n, 3) from the prism along the axis by which they are furthest out, shape (n,) [mm].
+
+        From an ellipse it is that from one of the same shape, along the shorter axis.
+        """
+        z, half = points_mm[:, 2], np.array(self.section_mm) / 2
         level = np.clip(z, self.base_mm[2], self.top_mm[2])
-        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - np.array(self.section_mm) / 2
+        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - half
+        if self.is_round:
+            across = (np.linalg.norm(across / half + 1, axis=1, keepdims=True) - 1) * half.min()
         return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
 
     def corners(self) -> FloatArray:
-        """The corners of the lower end, anticlockwise from above, then those of the upper, shape (8, 3) [mm]."""
-        signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+        """The corners of the lower end, anticlockwise from above, then those of the upper, shape (2 n, 3) [mm].
+
+        n is 4, of an ellipse the `SIDES` of a polygon of the same area.
+        """
+        if self.is_round:
+            angle = 2 * np.pi * (np.arange(SIDES) + 0.5) / SIDES
+            larger = math.sqrt(2 * np.pi / (SIDES * math.sin(2 * np.pi / SIDES)))
+            signs = larger * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)])
+        else:
+            signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
         half = signs * np.array([*self.section_mm, 0.0]) / 2
         return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
 
     def cuts(self, other: "Prism", slack_mm: float) -> bool:
-        """True if two prisms share more than faces: penetration by up to the slack counts as touching."""
+        """True if two prisms share more than faces: penetration by up to the slack counts as touching.
+
+        Of ellipses the rectangles around them count.
+        """
         low = max(self.base_mm[2], other.base_mm[2])
         high = min(self.top_mm[2], other.top_mm[2])
         if high - low <= slack_mm:
@@ -87,30 +109,33 @@ class Prism:
         return bool((last - first) * (high - low) > slack_mm)
 
 
-def slab_prism(design: SensorDesign) -> Prism:
+def slab_prism(design: "SensorDesign") -> Prism:
     """The slab of a sensor, pillars and matrix together."""
     x, y, h = design.slab_mm
     return Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, h), section_mm=(x, y))
 
 
-def pillar_prisms(design: SensorDesign) -> list[Prism]:
+def pillar_prisms(design: "SensorDesign") -> list[Prism]:
     """The pillars of every unit; those of a unit overlap at common electrodes."""
     return [one for centre in unit_centres(design) for one in unit_prisms(design.unit, (*centre, 0.0))]
 
 
-def unit_prisms(unit: Unit, centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
+def unit_prisms(unit: "Unit", centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
     """The pillars of one unit."""
     return [
         Prism(
             base_mm=tuple((centre_mm + base).tolist()),
             top_mm=tuple((centre_mm + top).tolist()),
             section_mm=tuple(section.tolist()),
+            is_round=pillar.is_round,
         )
-        for (base, top), section in zip(pillar_ends(unit), pillar_sections(unit), strict=True)
+        for (base, top), section, pillar in zip(
+            pillar_ends(unit), pillar_sections(unit), unit.layout.pillars, strict=True
+        )
     ]
 
 
-def pad_prisms(design: SensorDesign, depth_mm: float) -> list[Prism]:
+def pad_prisms(design: "SensorDesign", depth_mm: float) -> list[Prism]:
     """A layer of the slab under every pad, at most half as thick as the slab."""
     top, size, pads = design.unit.height_mm, design.pad.size_mm, pad_squares(design)
     base = top - min(depth_mm, top / 2)

@@ -60,7 +60,7 @@ def connect(
     # one scan's matrices are too small for two BLAS threads to share
     with one_blas_thread(), Scanner(source, **settings) as scanner:
         info = scanner.info
-        known = known or SensorCalibration.as_designed(info.rows, info.cols)
+        known = known or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)
         known.require_for(info, str(calibration or port))
         yield scanner, known
 

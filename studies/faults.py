@@ -11,10 +11,11 @@ from decoupler.evaluation.faults import WINDOW, FaultTest
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray
 
 NOISE, BITS = 1e-3, 12
 TRAINING = 2000  #: samples
+NAMES = SensorDesign().unit.layout.pillar_names
 WINDOWS = 40  #: of each fault, each with loads of its own and the fault in a place of its own
 SOUND = 500  #: windows of the usual loads without fault, 20,000 scans
 OTHERS = 100  #: the same of each other kind of loads
@@ -28,8 +29,8 @@ def pillar(kind: str, name: str) -> Break:
     """A pillar of this name that is stuck, open, or has another gain."""
 
     def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
-        unit, number = int(generator.integers(test.rows * test.cols)), PILLARS.index(name)
-        spoilt(kind, ohms, [len(PILLARS) * unit + number], generator)
+        unit, number = int(generator.integers(test.rows * test.cols)), NAMES.index(name)
+        spoilt(kind, ohms, [len(NAMES) * unit + number], generator)
         said = "" if kind == "gain" else kind
         return ohms, said and f"pillar {name} of row {unit // test.cols}, col {unit % test.cols} {said}"
 
@@ -70,7 +71,7 @@ def swap(side: str) -> Break:
 
 
 FAULTS: dict[str, Break] = {
-    **{f"one {name} pillar stuck": pillar("stuck", name) for name in PILLARS},
+    **{f"one {name} pillar stuck": pillar("stuck", name) for name in NAMES},
     "one row wire stuck": wire("stuck", "row"),
     "one column wire stuck": wire("stuck", "column"),
     "two rows swapped": swap("rows"),

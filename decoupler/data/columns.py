@@ -12,11 +12,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.imperfections import PAPERS
 from dataset.measurement import SENSE_OHM, ReadingError
 from dataset.samples import SampleError, Samples
 from dataset.variables import senseless
 from geometry.errors import DesignError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray, Layout
 
 DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ever sees it
 ROWS_AT_ONCE = 4  #: rows multiplied together; four cost little more than one, and more gain little
@@ -29,30 +30,35 @@ MIN_RANGE = 1e-100  #: a range in newtons or ohms whose square still is a number
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """Inputs and outputs of a network, the same for every unit."""
+    """Forces that come out of a network, the same for every unit; pillars that answer them go in."""
 
     name: str
-    pillars: tuple[str, ...]  #: pillars whose resistances go in
-    axes: tuple[str, ...]  #: axes whose forces come out
+    axes: tuple[str, ...]  #: of the forces
 
     @property
     def forces(self) -> tuple[str, ...]:
         """Names of the forces that come out, as in a table of errors: fx, fy, fz."""
         return tuple(f"f{axis}" for axis in self.axes)
 
+    def pillars(self, layout: Layout) -> list[int]:
+        """Numbers of the pillars of a unit whose resistances go in: those that sense the axis, or all.
+
+        >>> COMPONENTS["fx"].pillars(PAPERS), COMPONENTS["all"].pillars(PAPERS)
+        ([1], [0, 1, 2])
+        """
+        return [*(layout.sensing(*self.axes) if len(self.axes) == 1 else range(len(layout.pillars)))]
+
 
 COMPONENTS = {
-    "fz": Component(name="fz", pillars=("z",), axes=("z",)),
-    "fx": Component(name="fx", pillars=("x",), axes=("x",)),
-    "fy": Component(name="fy", pillars=("y",), axes=("y",)),
-    "all": Component(name="all", pillars=PILLARS, axes=AXES),
+    **{f"f{axis}": Component(name=f"f{axis}", axes=(axis,)) for axis in ("z", "x", "y")},
+    "all": Component(name="all", axes=AXES),
 }
 
 
 def component_named(name: str) -> Component:
     """The component of that name.
 
-    >>> component_named("fx").pillars
+    >>> component_named("fx").axes
     ('x',)
     """
     if name not in COMPONENTS:
@@ -61,35 +67,40 @@ def component_named(name: str) -> Component:
 
 
 def pillar_columns(
-    resistance_ohm: FloatArray, component: Component, dead: NDArray[np.bool_] | None = None
+    resistance_ohm: FloatArray, component: Component, layout: Layout, dead: NDArray[np.bool_] | None = None
 ) -> FloatArray:
-    """The resistances a component takes, (n, rows, cols, 3) -> (n, rows·cols·n_pillars) [Ω].
+    """The resistances a component takes, (n, rows, cols, n_pillars) -> (n, rows·cols·n_taken) [Ω].
 
-    Pillars that it does not take are not looked at, nor are `dead` ones (rows, cols, 3), in whose place `DEAD_OHM` is
-    put. Another shape, or a resistance that is no sensor's, is a `SampleError`.
+    Pillars that it does not take are not looked at, nor are `dead` ones (rows, cols, n_pillars), in whose place
+    `DEAD_OHM` is put. Another shape, or a resistance that is no sensor's, is a `SampleError`.
     """
-    if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != len(PILLARS):
+    n_pillars = len(layout.pillars)
+    if resistance_ohm.ndim != 4 or resistance_ohm.shape[-1] != n_pillars:
         raise SampleError(
-            f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, 3): "
-            f"samples first, pillars {', '.join(PILLARS)} last."
+            f"resistance_ohm has shape {resistance_ohm.shape}, expected (n_samples, rows, cols, {n_pillars}): "
+            f"samples first, pillars {', '.join(layout.pillar_names)} last."
         )
-    first = PILLARS.index(component.pillars[0])
-    pillars = slice(first, first + len(component.pillars))  # one, or all in order: a view, where an index would copy
+    numbers = component.pillars(layout)
+    pillars: Any = numbers
+    if len(numbers) in (1, n_pillars):
+        pillars = slice(numbers[0], numbers[-1] + 1)  # a view, where an index would copy
     taken = np.asarray(resistance_ohm[..., pillars], dtype=np.float64)  # recordings may be of single precision
     if dead is not None:
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
         taken = np.where(dead[..., pillars], DEAD_OHM, taken)
-    if said := senseless("resistance_ohm", taken, {"pillar": component.pillars}):
+    if said := senseless("resistance_ohm", taken, {"pillar": [layout.pillar_names[number] for number in numbers]}):
         raise SampleError(f"{said}: leave that sample out or mend the pillar.")
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
 
 
-def readable_columns(component: Component, dead: NDArray[np.bool_] | None, n_columns: int) -> NDArray[np.bool_]:
+def readable_columns(
+    component: Component, layout: Layout, dead: NDArray[np.bool_] | None, n_columns: int
+) -> NDArray[np.bool_]:
     """Which of the columns that `pillar_columns` gives can be read, shape (n_columns,)."""
     if dead is None:
         return np.ones(n_columns, dtype=bool)
-    return ~dead[..., [PILLARS.index(pillar) for pillar in component.pillars]].reshape(-1)
+    return ~dead[..., component.pillars(layout)].reshape(-1)
 
 
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
@@ -110,7 +121,8 @@ class Columns:
     force_n: FloatArray  #: (n, Q) [N]
     load: NDArray[np.int64]  #: (n,): number of each sample's load; readings of one load share what a network misses
     errors: ReadingError  #: of the readings
-    dead: NDArray[np.bool_] | None = None  #: (rows, cols, 3): pillars that cannot be read
+    dead: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): pillars that cannot be read
+    layout: Layout = PAPERS
 
     @classmethod
     def of(cls, data: Samples, component: Component) -> Self:
@@ -118,11 +130,12 @@ class Columns:
         return cls(
             component=component,
             shape=data.shape,
-            resistance_ohm=pillar_columns(data.resistance_ohm, component, data.dead),
+            resistance_ohm=pillar_columns(data.resistance_ohm, component, data.layout, data.dead),
             force_n=force_columns(data.force_n, component),
             load=load_numbers(data.force_n),
             errors=data.errors,
             dead=data.dead,
+            layout=data.layout,
         )
 
     def __len__(self) -> int:
@@ -136,13 +149,13 @@ class Columns:
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
         """Pillars that can be read, (P,)."""
-        return readable_columns(self.component, self.dead, self.resistance_ohm.shape[1])
+        return readable_columns(self.component, self.layout, self.dead, self.resistance_ohm.shape[1])
 
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same with some pillars (P,) that cannot be read either."""
-        dead = np.zeros((*self.shape, len(PILLARS)), dtype=bool) if self.dead is None else self.dead.copy()
-        taken = [PILLARS.index(pillar) for pillar in self.component.pillars]
-        dead[..., taken] |= pillars.reshape(*self.shape, -1)
+        n_pillars = len(self.layout.pillars)
+        dead = np.zeros((*self.shape, n_pillars), dtype=bool) if self.dead is None else self.dead.copy()
+        dead[..., self.component.pillars(self.layout)] |= pillars.reshape(*self.shape, -1)
         return replace(self, dead=dead, resistance_ohm=np.where(pillars, DEAD_OHM, self.resistance_ohm))
 
     def distinct(self) -> NDArray[np.int64]:

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.pairs import Pairs
+from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray, Layout
 from geometry.storage.text_file import why_unreadable
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -50,36 +51,36 @@ class KnownLoad:
     unknown_n: FloatArray  #: (k, rows, cols, 3): independent errors of one standard deviation, as of `Pairs` [N]
     from_s: float | None = None
     to_s: float | None = None
-    resistance_ohm: FloatArray | None = None  #: (rows, cols, 3) [Ω]; NaN where not read; None if not in the table
+    resistance_ohm: FloatArray | None = None  #: (rows, cols, n_pillars) [Ω]; NaN: not read; None if not in the table
     noise: float = NOISE  #: of these, relative
     lines: tuple[Mapping[str, str], ...] = ()  #: of its table, by column
 
 
-def read_pairs(path: Path, rows: int, cols: int, pad_mm2: float) -> Pairs:
+def read_pairs(path: Path, design: SensorDesign) -> Pairs:
     """Measured pairs of a table of loads with readings; arguments and errors as of `read_loads`."""
-    return as_pairs(read_loads(path, rows, cols, pad_mm2), path)
+    return as_pairs(read_loads(path, design), path, design.unit.layout)
 
 
-def as_pairs(loads: list[KnownLoad], source: object, bits: int | None = None) -> Pairs:
+def as_pairs(loads: list[KnownLoad], source: object, layout: Layout) -> Pairs:
     """Pairs of loads with readings; `source` is their file, for messages."""
     unread = [load.name for load in loads if load.resistance_ohm is None]
     if unread:
         raise FileFormatError(
-            f"{source}: load '{unread[0]}' has no readings: give columns r_0_0_z, r_0_0_x and so on [Ω], or the "
-            "recording of these loads."
+            f"{source}: load '{unread[0]}' has no readings: give columns "
+            f"{', '.join(reading_columns(1, 1, layout)[:2])} and so on [Ω], or the recording of these loads."
         )
     return Pairs(
         resistance_ohm=np.stack([load.resistance_ohm for load in loads if load.resistance_ohm is not None]),
         force_n=np.stack([load.force_n for load in loads]),
         unknown_n=tuple(load.unknown_n for load in loads),
         noise=float(np.median([load.noise for load in loads])),
-        bits=bits,
+        layout=layout,
         names=tuple(load.name for load in loads),
     )
 
 
-def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLoad]:
-    """Known loads of a CSV table on an array with pads of this area [mm²], in its order.
+def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
+    """Known loads of a CSV table on the sensor of a design, in its order.
 
     It has a header and some of the columns `COLUMNS`; lines of the same `load` act together. `kind` is pad (the
     default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and `col`
@@ -95,11 +96,13 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
             header = list(reader.fieldnames or [])
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
-    readings = reading_columns(rows, cols)
+    rows, cols = design.array.rows, design.array.cols
+    readings = reading_columns(rows, cols, design.unit.layout)
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
-    if given := _other_size(header, rows, cols):
+    if given := _other_array(header, rows, cols, design.unit.layout):
         raise FileFormatError(
-            f"{path}: has readings of {given} units, the design has {rows} × {cols}: give the design of this array."
+            f"{path}: has readings of {given}, the design has {rows} × {cols} with pillars "
+            f"{', '.join(design.unit.layout.pillar_names)}: give the design of this array."
         )
     if not lines or "load" not in header or unknown or not {*FORCES, "kpa", "kind"} & {*header}:
         spare = f"; not {', '.join(map(repr, unknown[:3]))}" if unknown else ""
@@ -112,19 +115,20 @@ def read_loads(path: Path, rows: int, cols: int, pad_mm2: float) -> list[KnownLo
         if line.get(""):
             raise FileFormatError(f"{path}, line {number}: has more values than the header has columns.")
         grouped.setdefault((line["load"] or "").strip(), []).append((number, line))
-    return [_load(path, name, numbered, rows, cols, pad_mm2) for name, numbered in grouped.items()]
+    return [_load(path, name, numbered, design, readings) for name, numbered in grouped.items()]
 
 
-def keep_pair(path: Path, load: KnownLoad) -> None:
+def keep_pair(path: Path, load: KnownLoad, layout: Layout) -> None:
     """Add a load with its readings to a table, which is begun if there is none; on disk when this returns.
 
     A table of other columns than this array's, or that cannot be written, is a `FileFormatError`.
     """
     assert load.resistance_ohm is not None
     rows, cols, _ = load.resistance_ohm.shape
-    columns = [name for name in COLUMNS if name not in TIMES] + reading_columns(rows, cols)
+    of_readings = reading_columns(rows, cols, layout)
+    columns = [name for name in COLUMNS if name not in TIMES] + of_readings
     ohms = ["" if math.isnan(ohm) else f"{ohm:.8g}" for ohm in load.resistance_ohm.ravel()]
-    readings = dict(zip(reading_columns(rows, cols), ohms, strict=True)) | {"noise": f"{load.noise:.3g}"}
+    readings = dict(zip(of_readings, ohms, strict=True)) | {"noise": f"{load.noise:.3g}"}
     try:
         with Path(path).open("a+", newline="", encoding="utf-8") as opened:
             opened.seek(0)
@@ -143,27 +147,29 @@ def keep_pair(path: Path, load: KnownLoad) -> None:
         raise FileFormatError(f"{path}: cannot be written: {error.strerror}.") from None
 
 
-def reading_columns(rows: int, cols: int) -> list[str]:
-    """Names of the columns of readings, in the order of an array (rows, cols, 3).
+def reading_columns(rows: int, cols: int, layout: Layout) -> list[str]:
+    """Names of the columns of readings, in the order of an array (rows, cols, n_pillars).
 
-    >>> reading_columns(1, 1)
+    >>> from dataset.imperfections import PAPERS
+    >>> reading_columns(1, 1, PAPERS)
     ['r_0_0_z', 'r_0_0_x', 'r_0_0_y']
     """
-    return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in PILLARS]
+    return [f"r_{row}_{col}_{pillar}" for row in range(rows) for col in range(cols) for pillar in layout.pillar_names]
 
 
-def _other_size(header: list[str], rows: int, cols: int) -> str | None:
-    """Rows and columns of the readings of a table, as text, if some are beyond this array."""
-    places = [re.fullmatch(f"r_(\\d+)_(\\d+)_[{''.join(PILLARS)}]", name) for name in header]
-    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places if place]
-    if not units or all(row <= rows and col <= cols for row, col in units):
-        return None
-    return " × ".join(str(max(counts)) for counts in zip(*units, strict=True))
+def _other_array(header: list[str], rows: int, cols: int, layout: Layout) -> str | None:
+    """Size of the array of a table's readings, or a pillar among them, as text, if the design has no such."""
+    places = [place for name in header if (place := re.fullmatch(r"r_(\d+)_(\d+)_(\w+)", name))]
+    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places]
+    if any(row > rows or col > cols for row, col in units):
+        return " × ".join(str(max(counts)) for counts in zip(*units, strict=True)) + " units"
+    return next((f"a pillar {place[3]}" for place in places if place[3] not in layout.pillar_names), None)
 
 
 def _load(
-    path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], rows: int, cols: int, pad_mm2: float
+    path: Path, name: str, numbered: list[tuple[int, Mapping[str, str]]], design: SensorDesign, columns: list[str]
 ) -> KnownLoad:
+    rows, cols, pad_mm2 = design.array.rows, design.array.cols, design.pad.size_mm**2
     lines = [_Line(values, f"{path}, line {number}") for number, values in numbered]
     parts = [known_forces(line.texts, rows, cols, pad_mm2, line.source) for line in lines]
     times = {tuple(line.number(column) if line.text(column) else None for column in TIMES) for line in lines}
@@ -172,7 +178,6 @@ def _load(
     ((from_s, to_s),) = times
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and not from_s < to_s):
         raise FileFormatError(f"{path}: load '{name}' acts from {from_s} s to {to_s} s: give both, the later one last.")
-    columns = reading_columns(rows, cols)
     read = [line for line in lines if any(map(line.text, columns))]
     if len(read) > 1:
         raise FileFormatError(f"{read[1].source}: load '{name}' has readings in two lines: give them in one.")

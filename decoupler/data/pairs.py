@@ -10,7 +10,7 @@ import numpy as np
 from dataset.imperfections import OPEN_OHM, PAPERS
 from dataset.samples import SampleError, Samples
 from dataset.variables import labels_of, senseless
-from geometry.layout import AXES, FloatArray
+from geometry.layout import AXES, FloatArray, Layout
 from geometry.storage.files import digest
 
 
@@ -34,31 +34,34 @@ class Pairs:
     (2, (0, 1, 1, 3))
     """
 
-    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y [Ω]; NaN where not read
+    resistance_ohm: FloatArray  #: (n, rows, cols, n_pillars) [Ω]; NaN where not read
     force_n: FloatArray  #: (n, rows, cols, 3): expected forces along x, y, z [N]; Fz positive in compression
     unknown_n: tuple[FloatArray, ...] = ()  #: of each pair (k, rows, cols, 3) [N]; () if all forces are exact
     noise: float = 0.0  #: relative standard deviation of the resistances; 0 if not known
     bits: int | None = None  #: resolution of the converter; None if exact or not known
     names: tuple[str, ...] = ()  #: of the loads, for messages; () numbers them
+    layout: Layout = PAPERS
 
     def __post_init__(self) -> None:
         shape = np.shape(self.force_n)
         if len(shape) != 4 or shape[3] != len(AXES) or not shape[0]:
             raise SampleError(f"force_n has shape {shape}, expected (n_pairs, rows, cols, 3) with at least one pair.")
-        if np.shape(self.resistance_ohm) != shape:
+        wanted = (*shape[:3], len(self.layout.pillars))
+        if np.shape(self.resistance_ohm) != wanted:
             raise SampleError(
-                f"resistance_ohm has shape {np.shape(self.resistance_ohm)}, expected {shape}, as force_n."
+                f"resistance_ohm has shape {np.shape(self.resistance_ohm)}, expected {wanted}, as force_n with pillars "
+                f"{', '.join(self.layout.pillar_names)}."
             )
         object.__setattr__(self, "names", self.names or tuple(f"pair {k}" for k in range(shape[0])))
         object.__setattr__(self, "unknown_n", self.unknown_n or (np.zeros((0, *shape[1:])),) * shape[0])
         if len(self.unknown_n) != shape[0] or len(self.names) != shape[0]:
             raise SampleError(f"{len(self.unknown_n)} unknown_n and {len(self.names)} names, expected {shape[0]} each.")
+        labels = labels_of(self.layout)
         for k, (name, unknown_n) in enumerate(zip(self.names, self.unknown_n, strict=True)):
             if unknown_n.ndim != 4 or unknown_n.shape[1:] != shape[1:]:
                 raise SampleError(f"unknown_n of '{name}' has shape {unknown_n.shape}, expected (k, *{shape[1:]}).")
             ohms = self.resistance_ohm[k : k + 1]
             read = np.where(np.isnan(ohms), 1.0, ohms)
-            labels = labels_of(PAPERS)
             said = senseless("force_n", self.force_n[k : k + 1], labels) or senseless("resistance_ohm", read, labels)
             if said or not np.isfinite(unknown_n).all():
                 raise SampleError(f"'{name}': {said or 'unknown_n is not finite'}: correct it or leave it out.")
@@ -71,7 +74,8 @@ class Pairs:
         ohms = np.where(samples.resistance_ohm < OPEN_OHM, samples.resistance_ohm, np.nan)
         if samples.dead is not None:
             ohms = np.where(samples.dead, np.nan, ohms)
-        return cls(resistance_ohm=ohms, force_n=samples.force_n, noise=samples.noise, bits=samples.bits)
+        force_n, layout = samples.force_n, samples.layout
+        return cls(resistance_ohm=ohms, force_n=force_n, noise=samples.noise, bits=samples.bits, layout=layout)
 
     def __len__(self) -> int:
         return len(self.force_n)

@@ -101,7 +101,7 @@ def _reading(decoupler: Decoupler, errors: ReadingError) -> dict[str, Any]:
     return {
         "noise": errors.own_relative,
         "bits": errors.bits,
-        "readable": readable_columns(component, decoupler.dead, rows * cols * len(component.pillars)),
+        "readable": readable_columns(component, decoupler.layout, decoupler.dead, rows * cols * len(decoupler.pillars)),
         "shared": partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None,
     }
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from dataset.measurement import ReadingError
 from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.wiring import crossings, pillar_of_crossing
 
 WINDOW = 40  #: scans that are looked at together
@@ -73,7 +73,8 @@ class FaultTest:
 
     rows: int
     cols: int
-    pillars: Indices  #: (P,): places in a flattened (rows, cols, 3) array
+    layout: Layout
+    pillars: Indices  #: (P,): places in a flattened (rows, cols, n_pillars) array
     mean: FloatArray  #: (P,): of ln R under usual loads
     covariance: FloatArray  #: S, (P, P): of ln R under usual loads, noise included
     noise: FloatArray  #: (P,): relative standard deviation of a reading
@@ -93,13 +94,13 @@ class FaultTest:
         if errors.is_exact:
             return None
         assert usual.log_ohm_covariance is not None
-        names = [PILLARS.index(name) for name in decoupler.component.pillars]
-        places = np.arange(rest_ohm.size).reshape(rest_ohm.shape)[..., names].reshape(-1)
-        read = readable_columns(decoupler.component, decoupler.dead, len(places))
+        places = np.arange(rest_ohm.size).reshape(rest_ohm.shape)[..., decoupler.pillars].reshape(-1)
+        read = readable_columns(decoupler.component, decoupler.layout, decoupler.dead, len(places))
         noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[places][read]
         return cls(
             rows=decoupler.rows,
             cols=decoupler.cols,
+            layout=decoupler.layout,
             pillars=places[read],
             mean=usual.log_ohm[read],
             covariance=usual.log_ohm_covariance[np.ix_(read, read)] + np.diag(noise**2),
@@ -107,7 +108,7 @@ class FaultTest:
         )
 
     def named(self, resistance_ohm: FloatArray) -> tuple[Fault, ...]:
-        """Faults of n scans (n, rows, cols, 3) [Ω] that follow one another, `window` usually, the surest first.
+        """Faults of n scans (n, rows, cols, n_pillars) [Ω] that follow one another, `window` usually, the surest first.
 
         Below `FEWEST` only open and shorted pillars are named. Readings may be anything, infinite or no number.
         """
@@ -131,7 +132,7 @@ class FaultTest:
         return tuple(found)
 
     def named_in(self, resistance_ohm: FloatArray) -> dict[str, int]:
-        """Faults of a recording's scans (n, rows, cols, 3) [Ω], in words, and in how many windows each is named."""
+        """Faults of a recording's scans (n, rows, cols, n_pillars) [Ω], in words, and how many windows name each."""
         n_windows = max(len(resistance_ohm) // self.window, 1)
         some = np.unique(np.linspace(0, n_windows - 1, min(n_windows, MAX_WINDOWS)).astype(int))
         windows = [resistance_ohm[k * self.window : (k + 1) * self.window] for k in some.tolist()]
@@ -153,9 +154,9 @@ class FaultTest:
         return [self._fault(kind, place, which) for place, which in wires + pillars]
 
     def _fault(self, kind: str, place: str, which: Indices) -> Fault:
-        rows, cols, numbers = np.unravel_index(self.pillars[which], (self.rows, self.cols, len(PILLARS)))
-        names = (PILLARS[number] for number in numbers)
-        return Fault(kind, place, tuple(zip(rows.tolist(), cols.tolist(), names, strict=True)))
+        names = self.layout.pillar_names
+        rows, cols, numbers = np.unravel_index(self.pillars[which], (self.rows, self.cols, len(names)))
+        return Fault(kind, place, tuple(zip(rows.tolist(), cols.tolist(), (names[k] for k in numbers), strict=True)))
 
     def _name(self, pillar: int) -> str:
         ((row, col, name),) = self._fault("", "", np.array([pillar])).pillars
@@ -164,11 +165,11 @@ class FaultTest:
     @cached_property
     def _boards(self) -> tuple[tuple[str, int, Indices], ...]:
         """Of rows and of columns: name, number and the pillars of each wire, (wires, wires across), -1 for none."""
-        at = np.full(self.rows * self.cols * len(PILLARS), -1)
+        at = np.full(self.rows * self.cols * len(self.layout.pillars), -1)
         at[self.pillars] = np.arange(len(self.pillars))
-        wires = crossings(self.rows, self.cols)
+        wires = crossings(self.rows, self.cols, self.layout)
         board = np.full(wires.max(axis=0) + 1, -1)
-        board[tuple(wires.T)] = at[pillar_of_crossing(self.rows, self.cols)]
+        board[tuple(wires.T)] = at[pillar_of_crossing(self.rows, self.cols, self.layout)]
         return ("row", self.rows, board), ("column", self.cols, board.T)
 
     @cached_property
@@ -286,7 +287,7 @@ class _Groups:
         self.scale = np.maximum(np.einsum("gpp->gp", without), 1e-12 * K.diagonal())
         self.noise_share = np.minimum(((without * test.noise) ** 2).sum(axis=2) / self.scale, 0.99)
         # (g, P, 3): 1 for others of the same units, of those around, for all; the next, where there is none
-        rows, cols = np.divmod(test.pillars // len(PILLARS), test.cols)
+        rows, cols = np.divmod(test.pillars // len(test.layout.pillars), test.cols)
         far = np.maximum(np.abs(rows - rows[here][..., None]), np.abs(cols - cols[here][..., None])).min(axis=1)
         other = ~(here[..., None] == np.arange(len(K))).any(axis=1)
         near = np.stack([other & (far <= most) for most in (0, 1, len(K))], axis=-1)

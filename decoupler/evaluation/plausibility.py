@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
 from dataset.measurement import reading_deviation
@@ -26,7 +27,7 @@ from decoupler.data.columns import (
 )
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 
 #: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
 #: (Markov's inequality), whatever it is compared with
@@ -61,7 +62,7 @@ def _axes_from(order: tuple[int, ...]) -> Mend:
     return _forces(lambda force_n: force_n[..., order])
 
 
-def _pillars_from(order: tuple[int, ...]) -> Mend:
+def _pillars_from(order: list[int]) -> Mend:
     def mended(data: Samples) -> Samples:
         dead = None if data.dead is None else data.dead[..., order]
         return replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead)
@@ -71,11 +72,6 @@ def _pillars_from(order: tuple[int, ...]) -> Mend:
 
 _SIGNS = "z > 0 is compression, x runs along columns, y along rows"
 _OTHER_ORDERS = [*permutations(range(3))][1:]
-OF_PILLARS = {
-    f"pillars seem to stand in the order {', '.join(PILLARS[order.index(k)] for k in range(3))}: a file's are "
-    f"{', '.join(PILLARS)}": _pillars_from(order)
-    for order in _OTHER_ORDERS
-}  #: told by a joint model alone
 MISTAKES: dict[str, Mend] = {
     "the forces seem to be in kN: multiply them by 1000": _times(1e3),
     "the forces seem to be in mN: divide them by 1000": _times(1e-3),
@@ -119,8 +115,8 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
     readings that noise hides, say nothing and are never doubted.
     """
     data = _some(data, component)
-    readable = readable_columns(component, data.dead, data.force_n[0, ..., 0].size * len(component.pillars))
-    columns = pillar_columns(data.resistance_ohm, component, data.dead)[:, readable]
+    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
+    columns = columns[:, readable_columns(component, data.layout, data.dead, columns.shape[1])]
     forces = force_columns(data.force_n, component)
     if len(forces) > 1 and _is_constant(forces) and _scattered(columns, data):
         return f"{_alike(forces)}, though the resistances differ by more than noise: give their loads"
@@ -141,7 +137,8 @@ def nothing_to_learn(data: Samples, component: Component) -> str | None:
     """Say in a line that all samples are the same, or of the same load; None if they differ."""
     if len(data.force_n) < 2:
         return None
-    columns, forces = pillar_columns(data.resistance_ohm, component, data.dead), force_columns(data.force_n, component)
+    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
+    forces = force_columns(data.force_n, component)
     if _is_constant(forces):
         return f"{_alike(forces)}: nothing can be learnt"
     return "every resistance is the same in all samples: nothing can be learnt" if _is_constant(columns) else None
@@ -181,8 +178,8 @@ def explained(data: Samples, component: Component, forward: SensorModel) -> floa
 
 def _explained(data: Samples, component: Component, forward: SensorModel, left: FloatArray) -> float | None:
     moved, _ = _motions(data, component, forward)
-    columns = pillar_columns(data.resistance_ohm, component, data.dead)
-    readable = readable_columns(component, data.dead, columns.shape[1])
+    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
+    readable = readable_columns(component, data.layout, data.dead, columns.shape[1])
     noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
@@ -197,21 +194,43 @@ def _some(data: Samples, component: Component) -> Samples:
 def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
     as_given, unlinked = (_left(each, component, forward) for each in (data, _times(0.0)(data)))
-    possible = MISTAKES | (OF_PILLARS if _is_joint(forward, data) else {})
+    orders = math.factorial(len(data.layout.pillars)) - 1 if _is_joint(forward, data) else 0
+    possible = MISTAKES | (_in_best_order(data, component, forward) if orders else {})
     enough, found = math.log(2.0 / FALSE_ALARMS), {}
     for said, mend in possible.items():
         mended = mend(data)
         left = _left(mended, component, forward)
         likelier = min(_log_likelier(other, left, data) for other in (as_given, unlinked))
         share = _explained(mended, component, forward, left)
-        if likelier > math.log(len(possible)) + enough and (share is None or share > MIN_EXPLAINED):
+        if likelier > math.log(len(MISTAKES) + orders) + enough and (share is None or share > MIN_EXPLAINED):
             found[said] = _energy(left)
     none = UNLINKED if _log_likelier(as_given, unlinked, data) > enough else None
     return min(found, key=found.__getitem__, default=none)
 
 
+def _in_best_order(data: Samples, component: Component, forward: SensorModel) -> dict[str, Mend]:
+    """The order of pillars that explains the readings best, by a joint model; none if it is the stated one."""
+    names, taken, every = data.layout.pillar_names, component.pillars(data.layout), COMPONENTS["all"]
+    shape = len(data), -1, len(names)
+    lengths = np.sqrt(pillar_columns(data.resistance_ohm, every, data.layout, data.dead)).reshape(shape)
+    modelled = forward.lengths(force_columns(data.force_n, every)).reshape(shape)
+    moved, expected = (each / each.mean(axis=0) - 1.0 for each in (lengths, modelled))
+    read = readable_columns(every, data.layout, data.dead, moved[0].size).reshape(shape[1:])
+    left = [
+        [(residuals(moved[..., k], expected[..., pillar])[:, read[:, k]] ** 2).sum() for k in range(len(names))]
+        for pillar in taken
+    ]
+    found = dict(zip(taken, linear_sum_assignment(left)[1].tolist(), strict=True))
+    others = (k for k in range(len(names)) if k not in found.values())
+    order = [found[pillar] if pillar in found else next(others) for pillar in range(len(names))]
+    if order == sorted(order):
+        return {}
+    as_read = ", ".join(names[order.index(k)] for k in range(len(names)))
+    return {f"pillars seem to stand in the order {as_read}: a file's are {', '.join(names)}": _pillars_from(order)}
+
+
 def _is_joint(forward: SensorModel, data: Samples) -> bool:
-    return forward.n_pillars == forward.n_forces == data.force_n[0].size
+    return (forward.n_pillars, forward.n_forces) == (data.resistance_ohm[0].size, data.force_n[0].size)
 
 
 def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple[FloatArray, FloatArray]:
@@ -219,10 +238,10 @@ def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple
     joint = _is_joint(forward, data)
     modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"] if joint else component))
     if joint:
-        pillars = [PILLARS.index(pillar) for pillar in component.pillars]
-        modelled = modelled.reshape(data.force_n.shape)[..., pillars].reshape(len(modelled), -1)
-    lengths = np.sqrt(pillar_columns(data.resistance_ohm, component, data.dead))
-    readable = readable_columns(component, data.dead, lengths.shape[1])
+        pillars = component.pillars(data.layout)
+        modelled = modelled.reshape(data.resistance_ohm.shape)[..., pillars].reshape(len(modelled), -1)
+    lengths = np.sqrt(pillar_columns(data.resistance_ohm, component, data.layout, data.dead))
+    readable = readable_columns(component, data.layout, data.dead, lengths.shape[1])
     lengths, modelled = lengths[:, readable], modelled[:, readable]
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 

@@ -11,7 +11,6 @@ from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
-from geometry.layout import PILLARS
 
 TEXT = Path(__file__).with_name("model.h")  #: the header but for what one model puts in the place of $ and a name
 
@@ -19,12 +18,14 @@ TEXT = Path(__file__).with_name("model.h")  #: the header but for what one model
 def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     """The text of a header that computes what `Decoupler.forces` does, without its refusals, in C's float or double.
 
-    C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, 3) [Ω] and
-    gives (rows, cols, n_axes) [N].
+    C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, n_pillars) [Ω]
+    and gives (rows, cols, n_axes) [N].
     """
     network, inverse, resting = decoupler.network, decoupler.inverse, decoupler.resting
     place, dead, output = places(decoupler), dead_inputs(decoupler), output_weights_n(decoupler)
     indices = {"place": np.where(dead, -1, place)}
+    resistances = decoupler.rows * decoupler.cols * len(decoupler.layout.pillars)
+    inputs = len(decoupler.input_scaling.centre)
     numbers = {
         "input_centre": decoupler.input_scaling.centre,
         "input_factor": decoupler.input_scaling.factor,
@@ -34,8 +35,9 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         numbers["hidden"] = decoupler.hidden_weights
     macros: dict[str, object] = {
         "MATH(name)": "name##f" if dtype is np.float32 else "name",
-        "RESISTANCES": decoupler.rows * decoupler.cols * len(PILLARS),
-        "INPUTS": len(place),
+        "RESISTANCES": resistances,
+        "READ_PILLARS": len(place),
+        "INPUTS": inputs,
         "HIDDEN": network.hidden,
         "SEEN": output.shape[1] - 1,
         "FORCES": len(output),
@@ -45,7 +47,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         "CONVERTER": int(resting is not None),
         "STEPS": 0 if inverse is None else len(inverse.correctors),
     }
-    working = len(place) + network.hidden
+    working = inputs + network.hidden
     if resting is not None:
         numbers["rest_ohm"] = resting.rest_ohm
         macros |= {"SENSE_OHM": SENSE_OHM, "FULL_COUNTS": float(resting.full_counts[0])}
@@ -68,8 +70,9 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
         facts="\n".join(f"{name}: {value}" for name, value in facts(decoupler).items()).replace("*/", "* /"),
         flash=size * sum(array.size for array in numbers.values()) + 2 * len(place) * len(indices),
         stack=size * working,
-        given=size * (decoupler.rows * decoupler.cols * len(PILLARS) + len(output)),
+        given=size * (resistances + len(output)),
         axes=", ".join(decoupler.component.forces),
+        pillars=", ".join(decoupler.layout.pillar_names),
         real=real,
         macros="\n".join(f"#define TRIPILLAR_{name} {value}" for name, value in said.items()),
         tables="\n".join(tables),

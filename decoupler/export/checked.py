@@ -11,7 +11,7 @@ from decoupler.export.portable import ExportError, dead_inputs, places
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import converted
 from geometry.errors import DesignError, needing
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray
 from geometry.storage.files import write_bytes
 
 Precision = Literal["float", "double"]
@@ -70,7 +70,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
 
 
 def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> FloatArray:
-    """Resistances within the training set's ranges, (n_samples, rows, cols, 3) [Ω]; NaN where none is looked at."""
+    """Resistances within the training set's ranges, (n_samples, rows, cols, n_pillars) [Ω]; NaN: not looked at."""
     scaling = decoupler.input_scaling  # of forces with the feature inverse
     columns = scaling.unscale(np.random.default_rng(seed).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
     if decoupler.inverse is not None:
@@ -78,6 +78,6 @@ def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> F
     elif decoupler.network.feature == "root":
         columns = columns**2
     columns[:, dead_inputs(decoupler)] = np.nan
-    resistance_ohm = np.full((n_samples, decoupler.rows, decoupler.cols, len(PILLARS)), np.nan)
+    resistance_ohm = np.full((n_samples, decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), np.nan)
     resistance_ohm.reshape(n_samples, -1)[:, places(decoupler)] = columns
     return resistance_ohm

@@ -25,7 +25,7 @@ this file:
 typedef $real tripillar_real;
 $macros
 $tables
-/* Resistance [ohm] of input i as the scan reads it. */
+/* Resistance [ohm] of pillar i of those that are taken, as the scan reads it. */
 static inline tripillar_real tripillar_ohm(const tripillar_real *resistance_ohm, int i)
 {
 #if TRIPILLAR_ANY_DEAD
@@ -36,7 +36,7 @@ static inline tripillar_real tripillar_ohm(const tripillar_real *resistance_ohm,
 }
 
 #if TRIPILLAR_CONVERTER
-/* Whether a converter cannot tell a reading [ohm] of input i from rest. */
+/* Whether a converter cannot tell a reading [ohm] of pillar i from rest. */
 static inline int tripillar_rests(const tripillar_real *resistance_ohm, int i)
 {
     const tripillar_real sense = TRIPILLAR_SENSE_OHM, rest = TRIPILLAR_READ(tripillar_rest_ohm[i]);
@@ -46,7 +46,7 @@ static inline int tripillar_rests(const tripillar_real *resistance_ohm, int i)
 #endif
 
 /* Forces [N] of one scan.
-   resistance_ohm[TRIPILLAR_RESISTANCES]: by row, column and pillar (z, x, y) [ohm], each finite and above 0; dead
+   resistance_ohm[TRIPILLAR_RESISTANCES]: by row, column and pillar ($pillars) [ohm], each finite and above 0; dead
    pillars and those that the model does not take may hold anything.
    force_n[TRIPILLAR_FORCES]: by row, column and axis ($axes) [N]. */
 static inline void tripillar_forces(const tripillar_real *resistance_ohm, tripillar_real *force_n)
@@ -54,17 +54,17 @@ static inline void tripillar_forces(const tripillar_real *resistance_ohm, tripil
     tripillar_real seen[TRIPILLAR_HIDDEN + TRIPILLAR_INPUTS], *input = seen + TRIPILLAR_HIDDEN;
 #if TRIPILLAR_CONVERTER
     int resting = 0;
-    for (int i = 0; i < TRIPILLAR_INPUTS; i++)
+    for (int i = 0; i < TRIPILLAR_READ_PILLARS; i++)
         resting += tripillar_rests(resistance_ohm, i);
 #endif
 #if TRIPILLAR_STEPS
-    tripillar_real length[TRIPILLAR_INPUTS], residual[TRIPILLAR_INPUTS]; /* [mm] */
+    tripillar_real length[TRIPILLAR_READ_PILLARS], residual[TRIPILLAR_READ_PILLARS]; /* [mm] */
     tripillar_real moved[TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES]; /* [mm] */
 #endif
-    for (int i = 0; i < TRIPILLAR_INPUTS; i++) {
+    for (int i = 0; i < TRIPILLAR_READ_PILLARS; i++) {
         tripillar_real ohm = tripillar_ohm(resistance_ohm, i);
 #if TRIPILLAR_CONVERTER
-        if (resting > TRIPILLAR_MIN_RESTING * TRIPILLAR_INPUTS && tripillar_rests(resistance_ohm, i))
+        if (resting > TRIPILLAR_MIN_RESTING * TRIPILLAR_READ_PILLARS && tripillar_rests(resistance_ohm, i))
             ohm = TRIPILLAR_READ(tripillar_rest_ohm[i]);
 #endif
 #if TRIPILLAR_STEPS
@@ -73,16 +73,17 @@ static inline void tripillar_forces(const tripillar_real *resistance_ohm, tripil
             ohm = TRIPILLAR_MIN_WHOLE_OHM;
         length[i] = TRIPILLAR_MATH(sqrt)(ohm / TRIPILLAR_READ(tripillar_ohm_per_mm2[i]));
         residual[i] = length[i] - TRIPILLAR_READ(tripillar_centre_mm[i]);
-        input[i] = TRIPILLAR_READ(tripillar_centre_n[i]);
 #elif TRIPILLAR_ROOT
         input[i] = TRIPILLAR_MATH(sqrt)(ohm);
 #else
         input[i] = ohm;
 #endif
     }
-#if TRIPILLAR_STEPS /* inputs are forces, of which there are as many as pillars: they cause these lengths */
+#if TRIPILLAR_STEPS /* inputs are forces, which cause these lengths */
+    for (int k = 0; k < TRIPILLAR_INPUTS; k++)
+        input[k] = TRIPILLAR_READ(tripillar_centre_n[k]);
     for (int step = 0;; step++) {
-        for (int i = 0; i < TRIPILLAR_INPUTS; i++)
+        for (int i = 0; i < TRIPILLAR_READ_PILLARS; i++)
             for (int k = 0; k < TRIPILLAR_INPUTS; k++)
                 input[k] += residual[i] * TRIPILLAR_READ(tripillar_correctors[step][i][k]);
         if (step == TRIPILLAR_STEPS - 1)
@@ -92,7 +93,7 @@ static inline void tripillar_forces(const tripillar_real *resistance_ohm, tripil
         for (int k = 0; k < TRIPILLAR_INPUTS; k++)
             for (int e = 0; e < TRIPILLAR_COMPONENTS * TRIPILLAR_ELECTRODES; e++)
                 moved[e] += input[k] * TRIPILLAR_READ(tripillar_influence[k][e]);
-        for (int i = 0; i < TRIPILLAR_INPUTS; i++) {
+        for (int i = 0; i < TRIPILLAR_READ_PILLARS; i++) {
             tripillar_real square = 0;
             for (int part = 0; part < TRIPILLAR_COMPONENTS; part++) {
                 const tripillar_real d = moved[part * TRIPILLAR_ELECTRODES + tripillar_top[i]]

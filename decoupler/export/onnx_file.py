@@ -11,7 +11,7 @@ from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, 
 from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: versions of 2022, so that older runtimes read it
 
@@ -19,13 +19,14 @@ OPSET, IR_VERSION = 17, 8  #: versions of 2022, so that older runtimes read it
 def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProto:
     """The graph of `Decoupler.forces` without its refusals, of inputs, outputs and constants of one type.
 
-    From ``resistance_ohm`` (n, rows, cols, 3) [Ω] to ``force_n`` (n, rows, cols, n_axes) [N], n free; what made it is
-    in its metadata. A resistance that `forces` refuses gives a force that means nothing.
+    From ``resistance_ohm`` (n, rows, cols, n_pillars) [Ω] to ``force_n`` (n, rows, cols, n_axes) [N], n free; what made
+    it is in its metadata. A resistance that `forces` refuses gives a force that means nothing.
     """
     rows, cols, n_axes = decoupler.rows, decoupler.cols, len(decoupler.component.axes)
+    n_pillars = len(decoupler.layout.pillars)
     dead = dead_inputs(decoupler)
     graph = _Graph(dtype)
-    x = graph.add("Reshape", "resistance_ohm", np.array([0, rows * cols * len(PILLARS)]))
+    x = graph.add("Reshape", "resistance_ohm", np.array([0, rows * cols * n_pillars]))
     x = graph.add("Gather", x, places(decoupler), axis=1)
     if dead.any():
         x = graph.add("Where", dead, np.array(DEAD_OHM), x)
@@ -46,7 +47,7 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
         helper.make_graph(
             graph.nodes,
             "tripillar",
-            [helper.make_tensor_value_info("resistance_ohm", kind, ["n", rows, cols, len(PILLARS)])],
+            [helper.make_tensor_value_info("resistance_ohm", kind, ["n", rows, cols, n_pillars])],
             [helper.make_tensor_value_info("force_n", kind, ["n", rows, cols, n_axes])],
             graph.constants,
         ),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import TriPillarError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray
 
 
 class ExportError(TriPillarError, RuntimeError):
@@ -16,15 +16,14 @@ class ExportError(TriPillarError, RuntimeError):
 
 
 def places(decoupler: Decoupler) -> NDArray[np.int64]:
-    """Places of the network's inputs in one sample's (rows, cols, 3) resistances laid flat, shape (n_in,)."""
-    n_units = decoupler.rows * decoupler.cols
-    taken = [PILLARS.index(pillar) for pillar in decoupler.component.pillars]
-    return np.arange(n_units * len(PILLARS)).reshape(n_units, -1)[:, taken].reshape(-1)
+    """Places of the network's inputs in one sample's (rows, cols, n_pillars) resistances laid flat, shape (n_in,)."""
+    n_units, n_pillars = decoupler.rows * decoupler.cols, len(decoupler.layout.pillars)
+    return np.arange(n_units * n_pillars).reshape(n_units, -1)[:, decoupler.pillars].reshape(-1)
 
 
 def dead_inputs(decoupler: Decoupler) -> NDArray[np.bool_]:
     """Which inputs cannot be read and have `DEAD_OHM` in their place, shape (n_in,)."""
-    return ~readable_columns(decoupler.component, decoupler.dead, len(places(decoupler)))
+    return ~readable_columns(decoupler.component, decoupler.layout, decoupler.dead, len(places(decoupler)))
 
 
 def output_weights_n(decoupler: Decoupler) -> FloatArray:
@@ -36,7 +35,7 @@ def output_weights_n(decoupler: Decoupler) -> FloatArray:
 
 def facts(decoupler: Decoupler) -> dict[str, str]:
     """Facts about the model for a reader of the exported file, by name."""
-    made_from, network = decoupler.made_from, decoupler.network
+    made_from, network, pillars = decoupler.made_from, decoupler.network, ", ".join(decoupler.layout.pillar_names)
     try:
         program = version("tripillar")
     except PackageNotFoundError:
@@ -46,7 +45,7 @@ def facts(decoupler: Decoupler) -> dict[str, str]:
         "axes": " ".join(decoupler.component.forces),
         "net": f"{network.net}, {network.hidden} hidden nodes",
         "feature": network.feature,
-        "units": "resistance_ohm in ohm (pillars z, x, y), force_n in newton (fz positive in compression)",
+        "units": f"resistance_ohm in ohm (pillars {pillars}), force_n in newton (fz positive in compression)",
         "design_hash": decoupler.design_hash or "unknown",
         "data_hash": str(made_from.get("data_hash", "unknown")),
         "model_hash": str(made_from.get("recipe", "unknown")),

@@ -15,6 +15,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from geometry.layout import FloatArray
 
 Shared = Callable[[FloatArray], FloatArray]
+LEAST = 1e-12  #: of what lengths tell along a direction of forces, over the direction of which they tell most
 CHUNK = 64  #: samples whose derivatives are in memory together
 MAX_STEPS = 20  #: of Newton's; six are usual
 CONVERGED = 1e-12  #: step over the largest force
@@ -42,8 +43,8 @@ def cramer_rao(
 
     Notes
     -----
-    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹ = J⁻¹ Σ J⁻ᵀ, linearised about each sample's true forces: J of the lengths, which are
-    never more than the forces, Σ of their errors.
+    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹, linearised about each sample's true forces: J of the lengths, Σ of their errors. With
+    as many lengths as forces that is J⁻¹ Σ J⁻ᵀ.
     """
     n_readable = forward.n_pillars if readable is None else int(readable.sum())
     if n_readable < forward.n_forces:
@@ -51,9 +52,15 @@ def cramer_rao(
     found = np.zeros_like(force_n)
     if noise or bits is not None or shared is not None:
         for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
-            inverse = np.linalg.inv(J)
-            own, common = inverse * deviation[:, None], inverse @ U
-            found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
+            if J.shape[1] == J.shape[2]:
+                inverse = np.linalg.inv(J)
+                own, common = inverse * deviation[:, None], inverse @ U
+                found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
+            else:
+                half = np.linalg.cholesky(_covariance(forward, deviation, U))
+                _, size, directions = np.linalg.svd(np.linalg.solve(half, J), full_matrices=False)
+                size = np.maximum(size, LEAST * size[:, :1])
+                found[part] = np.sqrt(((directions / size[..., None]) ** 2).sum(axis=1))
     return found
 
 
@@ -81,9 +88,7 @@ def bayes(
     found = np.empty_like(force_n)
     for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
         JC = J @ C
-        floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
-        S = JC @ J.swapaxes(1, 2) + np.maximum(deviation, floor)[..., None] ** 2 * np.eye(J.shape[1])
-        S = S + U @ U.swapaxes(1, 2)
+        S = JC @ J.swapaxes(1, 2) + _covariance(forward, deviation, U)
         taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
         found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
     return found
@@ -110,23 +115,31 @@ def _linearised(
         yield part, J, deviation, U
 
 
+def _covariance(forward: SensorModel, deviation: FloatArray, U: FloatArray) -> FloatArray:
+    """Of errors of lengths, (n, P, P) [mm²], by what each has alone (n, P) and what they share (n, P, m) [mm]."""
+    floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
+    return np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1]) + U @ U.swapaxes(1, 2)
+
+
 def exact_inverse(forward: SensorModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
     """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N], by Newton's steps.
 
     `start_n` is the mean load, or one of each sample. Fewer pillars than forces, or resistances that no forces near the
     start cause, are a `SampleError`.
     """
-    if forward.n_pillars != forward.n_forces:
+    if forward.n_pillars < forward.n_forces:
         raise SampleError(
             f"{forward.n_pillars} pillars do not determine {forward.n_forces} forces: invert a joint model."
         )
     measured = forward.lengths_of(resistance_ohm)
-    forces = np.array(np.broadcast_to(start_n, measured.shape))
+    forces = np.array(np.broadcast_to(start_n, (len(measured), forward.n_forces)))
+    is_square = forward.n_pillars == forward.n_forces
     for start in range(0, len(forces), CHUNK):
         here, wanted = forces[start : start + CHUNK], measured[start : start + CHUNK]
         for _ in range(MAX_STEPS):
             lengths, J = forward.jacobian(here)
-            step = np.linalg.solve(J, (wanted - lengths)[..., None])[..., 0]
+            left = (wanted - lengths)[..., None]
+            step = (np.linalg.solve(J, left) if is_square else np.linalg.pinv(J) @ left)[..., 0]
             here += step
             if np.abs(step).max() <= CONVERGED * np.abs(here).max():
                 break

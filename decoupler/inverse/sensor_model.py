@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decoupler.data.columns import MIN_NOISE, Columns, Component, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
-from geometry.layout import AXES, ELECTRODES, PILLAR_TOP, PILLARS, FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -54,20 +54,19 @@ class SensorModel:
     @classmethod
     def of(cls, response: "ArrayResponse", component: Component) -> Self:
         """The model of a component from the response of the whole array."""
-        design = response.design
-        axes = [AXES.index(axis) for axis in component.axes]
-        pillars = [PILLARS.index(pillar) for pillar in component.pillars]
-        electrodes = sorted({PILLAR_TOP[pillar] for pillar in pillars})
+        design, layout = response.design, response.design.unit.layout
+        axes, pillars = [AXES.index(axis) for axis in component.axes], component.pillars(layout)
+        electrodes = sorted({layout.pillar_top[pillar] for pillar in pillars})
         n_units = design.n_units
         into = np.where(np.array(component.axes) == "z", -1.0, 1.0)  # a positive Fz pushes along −z
         c = design.resistivity_ohm_mm / pillar_volumes(design.unit)
         if (held := response.conducted) is not None:
-            influence = held.influence_mm_per_n.reshape(n_units, len(PILLARS), -1, n_units, 3)[:, pillars]
+            influence = held.influence_mm_per_n.reshape(n_units, len(layout.pillars), -1, n_units, 3)[:, pillars]
             places = np.arange(n_units * len(pillars))
             rest_mm, sign = _by_component(held.rest_mm, pillars), _by_component(held.sign, pillars)
         else:
-            influence = response.influence_mm_per_n.reshape(n_units, len(ELECTRODES), 3, n_units, 3)[:, electrodes]
-            place = [electrodes.index(PILLAR_TOP[pillar]) for pillar in pillars]
+            influence = response.influence_mm_per_n.reshape(n_units, -1, 3, n_units, 3)[:, electrodes]
+            place = [electrodes.index(layout.pillar_top[pillar]) for pillar in pillars]
             places = np.arange(n_units)[:, None] * len(electrodes) + place
             bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
             rest_mm, sign = np.tile((top - bottom).T, n_units), None
@@ -274,7 +273,7 @@ class ModelInverse:
 
 
 def _by_component(values: FloatArray, pillars: list[int]) -> FloatArray:
-    """Values (rows, cols, 3, n_components) of some pillars of each unit as (n_components, n_pillars)."""
+    """Values (rows, cols, all pillars, n_components) of some pillars of each unit as (n_components, n_pillars)."""
     return np.ascontiguousarray(values[:, :, pillars].reshape(-1, values.shape[3]).T)
 
 

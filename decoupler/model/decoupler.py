@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
@@ -32,7 +33,7 @@ from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
-from geometry.layout import PILLARS, FloatArray, pillar_volumes
+from geometry.layout import FloatArray, Layout, pillar_volumes
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
@@ -54,16 +55,21 @@ class Decoupler:
     hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
     output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
     design: SensorDesign | None  #: the sensor of the training data; None if they did not say
+    layout: Layout = PAPERS  #: the design's, if it is known
     inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
     posterior: Posterior | None = None  #: of a sensor at finite strain: the network's answer is its start and prior
     resting: Resting | None = None  #: readings at rest; None without a converter
-    dead: np.ndarray | None = None  #: (rows, cols, 3): pillars that cannot be read and are not looked at
+    dead: np.ndarray | None = None  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
     uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
     usual: UsualLoads | None = None  #: loads that it knows; None in files of before
     ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
     knows_touch: ClassVar[Literal[False]] = False  #: a decoder of touch does
+
+    def __post_init__(self) -> None:
+        if self.design is not None:
+            object.__setattr__(self, "layout", self.design.unit.layout)
 
     @classmethod
     def untrained(
@@ -91,6 +97,7 @@ class Decoupler:
             hidden_weights=np.empty((0, n_in + 1)),
             output_weights=np.eye(data.force_n.shape[1], n_in + 1),
             design=design,
+            layout=data.layout,
             inverse=inverse,
             resting=resting,
             dead=data.dead if data.dead is not None and data.dead.any() else None,
@@ -100,7 +107,7 @@ class Decoupler:
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit along ``component.axes``, (n, rows, cols, n_axes) [N]; Fz positive in compression.
 
-        Takes resistances of the z, x and y pillars, (n, rows, cols, 3) [Ω]; those that the component does not take, and
+        Takes resistances of the pillars, (n, rows, cols, n_pillars) [Ω]; those that the component does not take, and
         dead ones, may hold anything. An array of another size, or a resistance that is not finite or not above 0, is a
         `SampleError`.
 
@@ -149,7 +156,7 @@ class Decoupler:
         found, columns = self._known, self.columns(resistance_ohm)
         more_n2: Any = 0.0
         if own is not None:
-            own_ohm = columns * pillar_columns(own, self.component, self.dead)
+            own_ohm = columns * pillar_columns(own, self.component, self.layout, self.dead)
             slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
             factors = np.concatenate(slopes) * own_ohm[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
@@ -182,7 +189,7 @@ class Decoupler:
         return -1, self.rows, self.cols, len(self.component.axes)
 
     def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
-        """χ², over its degrees of freedom, of readings (n, rows, cols, 3) [Ω] if a usual load is on the sensor, (n,).
+        """χ², over its degrees of freedom, of readings (n, rows, cols, n_pillars) [Ω] if a usual load acts, (n,).
 
         Above `load_test.limit` no load that the model knows explains a reading: a dead wire, another sensor, a load
         beyond its range. A model that was written without the loads that it knows is a `SampleError`.
@@ -272,13 +279,17 @@ class Decoupler:
         if self.inverse is None or self.design is None:
             return False
         forward, volumes = self.inverse.forward, pillar_volumes(self.design.unit)
-        own = [PILLARS.index(pillar) for pillar in self.component.pillars]
         designed = replace(
             forward,
-            ohm_per_mm2=np.tile(self.design.resistivity_ohm_mm / volumes[own], self.rows * self.cols),
+            ohm_per_mm2=np.tile(self.design.resistivity_ohm_mm / volumes[self.pillars], self.rows * self.cols),
             offset_ohm=np.full(forward.n_pillars, self.design.electrics.contacts_ohm),
         )
         return bool(np.abs(forward.at_rest_ohm() / designed.at_rest_ohm() - 1.0).max() > ALIKE)
+
+    @cached_property
+    def pillars(self) -> list[int]:
+        """Numbers of the pillars of a unit whose resistances it takes."""
+        return self.component.pillars(self.layout)
 
     def follower(self) -> Self:
         """The same decoder for scans that come one after another: each is decoded for itself."""
@@ -311,14 +322,13 @@ class Decoupler:
         return None if self.design is None else digest(self.design)
 
     def rest_resistances(self) -> FloatArray | None:
-        """Resistances of this model's sensor with nothing on it, (rows, cols, 3) [Ω]; None if its design is unknown."""
+        """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
         if self.design is None:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
-        pillars = [PILLARS.index(pillar) for pillar in self.component.pillars]
         known = self.inverse or self.posterior
         if known is not None:
-            rest_ohm[..., pillars] = known.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
+            rest_ohm[..., self.pillars] = known.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
         return rest_ohm
 
     def untrusted(self) -> list[tuple[int, int, str]]:
@@ -334,9 +344,9 @@ class Decoupler:
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
-        """The resistances that the network takes, (n, rows, cols, 3) -> (n, n_in) [Ω]; refuses what `forces` does."""
+        """The resistances that are taken, (n, rows, cols, n_pillars) -> (n, n_in) [Ω]; refuses what `forces` does."""
         resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component, self.dead)
+        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
         if resistance_ohm.shape[1:3] != (self.rows, self.cols):
             given = " × ".join(map(str, resistance_ohm.shape[1:3]))
             raise SampleError(
@@ -352,7 +362,7 @@ class Decoupler:
     def refined(self, columns_ohm: FloatArray) -> Found:
         """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
         assert self.posterior is not None
-        readable = readable_columns(self.component, self.dead, columns_ohm.shape[1])
+        readable = readable_columns(self.component, self.layout, self.dead, columns_ohm.shape[1])
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
         shared_ohm = errors.shared(settled, self.rows, self.cols)

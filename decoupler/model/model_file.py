@@ -10,6 +10,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
@@ -18,7 +19,7 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
-from geometry.layout import PILLARS
+from geometry.layout_file import layout_from_text, layout_text
 from geometry.storage.files import digest, stated, write_bytes
 from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
@@ -59,6 +60,8 @@ def write_model(decoupler: Decoupler, path: Path) -> None:
         "design_hash": decoupler.design_hash,
         "made_from": decoupler.made_from,
     }
+    if decoupler.design is None and decoupler.layout != PAPERS:
+        header["layout"] = layout_text(decoupler.layout)
     if decoupler.posterior is not None:
         header["misfit"] = decoupler.posterior.misfit
     if decoupler.uncertainty is not None:
@@ -122,7 +125,11 @@ def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: 
     rows, cols = data.shape
     differences = [
         f"{name}: model {ours}, data {theirs}"
-        for name, ours, theirs in (("rows", decoupler.rows, rows), ("cols", decoupler.cols, cols))
+        for name, ours, theirs in (
+            ("rows", decoupler.rows, rows),
+            ("cols", decoupler.cols, cols),
+            ("layout", layout_text(decoupler.layout), layout_text(data.layout)),
+        )
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
@@ -142,7 +149,7 @@ def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool =
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
-        if ours[name] != theirs[name] and name not in free
+        if ours[name] != theirs[name] and name not in free and not name.startswith("unit.layout.")  # told before
     ]
 
 
@@ -175,7 +182,7 @@ def _try_out(decoupler: Decoupler) -> None:
             raise ValueError(f"{name} is not finite")
     rest_ohm = decoupler.rest_resistances()
     if rest_ohm is None:
-        rest_ohm = np.full((decoupler.rows, decoupler.cols, len(PILLARS)), 1e4)
+        rest_ohm = np.full((decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), 1e4)
     scans = np.stack([rest_ohm, 0.9 * rest_ohm])
     answers = {"force": decoupler.forces(scans)}
     if decoupler.knows_uncertainty:
@@ -206,17 +213,21 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     network = NetworkConfig(**header["network"])
 
     component, dead = component_named(header["component"]), arrays.get("dead")
+    design = None if header["design"] is None else design_from_toml(header["design"])
+    layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
     said = {
         "component": component,
         "rows": header["rows"],
         "cols": header["cols"],
         "network": network,
-        "design": None if header["design"] is None else design_from_toml(header["design"]),
+        "design": design,
+        "layout": layout,
         "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
         "uncertainty.errors": _errors(header),
         "least_squares.component": component,
         "least_squares.dead": dead,
+        "least_squares.layout": layout,
     }
     found: Decoupler = built_of(Decoupler, arrays, said)
     return found

@@ -10,6 +10,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
+from geometry.layout import Layout
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,6 +40,6 @@ def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
         value = getattr(part, spec.name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
             changed[spec.name] = convert(value)
-        elif is_dataclass(value) and not isinstance(value, SensorDesign | type):
+        elif is_dataclass(value) and not isinstance(value, SensorDesign | Layout | type):
             changed[spec.name] = converted(value, convert)
     return replace(part, **changed)

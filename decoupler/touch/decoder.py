@@ -15,7 +15,7 @@ from decoupler.touch.morph import PRIOR, Fit, Part, Pillars, Sensing, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
 
 STARTS, STEPS = 32, 8  #: presses that are fitted, and steps after the first one at most
@@ -112,6 +112,10 @@ class TouchDecoder:
         return bool(self.pillars.deviation_ohm.any())
 
     @property
+    def layout(self) -> Layout:
+        return self.design.unit.layout
+
+    @property
     def rows(self) -> int:
         return self.design.array.rows
 
@@ -152,8 +156,8 @@ class TouchDecoder:
         )
 
     def rest_resistances(self) -> FloatArray:
-        """Resistances (rows, cols, 3) [Ω] with nothing on the sensor."""
-        return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, 3)
+        """Resistances (rows, cols, n_pillars) [Ω] with nothing on the sensor."""
+        return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, -1)
 
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
@@ -164,7 +168,7 @@ class TouchDecoder:
         return replace(self, errors=replace(self.errors, noise=noise))
 
     def reading(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, 3) [Ω] show.
+        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show.
 
         Raises
         ------
@@ -172,8 +176,9 @@ class TouchDecoder:
             If the array is another size than the decoder's, or a resistance is not finite or not above 0.
         """
         ohms = np.asarray(resistance_ohm, dtype=float)
-        if ohms.shape[1:] != (self.rows, self.cols, 3):
-            raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {self.rows}, {self.cols}, 3).")
+        wanted = self.rows, self.cols, len(self.layout.pillars)
+        if ohms.shape[1:] != wanted:
+            raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {', '.join(map(str, wanted))}).")
         if not (np.isfinite(ohms) & (ohms > 0)).all():
             raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
         return self.sensing.shown(ohms.reshape(len(ohms), -1))
@@ -291,16 +296,18 @@ class TouchDecoder:
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
-        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(resistance_ohm.shape)
+        shape = len(resistance_ohm), self.rows, self.cols, -1
+        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
+        shape = len(resistance_ohm), self.rows, self.cols, -1
         found = [each.half_widths_n for each in self.touches(resistance_ohm)]
-        one, two = (np.stack(each).reshape(resistance_ohm.shape) for each in zip(*found, strict=True))
+        one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
         return one, two
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        """Touches of scans (n, rows, cols, 3) [Ω], each from nothing; errors as of `reading`."""
+        """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `reading`."""
         return [self.touched(reading) for reading in self.reading(resistance_ohm)]
 
 
@@ -338,7 +345,7 @@ class Follower:
         return Follower(self._decoder.read_by(noise))
 
     def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        """Touches of scans (n, rows, cols, 3) [Ω] in their order; errors as of `TouchDecoder.reading`."""
+        """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; errors as of `TouchDecoder.reading`."""
         found = []
         for reading in self._decoder.reading(resistance_ohm):
             self._last = self._decoder.touched(reading, self._last)

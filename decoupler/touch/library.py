@@ -125,7 +125,7 @@ def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) ->
                 rows.append((press, symmetry, generator.uniform(-rim - own[:2], rim - own[2:])))
     placed = [presses.turned(*row) for row in rows]
     moved = np.stack([grid.pressed_mm(*each) for each in placed])
-    holds = largest_strains(moved.reshape(len(moved), -1, 2, 3), design.unit) <= MAX_STRAIN
+    holds = largest_strains(moved.reshape(len(moved), -1, len(design.unit.layout.upper), 3), design.unit) <= MAX_STRAIN
     return TouchLibrary(
         presses=presses,
         grid=grid,

@@ -18,7 +18,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.touch.presses import Grid, middles
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import AXES, PILLAR_TOP, FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5] + 5 * [0.15])
@@ -36,9 +36,9 @@ MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
 class Pillars:
     """Eq. 1 of each pillar, R = c l² + o."""
 
-    ohm_per_mm2: FloatArray  #: c, (3 units,): ρ/V, times the pillar's own gain
-    offset_ohm: FloatArray  #: o, (3 units,)
-    deviation_ohm: FloatArray  #: (3 units,): standard deviation of R at rest, as far as pairs leave it open
+    ohm_per_mm2: FloatArray  #: c, (units·n_pillars,): ρ/V, times the pillar's own gain
+    offset_ohm: FloatArray  #: o, (units·n_pillars,)
+    deviation_ohm: FloatArray  #: (units·n_pillars,): standard deviation of R at rest, as far as pairs leave it open
 
     @classmethod
     def designed(cls, design: SensorDesign) -> Self:
@@ -66,17 +66,17 @@ class Sensing:
 
     @cached_property
     def rest_mm(self) -> FloatArray:
-        """Pillars at rest, (3 pillars, 3)."""
+        """Pillars of a unit at rest, (n_pillars, 3)."""
         bottom, top = pillar_ends(self.design.unit).transpose(1, 0, 2)
         return np.asarray(top - bottom)
 
     @cached_property
     def rest_mm2(self) -> FloatArray:
-        """Squared lengths at rest, (3 units,)."""
+        """Squared lengths at rest, (units·n_pillars,)."""
         return np.tile((self.rest_mm**2).sum(axis=1), self.design.n_units)
 
     def ohms(self, reading: FloatArray) -> FloatArray:
-        """Resistances [Ω] by readings, both (..., 3 units)."""
+        """Resistances [Ω] by readings, both (..., units·n_pillars)."""
         return (reading + self.rest_mm2) * self.pillars.ohm_per_mm2 + self.pillars.offset_ohm
 
     def shown(self, ohms: FloatArray) -> FloatArray:
@@ -90,14 +90,15 @@ class Sensing:
 
     @cached_property
     def by_electrode(self) -> FloatArray:
-        """Squared lengths of a unit's pillars by displacements of its electrodes and by their squares, (2, 6, 3)."""
-        found = np.zeros((2, 2, 3, 3))
-        for pillar, top in enumerate(PILLAR_TOP):
+        """Squared lengths of a unit's pillars by its electrodes' displacements and their squares, (2, e, n_pillars)."""
+        layout = self.design.unit.layout
+        found = np.zeros((2, len(layout.upper), 3, len(layout.pillars)))
+        for pillar, top in enumerate(layout.pillar_top):
             found[:, top, :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
-        return found.reshape(2, 6, 3)
+        return found.reshape(2, -1, len(layout.pillars))
 
     def reading(self, moved_mm: FloatArray) -> FloatArray:
-        """Changes of the pillars' squared lengths (..., 3 units) [mm²] by displacements (..., e) of electrodes [mm]."""
+        """Changes of squared lengths (..., units·n_pillars) [mm²] by displacements (..., e) of electrodes [mm]."""
         linear, square = self.by_electrode.astype(moved_mm.dtype)
         tops = moved_mm.reshape(-1, len(linear))
         return (tops @ linear + tops**2 @ square).reshape(*moved_mm.shape[:-1], -1)

@@ -161,7 +161,7 @@ def _as_most(moved: FloatArray, force_n: FloatArray, component: Component) -> Fl
     """Expected motions (n, n_columns) of pillars that follow their own unit's forces as most of their kind do."""
     n = len(moved)
     F = (force_n - force_n.mean(axis=0)).reshape(n, -1, len(component.axes))
-    y = moved.reshape(n, -1, len(component.pillars))
+    y = moved.reshape(n, F.shape[1], -1)
     G = np.einsum("nua,nub->uab", F, F)
     loaded = G.trace(axis1=1, axis2=2)
     loaded = (loaded > 0) & (loaded >= 0.25 * np.median(loaded))  # half of the usual loads and more

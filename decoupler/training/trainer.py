@@ -1,6 +1,6 @@
 """From labelled data to a trained `Decoupler`. Loads torch."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib import import_module
@@ -26,6 +26,7 @@ from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import explaining, suited_training, without_stuck
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.design import SensorDesign
+from geometry.layout import FloatArray
 from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ def fitted_network(
     known, inverse, n_light = forward is not None and network.net == "skip", None, 0
     if forward is not None:
         forward = forward.calibrated(data)
-        inverse = ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise)
+        read = None if data.errors.is_exact or forward.n_pillars <= forward.n_forces else _as_read(forward, data)
+        inverse = ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, read)
     untrained = Decoupler.untrained(data, network, design, inverse)
     untrained = replace(untrained, least_squares=LeastSquares.fitted(data))
     if known:
@@ -160,6 +162,16 @@ def fitted_network(
     return replace(
         trained, uncertainty=uncertainty, made_from={"training": asdict(training), "outcome": asdict(outcome)}
     )
+
+
+def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], FloatArray]:
+    """What gives lengths (n, P) [mm] as they are read under forces (n, Q) [N], with errors as the samples have."""
+    generator = np.random.default_rng(0)
+
+    def read(force_n: FloatArray) -> FloatArray:
+        return forward.lengths_of(data.errors.scattered(forward.resistances(force_n), *data.shape, generator))
+
+    return read
 
 
 def _ridge(network: NetworkConfig, n_samples: int) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Columns, Component
 from decoupler.data.usual_loads import light_loads
@@ -17,7 +18,7 @@ from decoupler.training.error_bars import best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined
 from decoupler.twin.posterior import Specimen
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 
 
 def decoder_of(
@@ -29,11 +30,12 @@ def decoder_of(
     design: SensorDesign | None = None,
     dead: np.ndarray | None = None,
     made_from: dict[str, Any] | None = None,
+    layout: Layout = PAPERS,
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
     `size` are rows and columns, `loads_n` (n, Q) usual loads [N], to which rest and light touches are added, `errors`
-    those of the readings that it will take, `dead` (rows, cols, 3) pillars that are not read.
+    those of the readings that it will take, `dead` (rows, cols, n_pillars) pillars that are not read.
 
     Notes
     -----
@@ -45,10 +47,7 @@ def decoder_of(
 
     def read(force_n: FloatArray) -> FloatArray:
         drawn = found.ensemble.readings(forward, force_n)
-        own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
-        drawn += own * generator.standard_normal(drawn.shape)
-        drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
-        return np.maximum(drawn, MIN_WHOLE_OHM)
+        return np.maximum(errors.scattered(drawn, *size, generator), MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])
@@ -60,6 +59,7 @@ def decoder_of(
         load=np.arange(len(force_n)),
         errors=errors,
         dead=dead,
+        layout=layout,
     )
     missed = data.resistance_ohm / forward.resistances(force_n) - 1.0
     unsure = float(np.sqrt(np.mean(missed[:, data.readable] ** 2)))

@@ -25,7 +25,7 @@ from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Specimen, infer, predicted, without_each
 from geometry.design import SensorDesign
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def identify(
     """
     of_pairs = component or acting(pairs, None if response is None else loads_n)
     parts = component_named(of_pairs if at_strain is None else "all")
-    axes, pillars = [AXES.index(axis) for axis in parts.axes], [PILLARS.index(pillar) for pillar in parts.pillars]
+    axes, pillars = [AXES.index(axis) for axis in parts.axes], parts.pillars(pairs.layout)
     n, rows, cols, _ = pairs.force_n.shape
     design = None if response is None else response.design
     drifts = None if design is None else design.electrics
@@ -104,7 +104,8 @@ def identify(
     else:
         expected = Expectation.of(response, sensitivities, parts)
         if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
-            raise SampleError(f"the pairs are of {rows} × {cols} units, the design is not: give this array's design.")
+            size = f"{rows} × {cols} units with pillars {', '.join(pairs.layout.pillar_names)}"
+            raise SampleError(f"the pairs are of {size}, the design is not: give this array's design.")
         if loads_n is None:
             loads_n = loads_like(pairs.force_n, axes, design, most)
     if loads_n is None:
@@ -114,7 +115,7 @@ def identify(
         raise SampleError("no pair presses the sensor: measure at least one load, or say which loads are usual.")
     usual_n = images_of(usual_n, axes, most)
     usual_n = usual_n.reshape(len(usual_n), -1)
-    dead = np.zeros((rows, cols, len(PILLARS)), dtype=bool)
+    dead = np.zeros((rows, cols, len(pairs.layout.pillars)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
     share = 1.0
@@ -134,7 +135,7 @@ def identify(
             decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from)
             progress(0.2)
         else:
-            decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from)
+            decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from, pairs.layout)
             if n > 1 and response is not None and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
     return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)

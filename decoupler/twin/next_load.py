@@ -81,7 +81,7 @@ class Knowledge:
     def error_matrix(self, usual_n: FloatArray) -> FloatArray:
         """T, (u, u): tr(T · covariance) is the mean square error of the forces under usual loads (n, Q) [N].
 
-        Errors of each axis are over the spread of its usual forces; needs as many pillars as forces.
+        Errors of each axis are over the spread of its usual forces; needs as many pillars as forces at least.
         """
         usual_n = usual_n[np.linspace(0, len(usual_n) - 1, min(USUAL, len(usual_n))).astype(int)]
         n_axes = usual_n.shape[1] // self.expected.n_units
@@ -89,8 +89,11 @@ class Knowledge:
         weight = np.tile(1.0 / np.maximum(size_n, 1e-9 * size_n.max()), self.expected.n_units)
         T = np.zeros_like(self.covariance)
         for force_n in usual_n:
-            by_unknown, by_force, _ = self.derivatives(force_n)
-            E = np.linalg.solve(by_force, by_unknown) * weight[:, None]
+            by_unknown, by_force, deviation = self.derivatives(force_n)
+            if by_force.shape[0] == by_force.shape[1]:
+                E = np.linalg.solve(by_force, by_unknown) * weight[:, None]
+            else:
+                E = np.linalg.lstsq(by_force / deviation[:, None], by_unknown / deviation[:, None])[0] * weight[:, None]
             T += E.T @ E / E.size * E.shape[1]
         return T / len(usual_n)
 

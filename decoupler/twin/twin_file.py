@@ -60,6 +60,7 @@ def most_probable(twin: Twin) -> SensorDesign:
 def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
     """Write a twin file, whole or not at all; `decoder` is the model file of its decoder, already written."""
     design, path, found = most_probable(twin), Path(path), twin.posterior
+    pillars = [design.unit.layout.pillar_names[pillar] for pillar in twin.decoder.pillars]
     deviation = np.sqrt(found.covariance.diagonal())
     correlations = found.covariance / np.outer(deviation, deviation)
     lines = [
@@ -83,7 +84,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
     ):
         lines.append(f"\n[twin.{name}]  # {meaning}")
         by_pillar = np.moveaxis(values.reshape(twin.decoder.rows, twin.decoder.cols, -1), -1, 0)
-        for pillar, rows in zip(twin.decoder.component.pillars, by_pillar, strict=True):
+        for pillar, rows in zip(pillars, by_pillar, strict=True):
             lines.append(f"{pillar} = [\n" + "".join(f"  {_row(row, '.6g')},\n" for row in rows) + "]")
     write_bytes(path, *sealed("\n".join([*lines, ""]).encode()))
 

@@ -14,7 +14,6 @@ from decoupler.data.columns import force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 from geometry.errors import DesignError
-from geometry.layout import PILLARS
 from geometry.storage.files import digest
 
 
@@ -64,9 +63,8 @@ def simulate_twin(
     force_n = force_columns(samples.force_n, decoder.component)
     forward = decoder.inverse.forward
     drawn = decoder.ensemble.readings(forward, force_n, numbers.start)
-    pillars = [PILLARS.index(pillar) for pillar in decoder.component.pillars]
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
-    exact_ohm[..., pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
+    exact_ohm[..., decoder.pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
     design, layout = twin.design, twin.design.unit.layout
     own = design.electrics.by_four_wires  # contacts are in the twin's own offsets
     return replace(

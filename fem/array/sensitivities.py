@@ -21,7 +21,8 @@ from fem.array.solving import ResponseSettings, array_response, response_cache_k
 from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_shares
+from geometry.layout import FloatArray
+from geometry.shares import pillar_shares
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of

@@ -2,9 +2,11 @@
 
 Every pillar is cut in the middle of its height, and about each electrode lie the halves that end there: at most an
 upright and an oblique one, between −w/2 and w/2 across. Their union is a plane figure, swept across. It is cut into
-quadrilaterals along lines that end at the electrode's edges and in the crotch.
+quadrilaterals along lines that end at the electrode's edges and in the crotch. Round pillars have the same figure in
+every plane along their leans, smaller toward their sides; their electrodes are taken to be round as they are.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -18,12 +20,16 @@ from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_p
 from fem.field import IntArray, same_places
 from geometry.design import Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections
+from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections, pillar_widths
 from geometry.prism import unit_prisms
 
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
+ROUND_ACROSS = 6  #: elements across a round pillar: halves of a polygon, enlarged to the circle's area
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
+
+#: of a circle's radius, that of the corners of a polygon of the same area
+ROUND_RATIO = math.sqrt(math.pi / (ROUND_ACROSS * math.sin(math.pi / ROUND_ACROSS)))
 
 Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
@@ -94,6 +100,13 @@ class Joint:
     oblique: int | None
     axis: int = 0  #: along which the oblique one leans
     sign: float = 1.0  #: its lean away from the electrode
+    width_mm: float = 2.0  #: of both
+    is_round: bool = False  #: both
+
+    @property
+    def half_mm(self) -> float:
+        """Half of the width across, as meshed."""
+        return self.width_mm / 2 * (ROUND_RATIO if self.is_round else 1.0)
 
     def turned(self, local: FloatArray) -> FloatArray:
         """Values (..., 2) along X and Y along x and y."""
@@ -105,13 +118,12 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
 
     `levels` are of refinement toward electrodes' edges and crotches, by `RATIO` each. `strained` cuts the pillars
     across, too: strain near the edge of a pad varies as much there as in the figure. A `DesignError` says that pillars
-    touch that share no electrode, or several oblique ones share one: they are then no swept figures.
+    touch that share no electrode, or several oblique ones or of several sections share one: no swept figures then.
 
     Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
     the elements' order, which suits both.
     """
-    h, half, layout = unit.height_mm, unit.pillar_width_mm / 2, unit.layout
-    slack = 1e-6 * unit.pillar_width_mm
+    h, layout = unit.height_mm, unit.layout
     corners: list[FloatArray] = []
     nodes: list[FloatArray] = []
     elements, terminals, n = [], [], 0
@@ -119,7 +131,8 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     swept = cache(partial(_swept, unit, order, levels, strained))  # X runs toward the oblique pillar's other end
     for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit), strict=True)):
         run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
-        part = swept(joint.upright is not None, run)
+        half, slack = joint.half_mm, 1e-6 * joint.width_mm
+        part = swept(joint.upright is not None, run, joint.width_mm, joint.is_round)
         X, Y, t = part.nodes_mm.T
         up = 1.0 if number >= len(layout.upper) else -1.0
         for local, placed in ((part.corners_mm, corners), (part.nodes_mm, nodes)):
@@ -128,7 +141,8 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
         terminals.append(part.terminals[0] + n)
         halves = {} if joint.upright is None else {joint.upright: (0.0, half)}
         if joint.oblique is not None:
-            halves[joint.oblique] = (run / 2, pillar_sections(unit)[joint.oblique, joint.axis] / 2)
+            along = pillar_sections(unit)[joint.oblique, joint.axis] / joint.width_mm  # of its width
+            halves[joint.oblique] = (run / 2, along * half)
         for pillar, (middle, width) in halves.items():
             cut = np.flatnonzero((np.abs(t - h / 2) < slack) & (np.abs(X - middle) <= width + slack))
             place = joint.turned(np.column_stack([(X[cut] - middle) / width, Y[cut] / half]))
@@ -148,7 +162,7 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
 def _joints(unit: Unit) -> list[Joint]:
     """What lies about each electrode; refusals as of `unit_hexahedra`."""
     layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
-    leans, pairs = ends[:, 1] - ends[:, 0], layout.pillar_terminals
+    leans, pairs, widths = ends[:, 1] - ends[:, 0], layout.pillar_terminals, pillar_widths(unit)
     for number, name in enumerate(layout.terminals):
         own = [k for k, pair in enumerate(pairs) if number in pair]
         uprights, obliques = ([k for k in own if leans[k].any() == lean] for lean in (False, True))
@@ -156,15 +170,24 @@ def _joints(unit: Unit) -> list[Joint]:
             raise DesignError(
                 f"conduction takes one oblique pillar at an electrode, {name} has {len(obliques)}: take eq. 1."
             )
-        upright = uprights[0] if uprights else None
+        sections = {(widths[k], layout.pillars[k].is_round) for k in own}
+        if len(sections) > 1:
+            raise DesignError(f"conduction takes pillars of one section at an electrode, {name} has two: take eq. 1.")
+        ((width, is_round),) = sections
+        if is_round and unit.electrode_mm < width * (1 - 1e-6):
+            raise DesignError(
+                f"conduction takes round pillars on electrodes at least as wide: raise electrode_mm from "
+                f"{unit.electrode_mm:g} to {width:g}, or take eq. 1."
+            )
+        made = partial(Joint, upright=uprights[0] if uprights else None, width_mm=width, is_round=is_round)
         if not obliques:
-            joints.append(Joint(upright=upright, oblique=None))
+            joints.append(made(oblique=None))
             continue
         lean = leans[obliques[0]] * (-1 if number == pairs[obliques[0]][0] else 1)
         axis = int(lean[1] != 0)
-        joints.append(Joint(upright=upright, oblique=obliques[0], axis=axis, sign=float(np.sign(lean[axis]))))
+        joints.append(made(oblique=obliques[0], axis=axis, sign=float(np.sign(lean[axis]))))
     # an oblique pillar must part from an upright one above the middle of its height, and touch no other
-    least_mm, prisms = unit.pillar_width_mm + float(pillar_sections(unit).max()), unit_prisms(unit)
+    least_mm, prisms = max(widths) + float(pillar_sections(unit).max()), unit_prisms(unit)
     both = [np.abs(leans[one.oblique]).max() for one in joints if None not in (one.upright, one.oblique)]
     close = min(both, default=np.inf) <= least_mm
     for (one, a), (two, b) in combinations(zip(prisms, pairs, strict=True), 2):
@@ -172,31 +195,58 @@ def _joints(unit: Unit) -> list[Joint]:
     if close:
         raise DesignError(
             f"conduction takes units whose oblique pillars do not touch: span_mm={unit.span_mm:g} must be above "
-            f"{least_mm:.4g} for pillar_width_mm={unit.pillar_width_mm:g}; widen the span, thin the pillars or take "
+            f"{least_mm:.4g} for pillar_width_mm={max(widths):g}; widen the span, thin the pillars or take "
             "eq. 1."
         )
     return joints
 
 
-def _swept(unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float) -> Hexahedra:
+def _swept(
+    unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float, width_mm: float, is_round: bool
+) -> Hexahedra:
     """A joint's figure swept across, in X, Y and t; the terminal is its electrode."""
-    h, half, e = unit.height_mm, unit.pillar_width_mm / 2, unit.electrode_mm / 2
-    across = _across(half, e, max(levels - 2, 0), strained)
+    h, half, e = unit.height_mm, width_mm / 2, unit.electrode_mm / 2
+    if is_round:
+        half, e = ROUND_RATIO * half, ROUND_RATIO * e
+        across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, ROUND_ACROSS + 1))
+    else:
+        across = _across(half, e, max(levels - 2, 0), strained)
     if not run:
         columns = _across(half, e, levels, strained)
         depth = _between(0.0, h / 2, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
         quads = _cells(np.broadcast_to(columns, (len(depth), len(columns))), depth)
     else:
-        quads = _figure(unit, levels, upright, run)
+        quads = _figure(unit, levels, upright, run, half, e)
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
+    if is_round:
+        corners = _rounded(corners, unit, upright, run, half)
     reach = np.array([e, e, 0.0]) + 2e-6 * half
 
     def on_electrode(points: FloatArray) -> NDArray[np.bool_]:
         return np.asarray((np.abs(points) <= reach).all(axis=1))
 
     return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
+
+
+def _rounded(corners: FloatArray, unit: Unit, upright: bool, run: float, half: float) -> FloatArray:
+    """Corners (n, ..., 3) of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
+    X, Y, t = np.moveaxis(corners, -1, 0)
+    size = np.sqrt(np.maximum(1 - (Y / half) ** 2, 0.0))
+    lean, depth, moved = run / unit.height_mm, t, size * X
+    is_oblique = np.full(X.shape, bool(run))
+    if upright and run:
+        crotch = half * (1 + math.hypot(run, unit.height_mm) / unit.height_mm) / lean
+        end = unit.height_mm / 2
+        depth = np.where(t <= crotch, size * t, end - (end - t) * (end - size * crotch) / (end - crotch))
+        middles = (
+            X.mean(axis=tuple(range(1, X.ndim)), keepdims=True),
+            t.mean(axis=tuple(range(1, t.ndim)), keepdims=True),
+        )
+        is_oblique &= (middles[0] > half) & (middles[1] > crotch)
+    moved = np.where(is_oblique, lean * depth + size * (X - lean * t), moved)
+    return np.stack([moved, Y, depth], axis=-1)
 
 
 def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
@@ -242,10 +292,10 @@ def _between(
     return start + np.concatenate(filled)
 
 
-def _figure(unit: Unit, levels: int, upright: bool, run: float) -> FloatArray:
+def _figure(unit: Unit, levels: int, upright: bool, run: float, half: float, e: float) -> FloatArray:
     """Quadrilaterals of the pillars at an electrode, (n, 2, 2, 2): corners by X and t, then X and t."""
-    h, w = unit.height_mm, unit.pillar_width_mm
-    a, b, c, e = run / h, w * np.hypot(run, h) / h / 2, w / 2, unit.electrode_mm / 2
+    h, w = unit.height_mm, 2 * half
+    a, b, c = run / h, w * np.hypot(run, h) / h / 2, w / 2
     is_rimmed = e < b * (1 - 1e-6)
     rimmed = levels if is_rimmed else 0
     lines = partial(_between, scale=w / 2)

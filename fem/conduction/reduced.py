@@ -16,7 +16,7 @@ from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
 from fem.field import IntArray
 from geometry.design import Unit
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, pillar_widths
 from geometry.prism import unit_prisms
 
 MESH = (3, 1, True)  #: order, levels, and whether it is cut across; what it gets wrong at rest is put right
@@ -152,4 +152,5 @@ def _cubature(rows: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArra
 
 def pillars_of(unit: Unit, points_mm: FloatArray) -> IntArray:
     """The number of the pillar in which each of the points (n, 3) lies, (n,), the first one's where they meet."""
-    return np.argmax([prism.holds(points_mm, 1e-6 * unit.pillar_width_mm) for prism in unit_prisms(unit)], axis=0)
+    slack = np.array(pillar_widths(unit)) * [0.05 if one.is_round else 1e-6 for one in unit.layout.pillars]
+    return np.argmax([one.holds(points_mm, far) for one, far in zip(unit_prisms(unit), slack, strict=True)], axis=0)

@@ -10,7 +10,7 @@ from fem.contact.surface import Patch
 from fem.factor import SolverError
 from geometry.layout import FloatArray
 
-MAX_STEPS = 2000  #: of projected gradients in one increment
+MAX_STEPS = 10_000  #: of projected gradients in one increment
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +63,13 @@ class State:
         friction: float,
         tolerance: float,
         first: "State | None" = None,
+        slack_mm: float = np.inf,
     ) -> "State":
         """Forces of contact with a shape whose underside (ny, nx) stands elsewhere above the undeformed top now.
 
         `give` is the displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both
-        into it. They are found to a tolerance of the largest pressing one, from those of `first` (default: these).
+        into it. They are found to a tolerance of the largest pressing one, from those of `first` (default: these), and
+        cells overlap, or slip where they stick, by at most a slack.
         A `SolverError` says that `MAX_STEPS` steps do not balance them.
 
         Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
@@ -88,7 +90,8 @@ class State:
             change = _projected(force - rate * (apart + moved), friction) - force
             gave = give(change)
             force, moved = force + change, moved + gave
-            is_small = np.abs(change).max() <= tolerance * force[-1].max(initial=0.0)
+            most = np.abs(change).max()
+            is_small = most <= tolerance * force[-1].max(initial=0.0) and most <= rate * slack_mm
             if is_small and was_small:
                 return replace(self, force_n=force, moved_mm=moved, rate=rate)
             was_small = is_small

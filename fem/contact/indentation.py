@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fem.contact.balance import State
 from fem.contact.shapes import Shape
 from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
+from fem.contact.tiles import plated_grid
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError, require_type
@@ -22,6 +23,7 @@ PILE_UP = 2.05  #: depths below which a shape may touch: 2 in the limit of a thi
 MARGIN = 1  #: coarse cells around the contact
 INCREMENTS = 4  #: of depth, and then of slide, where there is friction; one on the coarse grid
 TOLERANCE, ON_THE_WAY = 1e-4, 1e-3  #: of forces, of the last increment and of those before
+SLACK = 1e-3  #: of the depth: how far shape and rubber may be apart, or overlap, where they touch
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
@@ -82,7 +84,7 @@ class Indentation:
             steps = np.arange(1, increments + 1) / increments
             stages = [(self.depth_mm * step, 0 * slide) for step in steps]
             stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
-        state = State.at_rest(patch, self.friction)
+        state, slack_mm = State.at_rest(patch, self.friction), self.depth_mm * SLACK
         slid = past = np.zeros(2)  # of the shape; of the shape over the rubber
         touched = np.zeros((patch.ny, patch.nx), dtype=bool)
         for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
@@ -91,7 +93,9 @@ class Indentation:
             for _ in range(PASSES if step.any() else 1):  # again if it slipped past the rubber farther than assumed
                 past = ahead
                 above = self.heights_mm(patch, past) + self.depth_mm - depth_mm
-                state = before.carried(step).balanced(compliance.pressed_mm, above, self.friction, tolerance, state)
+                state = before.carried(step).balanced(
+                    compliance.pressed_mm, above, self.friction, tolerance, state, slack_mm
+                )
                 if self.friction and step.any():
                     ahead = slide_mm - state.drag_mm
                 if np.abs(ahead - past).max() < SMALL_STEP * min(patch.cell_mm):
@@ -162,7 +166,10 @@ class Contact(Indentation):
         off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
         half = np.array(self.design.slab_mm[:2]) / 2
         to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
-        beside = (np.maximum(0.0, 1 - 2 * to_side / surface.tile_mm) * pressing).sum()  # 1 if all of it is at a side
+        rim = surface.strips(0)[0]
+        beside = (
+            np.maximum(0.0, 1 - 2 * to_side * rim.tiles / (rim.high_mm - rim.low_mm)) * pressing
+        ).sum()  # 1 if all of it is at a side
         of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / self.depth_mm + SIDE_ERROR * beside**2
         missed = _difference(between.electrodes_mm(force_n), self.electrode_mm)
         forces, electrodes = (
@@ -320,6 +327,11 @@ def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells:
     if not (size > MIN_MM).all():
         return None
     nx, ny = np.rint(cells * np.maximum(size / size.max(), NARROW)).astype(int).tolist()
+    if design.pad.kind == "stiff":
+        (x0, x1, nx), (y0, y1, ny) = (
+            plated_grid(design, axis, low[axis], high[axis], n) for axis, n in enumerate((nx, ny))
+        )
+        return Patch((x0, y0), (x1, y1), nx, ny)
     return Patch((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), nx, ny)
 
 

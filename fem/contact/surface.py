@@ -1,10 +1,14 @@
-"""The compliance of an array's top: an endless layer in closed form, and what rims and other pillars add to it.
+"""The compliance of an array's top: an endless layer in closed form, and what rims, plates and other pillars add to it.
 
 The layer answers at any distance, however fine a contact's grid is. The rest is smooth but for the last millimetres at
 a rim: it is the difference of two arrays of one condensed cell, the sensor's own and an endless one of matrix alone, on
 square tiles. Both have the same mesh and the same ports, so that what these leave out cancels. Displacements of the
 upper electrodes come likewise from a table of the layer and the difference. `PatchCompliance` is the same on the fine
 grid of one contact.
+
+Stiff pads are plates: their tiles move as rigid bodies, in elements that bond them to the rubber. There the difference
+is all there is, and the layer answers on the rubber between plates alone. Tiles and the polynomials between them end at
+the edges of plates.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,12 +18,24 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy import fft
 
 from fem.array.cell import EDGES, FACES, CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import GRID_DEGREE, GRID_LEVEL, MESH_DEGREE, MESH_LEVEL, CellBody, DesignCell, lone_unit
+from fem.array.meshed import (
+    GRID_DEGREE,
+    GRID_LEVEL,
+    MESH_DEGREE,
+    MESH_LEVEL,
+    CellBody,
+    DesignCell,
+    lone_unit,
+    pad_plate,
+)
+from fem.array.substructured import COMPARED_DEGREE
+from fem.contact.tiles import MIN_TILES, Strip, cell_strips, edges, on_plates, shares, slab_strips, tiles_per_pitch
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Material, Pad, SensorDesign, bent
 from geometry.errors import DesignError
@@ -28,10 +44,13 @@ from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
 VERSION = 2  #: raise when the same design gives another compliance, so that cached ones are not reused
-TILES_PER_HEIGHT = 4.0
-MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
-PAD = 0.8  #: of the pitch: pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
+PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
+#: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
+PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
+#: how far the face of a plate gives: 1 mm of a plastic of 2 GPa. It shares out pressure inside a plate, and adds to how
+#: deep a shape must go: a tenth of it raises forces by 3 to 7 %
+PLATE_FACE_MM_PER_MPA = 5e-4
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
@@ -50,13 +69,19 @@ class SurfaceCompliance:
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
     on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
-    table: FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]
+    table: (
+        FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
+    )
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
 
+    def strips(self, axis: int) -> list[Strip]:
+        """Strips of tiles along x (0) or y (1)."""
+        return slab_strips(self.design, axis, self.on_tiles.shape[2 - axis])
+
     @property
-    def tile_mm(self) -> float:
-        return self.design.slab_mm[0] / self.on_tiles.shape[2]
+    def has_plates(self) -> bool:
+        return self.design.pad.kind == "stiff"
 
     def on_grid(self, nx: int, ny: int) -> FloatArray:
         """Displacement of the upper electrodes by a force on each cell of a grid over the whole top [mm/N].
@@ -77,13 +102,15 @@ class SurfaceCompliance:
 def surface_compliance(
     design: SensorDesign, progress: Callable[[str], None] = lambda step: None
 ) -> tuple[SurfaceCompliance, Path, bool]:
-    """Compliance of a sensor's top, its file, and whether it was there already; pads do not matter.
+    """Compliance of a sensor's top, its file, and whether it was there already; soft pads do not matter.
 
-    `progress` is called with the name of each step as it begins. Errors as of `require_bare`, and a `GeometryError` or
-    `SolverError` if the mesh or an answer cannot be trusted.
+    `progress` is called with the name of each step as it begins. Errors as of `require_pressable`, and a
+    `GeometryError` or `SolverError` if the mesh or an answer cannot be trusted.
     """
-    require_bare(design)
-    plain = replace(bent(design), pad=Pad(size_mm=PAD * design.array.pitch_mm))
+    require_pressable(design)
+    plain = bent(design)
+    if design.pad.kind == "soft":
+        plain = replace(plain, pad=Pad(size_mm=PAD * design.array.pitch_mm))
     cache_key = digest("surface", VERSION, plain)
 
     def make() -> SurfaceCompliance:
@@ -102,20 +129,20 @@ def endless_surface(design: SensorDesign) -> SurfaceCompliance:
     return _on_layer(design, np.zeros(tiled, np.float32), np.zeros(electrodes, np.float32))
 
 
-def tiles_per_pitch(design: SensorDesign) -> int:
-    """Tiles along the side of a cell."""
-    return int(np.clip(round(TILES_PER_HEIGHT * design.array.pitch_mm / design.unit.height_mm), MIN_TILES, MAX_TILES))
-
-
 def require_bare(design: SensorDesign) -> None:
     """Refuse a design whose top is not bare linear rubber, or has too many tiles."""
+    if design.pad.kind == "stiff":
+        raise DesignError("this asks for bare rubber, these pads are stiff plates: write kind = 'soft'.")
+    require_pressable(design)
+
+
+def require_pressable(design: SensorDesign) -> None:
+    """Refuse a design whose rubber is not linear, whose loads must be on pads, or whose top has too many tiles."""
     model = design.matrix_material.model
     if model != "linear":
         raise DesignError(
             f"contact by shape is solved at small strain, this rubber is {model}: write model = 'linear'."
         )
-    if design.pad.kind == "stiff":
-        raise DesignError("contact by shape presses on bare rubber, these pads are stiff plates: write kind = 'soft'.")
     if design.electrics.is_conduction:
         raise DesignError("conduction needs loads on pads, contact by shape has other ones: write model = 'eq1'.")
     number = 3 * design.n_units * tiles_per_pitch(design) ** 2
@@ -130,38 +157,51 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
     ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
     progress("cells")
-    own, plain = _cells(design, tiles)
+    own, plain = _cells(design)
     progress(f"coupling {rows} × {cols}")
     moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
     endless = endless_influence(plain, wide)[..., : len(loads)]
+    if design.pad.kind == "stiff":  # the layer answers between plates, on tiles
+        plate = np.concatenate([np.full(strip.tiles, strip.is_plate) for strip in cell_strips(design, 0)])
+        has_layer = np.repeat(~np.outer(plate, plate).ravel(), 3)
+        endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
+        endless[..., ~has_layer] = 0.0
     for i, j, k, m in np.ndindex(rows, cols, rows, cols):
         moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
     moved = moved.astype(np.float32)
     on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
     on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
+    on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx)
+    on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx)
+    if design.pad.kind == "stiff":  # electrodes follow tiles alone
+        return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
-    return _on_layer(
-        design,
-        on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx),
-        on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx),
-    )
+    return _on_layer(design, on_tiles, on_electrodes)
 
 
-def _cells(design: SensorDesign, tiles: int) -> tuple[CondensedCell, CondensedCell]:
-    """The sensor's condensed cell, and the same of matrix alone; tiles, row by row, then electrodes are seen."""
-    alone, pitch = lone_unit(design), design.array.pitch_mm
-    edges = np.linspace(-pitch / 2, pitch / 2, tiles + 1)
-    y0, x0 = (each.ravel() for each in np.meshgrid(edges[:-1], edges[:-1], indexing="ij"))
-    size = pitch / tiles
-    rectangles = np.vstack([np.stack([x0, y0, x0 + size, y0 + size], axis=1), electrode_squares(alone)])
-    if design.is_homogeneous:
+def _cells(design: SensorDesign) -> tuple[CondensedCell, CondensedCell]:
+    """The sensor's condensed cell, and the same of bare matrix; tiles, row by row, then electrodes are seen."""
+    alone, lines = lone_unit(design), [edges(cell_strips(design, axis)) for axis in (0, 1)]
+    y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
+    y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
+    rectangles, plate = np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(alone)]), pad_plate(alone)
+    if design.is_homogeneous and plate is None:
         cell = DesignCell(design, rectangles).condensed(GRID_LEVEL, GRID_DEGREE)
         return cell, cell
-    source = DesignCell(design, rectangles)
-    own, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
+    if design.is_homogeneous:
+        return _extrapolated(DesignCell(design, rectangles, plate)), _extrapolated(DesignCell(design, rectangles))
+    source = DesignCell(design, rectangles, plate)
+    cell, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
     matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return own, CellSides.of(CellBody.of_tetrahedra(matrix), rectangles).cell(MESH_DEGREE)
+    return cell, CellSides.of(CellBody.of_tetrahedra(matrix), rectangles).cell(MESH_DEGREE)
+
+
+def _extrapolated(source: DesignCell) -> CondensedCell:
+    """A cell from two levels; the finer one's where extrapolation gives none."""
+    one, two = source.condensed(PLATE_LEVELS[0], COMPARED_DEGREE), source.condensed(PLATE_LEVELS[1], PLATE_DEGREE)
+    better = two.extrapolated(one, source.error_factor(*PLATE_LEVELS))
+    return better if better.is_definite else two
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
@@ -283,8 +323,11 @@ class PatchCompliance:
         or (1, ny, nx), along z alone.
         """
         k, patch, (spectrum, size) = len(force_n), self.patch, self._layer
-        moved = (spectrum[-k:, -k:] * fft.rfft2(force_n, size)).sum(axis=1)  # faster than einsum
+        on_rubber = force_n if self._plates is None else force_n * ~self._plates
+        moved = (spectrum[-k:, -k:] * fft.rfft2(on_rubber, size)).sum(axis=1)  # faster than einsum
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
+        if self._plates is not None:
+            layer = np.where(self._plates, PLATE_FACE_MM_PER_MPA / patch.cell_mm2 * force_n, layer)
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
         layer += self._rows[0] @ tiles @ self._columns[0].T
@@ -298,6 +341,8 @@ class PatchCompliance:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
         near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
         rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._on_tiles(force_n).ravel()
+        if self._plates is not None:
+            return np.asarray(rest.reshape(near.shape[:4]), np.float64)
         kernels = self.electrode_kernels()
         layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
         return (layer + rest).reshape(near.shape[:4])
@@ -322,11 +367,19 @@ class PatchCompliance:
     @cached_property
     def _columns(self) -> tuple[FloatArray, slice]:
         """Shares of the patch's columns in columns of tiles, and which tiles these are."""
-        return shares(self.patch.x_mm, self.surface.on_tiles.shape[2], self.surface.tile_mm, self.degree)
+        return shares(self.patch.x_mm, self.surface.strips(0), self.degree)
 
     @cached_property
     def _rows(self) -> tuple[FloatArray, slice]:
-        return shares(self.patch.y_mm, self.surface.on_tiles.shape[1], self.surface.tile_mm, self.degree)
+        return shares(self.patch.y_mm, self.surface.strips(1), self.degree)
+
+    @cached_property
+    def _plates(self) -> NDArray[np.bool_] | None:
+        """Cells on plates, (ny, nx); None on bare rubber."""
+        if not self.surface.has_plates:
+            return None
+        x, y = (on_plates(at, self.surface.strips(axis)) for axis, at in enumerate((self.patch.x_mm, self.patch.y_mm)))
+        return y[:, None] & x
 
     @cached_property
     def _layer(self) -> tuple[FloatArray, tuple[int, int]]:
@@ -341,24 +394,6 @@ class PatchCompliance:
         tiles = slice(None), self._rows[1], self._columns[1]
         part = self.surface.on_tiles[*tiles, *tiles]
         return part.reshape(int(np.prod(part.shape[:3])), -1)
-
-
-def shares(places_mm: FloatArray, count: int, tile_mm: float, degree: int) -> tuple[FloatArray, slice]:
-    """Polynomials through the means of degree + 1 tiles of a row, at places (n,): (n, m), and which m tiles.
-
-    The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A row that is
-    too short has lines.
-    """
-    degree = degree if degree < count else 1
-    at = places_mm / tile_mm + count / 2  # in tiles from the first one's edge
-    first = np.clip(np.floor(at - degree / 2), 0, count - degree - 1).astype(np.int64)
-    # the slope of the polynomial through sums of tiles at their edges
-    lagrange = np.linalg.inv(np.vander(np.arange(degree + 2.0), increasing=True))
-    powers = np.vander(at - first, degree + 1, increasing=True) * np.arange(1, degree + 2)
-    start, stop = int(first.min()), int(first.max()) + degree + 1
-    shares, own = np.zeros((len(at), stop - start)), first[:, None] - start + np.arange(degree + 1)
-    shares[np.arange(len(at))[:, None], own] = powers @ lagrange[1:] @ np.tri(degree + 2, degree + 1, -1)
-    return shares, slice(start, stop)
 
 
 def _spread(shares_of_parts: FloatArray) -> FloatArray:

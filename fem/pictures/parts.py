@@ -138,20 +138,39 @@ def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress
 def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart_mm: float = 0.0) -> Cells:
     """The pillars of a unit in its own frame, one after the other, cut so finely that they can bend.
 
-    The first is smaller by `apart_mm` all around, the second by twice as much: no two of their faces coincide.
+    The first is smaller by `apart_mm` all around, the second by twice as much and so on, each otherwise than the two
+    before and those that share an electrode: no two of their faces coincide.
     """
-    prisms = enumerate(unit_prisms(unit), start=1)
+    pairs, numbers = unit.layout.pillar_terminals, list[int]()
+    for k, pair in enumerate(pairs):
+        near = {numbers[j] for j in range(k) if k - j <= 2 or {*pairs[j]} & {*pair}}
+        numbers.append(min({*range(1, k + 2)} - near))
+    prisms = zip(numbers, unit_prisms(unit), strict=True)
     return joined([column_surface(prism, slices, around, number * apart_mm) for number, prism in prisms])
 
 
 def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Cells:
-    """A straight column between equal rectangles at its two ends, smaller by so much all around."""
+    """A straight column between equal rectangles or ellipses at its two ends, smaller by so much all around."""
     axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
     a, b = np.diag([*prism.section_mm, 0.0])[:2] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
+    if prism.is_round:
+        return _round_surface((np.array(prism.base_mm) + prism.top_mm - axis) / 2, axis, a, b, slices, 8 * around)
     foot = (np.array(prism.base_mm) + prism.top_mm - axis - a - b) / 2
     sides = (foot, a), (foot + b, a), (foot, b), (foot + a, b)
     walls = [sheet(corner, side, axis, around, slices) for corner, side in sides]
     return joined([*walls, *(sheet(corner, a, b, around, around) for corner in (foot, foot + axis))])
+
+
+def _round_surface(foot: FloatArray, axis: FloatArray, a: FloatArray, b: FloatArray, slices: int, around: int) -> Cells:
+    """A straight column between ellipses of diameters a and b about a foot's middle, of an even number of sides."""
+    angle = np.linspace(0.0, 2 * np.pi, around + 1)
+    ring = (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b) / 2
+    points, walls = sheet(foot, np.zeros(3), axis, around, slices)
+    points = points.reshape(around + 1, slices + 1, 3) + ring[:, None]
+    first = np.arange(0, around, 2)[:, None]
+    cap = np.hstack([np.zeros((len(first), 1), dtype=np.int64), 1 + first + np.arange(3)])
+    caps = [(np.vstack([np.zeros(3), ring]) + middle, cap) for middle in (foot, foot + axis)]
+    return joined([(points.reshape(-1, 3), walls), *caps])
 
 
 def electrode_surface(unit: Unit) -> Cells:

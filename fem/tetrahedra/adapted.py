@@ -62,6 +62,7 @@ class AdaptedTetrahedra:
         self.scene = scene
         self.prisms = [prism for prism, _ in regions]
         mesh, self.is_kept = mesh_scene(scene, self.prisms)
+        self._coarse = mesh
         narrow = [scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm, rectangles]
         self.mesh = with_edges_across(mesh, np.vstack(narrow))
         self._body: TaylorHood | None = None
@@ -89,7 +90,7 @@ class AdaptedTetrahedra:
     def body(self) -> TaylorHood:
         """The body on the mesh as it is."""
         if self._body is None:
-            region = self._material_of[prism_of_cells(self.mesh, self.prisms)]
+            region = self._material_of[prism_of_cells(self.mesh, self.prisms, self._coarse)]
             self._body = taylor_hood(self.mesh, self.materials, region)
         return self._body
 

@@ -43,7 +43,7 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
     extents = np.array([[*prism.section_mm, prism.height_mm] for prism in parts])
     cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(parts[1:], 2))
     envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
-    shapes = [[prism.base_mm, prism.top_mm, prism.section_mm] for prism in parts]
+    shapes = [[prism.base_mm, prism.top_mm, prism.section_mm, *(["round"] * prism.is_round)] for prism in parts]
     key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))
     mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates))
     # scikit-fem keeps points as (3, n)
@@ -90,9 +90,15 @@ def scene_task(
     )
 
 
-def prism_of_cells(mesh: MeshTet, prisms: Sequence[Prism]) -> NDArray[np.int64]:
-    """The prism that each cell lies in, shape (m,), numbered as by `prisms_at`."""
-    return prisms_at(mesh.p.T[mesh.t.T].mean(axis=1), prisms)
+def prism_of_cells(mesh: MeshTet, prisms: Sequence[Prism], coarse: MeshTet | None = None) -> NDArray[np.int64]:
+    """The prism that each cell lies in, shape (m,), numbered as by `prisms_at`.
+
+    Of a refined mesh as the cells say of the `coarse` one: a cell of these may lie between a round side and its chord.
+    """
+    middles = mesh.p.T[mesh.t.T].mean(axis=1)
+    if coarse is None or not any(prism.is_round for prism in prisms):
+        return prisms_at(middles, prisms)
+    return prism_of_cells(coarse, prisms)[coarse.element_finder()(*middles.T)]
 
 
 def wanted_edges(outline: Prism, prisms: Sequence[Prism], edge_mm: float) -> tuple[MeshTet, FloatArray]:

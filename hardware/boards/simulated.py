@@ -26,8 +26,8 @@ from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.storage.files import cache_folder, digest, write_text
 from geometry.storage.netcdf import write_netcdf
-from geometry.wiring import crossings, unit_crossings
-from hardware.boards.sensor_header import sensor_header
+from geometry.wiring import crossings, wires
+from hardware.boards.sensor_header import fastest_hz, sensor_header
 from hardware.boards.simavr_board import (
     CHIP_BITS,
     EMPTY,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["atmega328p", "atmega2560", "python"]
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
-USUAL_HZ, CONVERSION_US, MARGIN_US = 150, 52, 50  #: of the firmware: rate, time of a conversion, of a scan beside them
+USUAL_HZ = 150  #: rate of the firmware
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +103,7 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: 
     rise: FloatArray | float = 0.0
     if rubber != rubber.settled:
         around = [*range(len(traction)), 0]  # back to where it began
-        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3])
+        memory = (specimen or Imperfections()).memory_of(rubber.memory, *sizes[1:3], design.unit.layout)
         strain = pillar_lengths(moved, design.unit)[around].reshape(sizes) / rest_lengths(design.unit) - 1.0
         whole = remembered(strain, STEP_S, memory, is_cycle=True)
         rise = whole if isinstance(whole, float) else whole[:-1].reshape(lengths.shape)
@@ -129,9 +129,9 @@ def counts_over_time(
 
     Of the imperfections gain, offset, temperature and dead pillars count; `crossbar` has the noise and the converter.
     """
-    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics)
+    gain, offset = sensor.gain_and_offset(crossbar.rows, crossbar.cols, electrics, crossbar.layout)
     ohms = gain * exact_ohm + offset
-    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols)] = OPEN_OHM
+    ohms[:, sensor.dead_mask(crossbar.rows, crossbar.cols, crossbar.layout)] = OPEN_OHM
     return crossbar.counts(ohms, np.random.default_rng(sensor.specimen))
 
 
@@ -156,7 +156,7 @@ def usual_rate(n_crossings: int) -> int:
     >>> usual_rate(108), usual_rate(216)
     (150, 88)
     """
-    return min(USUAL_HZ, 1_000_000 // (CONVERSION_US * n_crossings + MARGIN_US))
+    return min(USUAL_HZ, fastest_hz(n_crossings))
 
 
 def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
@@ -178,9 +178,10 @@ def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
     }
     cache = cache_folder().absolute()
     folder = cache / f"firmware-{digest(str(FIRMWARE), settings, header)}"
-    require_own(folder, cache)
-    cache.mkdir(parents=True, exist_ok=True)
     sensor = Path(f"{folder}.h")
+    for place in (folder, sensor):
+        require_own(place, cache)
+    cache.mkdir(parents=True, exist_ok=True)
     if not sensor.exists() or sensor.read_text(encoding="utf-8") != header:
         write_text(header, sensor)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
@@ -206,7 +207,7 @@ def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
     """Counts (n, n_crossings) as what lies between each two wires, (n, row wires, column wires); `EMPTY` elsewhere."""
     row, column = crossings(info.rows, info.cols, info.layout).T
-    found = np.full((len(counts), *np.multiply(unit_crossings(info.layout).shape, (info.rows, info.cols))), EMPTY)
+    found = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
     found[:, row, column] = counts
     return found.astype(np.uint16)
 

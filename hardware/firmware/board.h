@@ -39,8 +39,8 @@
 #define ANALOG_CHANNEL 0  // A0 on both
 
 _Static_assert(ROW_WIRES <= MAX_WIRES && COLUMN_WIRES <= MAX_WIRES,
-               "this board's pins number 64 row and 64 column wires on an atmega328p, 128 on an atmega2560: "
-               "the sensor has more");
+               "the pins of an atmega328p number 64 row and 64 column wires, those of an atmega2560 128: "
+               "this sensor has more");
 
 // Four bits number up to 16 wires; each doubling takes one pin more.
 #define HIGHEST(wires) ((wires) > 64 ? 0x7F : (wires) > 32 ? 0x3F : (wires) > 16 ? 0x1F : 0x0F)

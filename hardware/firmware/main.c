@@ -23,9 +23,11 @@ static const char layout[] PROGMEM = LAYOUT;  // stays in flash: it may be long
 // Two frames as they go over the wire: one is sent while the next is encoded. Where memory is short, one: the next is
 // encoded once it has gone, which at 1 Mbaud still takes less time than a scan.
 #define LARGER(a, b) ((a) > (b) ? (a) : (b))
-#define WIRE_SIZE LARGER(FRAME_DATA_WIRE_SIZE((uint32_t)CROSSINGS), FRAME_INFO_WIRE_SIZE(sizeof layout - 1))
-#define OTHER_SIZE (2 * sizeof(scan_t) + 400)  // with the stack
-#define WIRES (2 * WIRE_SIZE + OTHER_SIZE > RAMEND - RAMSTART ? 1 : 2)
+#define WIRE_SIZE (int32_t) LARGER(FRAME_DATA_WIRE_SIZE((uint32_t)CROSSINGS), FRAME_INFO_WIRE_SIZE(sizeof layout - 1))
+#define FREE_SIZE (RAMEND - RAMSTART + 1 - 2 * (int32_t)sizeof(scan_t) - 390)  // without the stack and all others'
+#define WIRES (2 * WIRE_SIZE > FREE_SIZE ? 1 : 2)
+_Static_assert(WIRE_SIZE <= FREE_SIZE, "this sensor has more pillars than the RAM of this board holds frames of: "
+               "build for a larger one alone, BOARD=atmega2560");
 static uint8_t wires[WIRES][WIRE_SIZE];
 static uint8_t free_wire;   // which of the two is not being sent
 static uint16_t n_encoded;  // bytes in it; 0: it is free

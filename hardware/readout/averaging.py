@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from geometry.errors import FileFormatError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import FloatArray
 from hardware.readout.crossbar import Corrector, Crossbar
 
 FALSE_ALARMS = 1e-3  #: largest fraction of averages at rest that are taken for motion
@@ -20,7 +20,7 @@ MAX_FOR_NOISE = 200  #: largest number of scans from which the noise is estimate
 
 
 def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, float]:
-    """Mean resistances (rows, cols, 3) [Ω] of counts (n, n_crossings), NaN where a count is 0, open; and their noise.
+    """Mean resistances (rows, cols, P) [Ω] of counts (n, n_crossings), NaN where a count is 0, open; and their noise.
 
     The noise is their relative standard deviation: the median over pillars of scatter and converter's steps together.
     A pillar at full scale lies below what the converter can tell: `FileFormatError`.
@@ -31,8 +31,8 @@ def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, floa
     if is_short.any():
         row, col, pillar = np.argwhere(is_short)[0]
         raise FileFormatError(
-            f"pillar {PILLARS[pillar]} of row {row}, col {col} reads full scale, so its resistance is unknown: "
-            f"choose a smaller sense resistor than {crossbar.sense_ohm:g} Ω, or mend a short."
+            f"pillar {crossbar.layout.pillar_names[pillar]} of row {row}, col {col} reads full scale, so its "
+            f"resistance is unknown: choose a smaller sense resistor than {crossbar.sense_ohm:g} Ω, or mend a short."
         )
     mean_ohm = Corrector(crossbar).correct(readings.mean(axis=0, keepdims=True))
     some = Corrector(crossbar).correct(readings[-MAX_FOR_NOISE:])
@@ -92,7 +92,7 @@ def movement(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float) -> str | 
     drift[~crossbar.as_pillars(moves[None])[0]] = 0.0
     row, col, pillar = np.unravel_index(drift.argmax(), drift.shape)
     worst = float(drift[row, col, pillar])
-    place = f"pillar {PILLARS[pillar]} of row {row}, col {col}"
+    place = f"pillar {crossbar.layout.pillar_names[pillar]} of row {row}, col {col}"
     return f"{place} changes by {100 * worst:.2g} %" if worst > MIN_DRIFT else None
 
 

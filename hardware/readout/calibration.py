@@ -15,7 +15,8 @@ from dataset.imperfections import OPEN_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
-from geometry.layout import PILLARS, FloatArray
+from geometry.layout import SONG2018, FloatArray, Layout
+from geometry.layout_file import layout_from_text, layout_text
 from geometry.storage.files import write_text
 from geometry.storage.seal import opened_json, sealed_json
 from geometry.storage.text_file import read_text
@@ -46,13 +47,14 @@ class Electronics:
             scan_mode=info.scan_mode,
             sense_ohm=float(info.sense_ohm),
             bits=info.bits,
+            layout=info.layout,
             **asdict(self),
         )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorCalibration:
-    """Calibration of a sensor of rows × cols units; arrays have the shape (rows, cols, 3), pillars z, x, y."""
+    """Calibration of a sensor of rows × cols units; arrays have the shape (rows, cols, P), P pillars a unit."""
 
     gain: FloatArray  #: R = gain · R as designed + offset
     offset_ohm: FloatArray  #: [Ω]
@@ -60,12 +62,15 @@ class SensorCalibration:
     electronics: Electronics = field(default_factory=Electronics)
     serial: int | None = None  #: of the board it was made with; None or 0: unknown
     made_from: dict[str, Any] = field(default_factory=dict)  #: pairs, noise, when
+    layout: Layout = SONG2018  #: of a unit; files that state none are of the paper's
 
     @classmethod
-    def as_designed(cls, rows: int, cols: int, electronics: Electronics | None = None) -> "SensorCalibration":
+    def as_designed(
+        cls, rows: int, cols: int, electronics: Electronics | None = None, layout: Layout = SONG2018
+    ) -> "SensorCalibration":
         """The calibration of a sensor of which nothing is known."""
-        shape = (rows, cols, len(PILLARS))
-        return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics or Electronics())
+        shape, electronics = (rows, cols, len(layout.pillars)), electronics or Electronics()
+        return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics, layout=layout)
 
     @property
     def is_tare_only(self) -> bool:
@@ -73,15 +78,15 @@ class SensorCalibration:
         return bool((self.gain == 1.0).all() and (self.offset_ohm == 0.0).all())
 
     def tared(self, measured_ohm: FloatArray) -> "SensorCalibration":
-        """The same with another state at rest: resistances (rows, cols, 3) [Ω] of the crossbar, NaN where open."""
+        """The same with another state at rest: resistances (rows, cols, P) [Ω] of the crossbar, NaN where open."""
         return replace(self, rest_ohm=self.as_designed_ohm(np.where(np.isnan(measured_ohm), OPEN_OHM, measured_ohm)))
 
     def as_designed_ohm(self, measured_ohm: FloatArray) -> FloatArray:
-        """Resistances that a sensor as designed would show, (..., rows, cols, 3) [Ω]; kept above 0."""
+        """Resistances that a sensor as designed would show, (..., rows, cols, P) [Ω]; kept above 0."""
         return np.maximum((measured_ohm - self.offset_ohm) / self.gain, MIN_WHOLE_OHM)
 
     def tare_factor(self, rest_as_designed_ohm: FloatArray) -> FloatArray:
-        """R₀/R_rest of every pillar, (rows, cols, 3), for R₀ of the same shape or (3,) [Ω]; 1 for a broken one.
+        """R₀/R_rest of every pillar, (rows, cols, P), for R₀ of the same shape or (P,) [Ω]; 1 for a broken one.
 
         What has changed at rest is taken for a change of the rubber's resistivity: a factor.
         """
@@ -97,6 +102,11 @@ class SensorCalibration:
             raise FileFormatError(
                 f"{source} is of {rows} × {cols} units, the board of {info.rows} × {info.cols}: calibrate this sensor."
             )
+        if self.layout != info.layout:
+            raise FileFormatError(
+                f"{source} is of a sensor of layout {layout_text(self.layout)}, the board is of "
+                f"{layout_text(info.layout)}: calibrate this sensor."
+            )
         if self.serial and info.serial and self.serial != info.serial:
             raise FileFormatError(
                 f"{source} was made with board {self.serial}, this is board {info.serial}: calibrate this sensor."
@@ -105,7 +115,8 @@ class SensorCalibration:
     def to_json(self) -> str:
         """The JSON text of calibration files and of recordings."""
         plain = {name: each.tolist() if isinstance(each, np.ndarray) else each for name, each in vars(self).items()}
-        return sealed_json({"kind": KIND, "version": VERSION} | plain | {"electronics": asdict(self.electronics)})
+        plain |= {"electronics": asdict(self.electronics), "layout": layout_text(self.layout)}
+        return sealed_json({"kind": KIND, "version": VERSION} | plain)
 
     @classmethod
     def from_json(cls, text: str, source: str = "the calibration") -> "SensorCalibration":
@@ -122,8 +133,8 @@ class SensorCalibration:
                 raise ValueError(f"kind {plain.get('kind')!r}, version {plain.get('version')!r}")
             gain, offset = (np.array(plain[name], dtype=np.float64) for name in ("gain", "offset_ohm"))
             rest = None if plain["rest_ohm"] is None else np.array(plain["rest_ohm"], dtype=np.float64)
-            at_rest = gain if rest is None else rest
-            if gain.ndim != 3 or {gain.shape, offset.shape, at_rest.shape} != {(*gain.shape[:2], len(PILLARS))}:
+            at_rest, layout = gain if rest is None else rest, layout_from_text(plain.get("layout", ""))
+            if gain.ndim != 3 or {gain.shape, offset.shape, at_rest.shape} != {(*gain.shape[:2], len(layout.pillars))}:
                 raise ValueError(f"gain of shape {gain.shape}, offset_ohm of {offset.shape}, rest of {at_rest.shape}")
             if not (np.isfinite(gain + offset).all() and (gain > 0).all() and (at_rest > 0).all()):
                 raise ValueError("a gain or a resistance at rest that is not above 0, or an offset that is not finite")
@@ -136,6 +147,7 @@ class SensorCalibration:
                 electronics=Electronics(**plain["electronics"]),
                 serial=plain["serial"],
                 made_from=plain["made_from"],
+                layout=layout,
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileFormatError(

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from geometry.design import quantity
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, FloatArray, Layout
-from geometry.wiring import crossing_of_pillar, crossings, unit_crossings
+from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires
 
@@ -49,8 +50,6 @@ BOUNDS = {
     "noise": (0, 0.1),
     "shunt_siemens": (0, 1),
 }  #: of the fields of `Crossbar`
-
-
 Array = Any  #: a NumPy array of float64, or a torch tensor of floats
 
 
@@ -130,8 +129,7 @@ class Crossbar:
     @cached_property
     def wires(self) -> tuple[int, int]:
         """Number of row wires and of column wires."""
-        row, column = unit_crossings(self.layout).shape
-        return self.rows * row, self.cols * column
+        return wires(self.rows, self.cols, self.layout)
 
     @cached_property
     def ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -155,6 +153,13 @@ class Crossbar:
         found = np.full((sum(self.wires),) * 2, len(row))
         found[row, column] = found[column, row] = np.arange(len(row))
         return found.reshape(-1)
+
+    @cached_property
+    def _joined(self) -> FloatArray:
+        """1 between wires that pillars or shunts join, by whatever way, 0 between others, (n_wires, n_wires)."""
+        found = (self._between < len(self.ends[0])).reshape((sum(self.wires),) * 2)
+        _, group = connected_components(found + self.shunt_matrix if self.shunt_siemens else found)
+        return np.asarray(group[:, None] == group, dtype=np.float64)
 
     @property
     def is_amplified(self) -> bool:
@@ -317,11 +322,12 @@ class Crossbar:
     def _solved(self, conductance: Array) -> tuple[Array, Array | None]:
         """K = (1 + R L)⁻¹ and N = L K; where idle wires float P, and no N.
 
-        P is L⁻¹ of an array tied to nothing, up to what all wires have in common, which no difference shows.
+        P is L⁻¹ of an array tied to nothing, up to what joined wires have in common, which no difference shows.
         """
         xp, L = namespace(conductance), self._laplacian(conductance)
         if self.scan_mode == ScanMode.DIVIDER:
-            return xp.linalg.inv(L + (xp.einsum("nii->n", L) / L.shape[1] ** 2)[:, None, None]), None
+            tie = (xp.einsum("nii->n", L) / L.shape[1] ** 2)[:, None, None]
+            return xp.linalg.inv(L + tie * _like(self._joined, L)), None
         K = xp.linalg.inv(_like(np.eye(L.shape[1]), L) + _like(self.series_ohm[:, None], L) * L)
         return K, L @ K
 
@@ -408,9 +414,8 @@ class Corrector:
             return guess, unknown
         if crossbar.scan_mode == ScanMode.GROUNDED:
             return guess, xp.zeros_like(unknown) if crossbar.series_ohm[0] == 0.0 else unknown
-        n_rows = crossbar.wires[0]
-        rows = n_rows if crossbar.scan_mode == ScanMode.ZERO_POTENTIAL else None  # by four wires ε_column²
-        odds = xp.amax(lost[:, :rows], axis=1), xp.amax(lost[:, n_rows:], axis=1)
+        rows = crossbar.wires[0] if crossbar.scan_mode == ScanMode.ZERO_POTENTIAL else None  # by four wires ε_column²
+        odds = xp.amax(lost[:, :rows], axis=1), xp.amax(lost[:, crossbar.wires[0] :], axis=1)
         return guess, NEUMANN * odds[0] / (1.0 - odds[0]) * odds[1] / (1.0 - odds[1])
 
     def _settled(self, u: Array, wanted: Array, tolerance: float) -> Array:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import DesignError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, SONG2018, FloatArray, Layout
+from geometry.layout_file import layout_text
 from hardware.link.frames import Info
 from hardware.readout.wrench import SIGNS, pad_positions
 
@@ -25,7 +26,6 @@ COMMON: dict[str, Any] = {
     "sign_meaning": (
         "a force along axis k times signs[k] is a component of the vector on the sensor; fz > 0 is compression"
     ),
-    "pillars": list(PILLARS),
     "units": {"force": "N", "moment": "N mm", "length": "mm", "resistance": "ohm", "time": "s"},
     "clock": "start of the scan by the board's clock, put on the host's Unix clock; late by the link's least delay",
 }
@@ -41,11 +41,12 @@ class SensorDescription:
     position_mm: FloatArray  #: (rows, cols, 3): centres of pads, of units under touch; NaN if no design is known
     pad_mm: float  #: side of a pad; NaN if unknown
     range_n: FloatArray  #: (rows, cols, k, 2): least and largest force in the model's training
-    rest_ohm: FloatArray  #: (rows, cols, 3): resistances with nothing on the sensor, as the model expects them
-    dead: NDArray[np.bool_]  #: (rows, cols, 3): pillars that the model does not look at
+    rest_ohm: FloatArray  #: (rows, cols, P): resistances with nothing on the sensor, as the model expects them
+    dead: NDArray[np.bool_]  #: (rows, cols, P): pillars that the model does not look at
     design_hash: str = ""  #: empty if the model states no design
     model_hash: str = ""  #: of what the model was made of, its training or its pairs; empty if it does not say
     board: dict[str, int | str] = field(default_factory=dict)  #: serial, firmware, rate_hz, bits, scan_mode
+    layout: Layout = SONG2018  #: of a unit, whose P pillars stand in its order
 
     @property
     def full_scale_n(self) -> float:
@@ -66,6 +67,8 @@ class SensorDescription:
         return COMMON | {
             "rows": self.rows,
             "cols": self.cols,
+            "layout": layout_text(self.layout),
+            "pillars": list(self.layout.pillar_names),
             "axes": list(self.axes),
             "signs": [SIGNS[AXES.index(axis)] for axis in self.axes],
             "pad_mm": plain_numbers(np.array([self.pad_mm]))[0],
@@ -87,17 +90,18 @@ def plain_numbers(values: FloatArray) -> list[float | None]:
 
 def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
     """The sensor on a board, as a model knows it."""
-    shape, axes, scaling = (model.rows, model.cols, len(PILLARS)), model.component.axes, model.output_scaling
-    rest_ohm, unknown = model.rest_resistances(), np.full(shape, np.nan)
+    axes, scaling, design = model.component.axes, model.output_scaling, model.design
+    shape, places = (model.rows, model.cols, len(info.layout.pillars)), np.full((model.rows, model.cols, 3), np.nan)
+    rest_ohm = model.rest_resistances()
     limits = np.stack([scaling.centre - scaling.half_range, scaling.centre + scaling.half_range], axis=-1)
     return SensorDescription(
         rows=model.rows,
         cols=model.cols,
         axes=axes,
-        position_mm=unknown if model.design is None else pad_positions(model.design, of_units=model.knows_touch),
-        pad_mm=np.nan if model.design is None else model.design.pad.size_mm,
+        position_mm=places if design is None else pad_positions(design, of_units=model.knows_touch),
+        pad_mm=np.nan if design is None else design.pad.size_mm,
         range_n=limits.reshape(*shape[:2], len(axes), 2),
-        rest_ohm=unknown if rest_ohm is None else rest_ohm,
+        rest_ohm=np.full(shape, np.nan) if rest_ohm is None else rest_ohm,
         dead=np.zeros(shape, dtype=bool) if model.dead is None else model.dead,
         design_hash=model.design_hash or "",
         model_hash=str(model.made_from.get("recipe") or model.made_from.get("identified_on", "")),
@@ -108,4 +112,5 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
             "bits": info.bits,
             "scan_mode": info.scan_mode.name,
         },
+        layout=info.layout,
     )

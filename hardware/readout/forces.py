@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
+from geometry.layout_file import layout_text
 from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
@@ -47,8 +48,8 @@ class Forces:
     """
 
     force_n: FloatArray  #: (n, rows, cols, k)
-    resistance_ohm: FloatArray  #: (n, rows, cols, 3): pillars z, x, y as the model saw them
-    saturated: NDArray[np.bool_]  #: (n, rows, cols, 3): counts at 0 or full scale, which only bound a resistance
+    resistance_ohm: FloatArray  #: (n, rows, cols, P): of the P pillars of each unit as the model saw them
+    saturated: NDArray[np.bool_]  #: (n, rows, cols, P): counts at 0 or full scale, which only bound a resistance
     time_s: Any = None  #: (n,): start of each scan; live on the Unix clock, of a recording the board's
     stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
     device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
@@ -58,7 +59,7 @@ class Forces:
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): of touch, `Touched.moment_nmm`
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
-    memory_rise: FloatArray | None = None  #: (n, rows, cols, 3): of ln R, taken for the rubber's memory and taken away
+    memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
     memory_deviation: FloatArray | None = None  #: of that shape: relative, that this leaves of the resistances
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
@@ -147,7 +148,11 @@ class Forces:
         axes = {"axis": list(self.description.axes), "direction": list(AXES), "place": list(AXES[:2])}
         return xr.Dataset(
             variables,
-            coords={"time_s": ("frame", self.time_s, {"units": "s"}), "pillar": list(PILLARS), **axes},
+            coords={
+                "time_s": ("frame", self.time_s, {"units": "s"}),
+                "pillar": list(self.description.layout.pillar_names),
+                **axes,
+            },
             attrs={"sensor": json.dumps(self.description.plain())},
         )
 
@@ -177,8 +182,13 @@ class ForceReader:
                 f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
                 f"take a model trained for {info.rows} × {info.cols} units."
             )
+        if model.layout != info.layout:
+            raise FileFormatError(
+                f"the board's units are of layout {layout_text(info.layout)}, the model's of "
+                f"{layout_text(model.layout)}: take a model of that layout."
+            )
         self.model = model
-        self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols)
+        self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)
         self.calibration.require_for(info)
         self.crossbar = self.calibration.electronics.crossbar(info)
         self._invert = Corrector(self.crossbar).correct if crosstalk else self.crossbar.uncorrected
@@ -206,7 +216,9 @@ class ForceReader:
             )
         contact_ohm = 0.0 if model.design is None else 2.0 * model.design.electrics.contact_ohm
         self.memory = None if causal is None or rest_ohm is None else MemoryReader(causal, rest_ohm, contact_ohm)
-        self._tare_factor = self.calibration.tare_factor(np.ones(3) if rest_ohm is None else rest_ohm)
+        self._tare_factor = self.calibration.tare_factor(
+            np.ones(self.calibration.gain.shape[-1]) if rest_ohm is None else rest_ohm
+        )
         self.description = describe(model, info)
         self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.knows_touch)
         self._uncertain = model if model.knows_uncertainty else None
@@ -226,12 +238,12 @@ class ForceReader:
         return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Resistances (n, rows, cols, 3) [Ω] that counts (n, rows·cols·3) stand for, and which are saturated."""
+        """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""
         readings, saturated = self.crossbar.fractions(counts)
         return self._invert(readings), self.crossbar.as_pillars(saturated)
 
     def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None) -> Forces:
-        """Forces of n scans from their counts, (n, rows·cols·3), in the order of `geometry.wiring.crossings`.
+        """Forces of n scans from their counts, (n, n_crossings), in the order of `geometry.wiring.crossings`.
 
         A rubber that remembers is followed over `seconds` (n,), each since the scan before; 0 each by default.
         """

@@ -14,7 +14,7 @@ from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import infer
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 from geometry.storage.files import digest
 from hardware.readout.calibration import Electronics, SensorCalibration
 
@@ -67,7 +67,8 @@ def calibrated(
     """
     forward, modelled = _modelled(pairs, response)
     noise = pairs.noise if noise is None else noise
-    readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(PILLARS))])
+    layout = response.design.unit.layout
+    readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(layout.pillars))])
     own = infer(Expectation.of(response, None, component_named("all")), readings, draws=1).sensor
     gain = own.ohm_per_mm2 / forward.ohm_per_mm2  # resistivity is a gain of all pillars
     found = SensorCalibration(
@@ -76,6 +77,7 @@ def calibrated(
         electronics=electronics,
         serial=serial,
         made_from={"loads": len(pairs), "noise": noise, "design_hash": digest(response.design)},
+        layout=layout,
     )
     missed = (found.gain * modelled + found.offset_ohm) / pairs.resistance_ohm - 1.0
     residual = float(np.sqrt(np.nanmean(missed**2)))

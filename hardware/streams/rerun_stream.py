@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from geometry.errors import needing
-from geometry.layout import AXES, PILLARS
+from geometry.layout import AXES
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
 from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
@@ -77,7 +77,10 @@ class RerunStream:
         wrench, sensor = scan.wrench, self._sensor
         units = [f"row {i}, col {j}" for i, j in np.ndindex(sensor.rows, sensor.cols)]
         forces = {f"force_n/{axis}": scan.force_n[..., k] for k, axis in enumerate(sensor.axes)}
-        ohms = {f"resistance_ohm/{pillar}": scan.resistance_ohm[..., k] for k, pillar in enumerate(PILLARS)}
+        ohms = {
+            f"resistance_ohm/{pillar}": scan.resistance_ohm[..., k]
+            for k, pillar in enumerate(sensor.layout.pillar_names)
+        }
         return {name: (units, values.reshape(-1)) for name, values in (forces | ohms).items()} | {
             "net/force_n": ([f"F{axis}" for axis in AXES], wrench.force_n),
             "net/moment_nmm": ([f"M{axis}" for axis in AXES], wrench.moment_nmm),
@@ -113,7 +116,7 @@ class RerunStream:
             for origin, name, has_legend in (
                 ("net/force_n", "Net force [N]", True),
                 ("net/centre_of_pressure_mm", "Centre of pressure [mm]", True),
-                ("resistance_ohm", "Resistances [Ω]", False),  # three lines a unit: a legend would be cut off
+                ("resistance_ohm", "Resistances [Ω]", False),  # a line a pillar: a legend would be cut off
             )
         ]
         array = rrb.Spatial3DView(origin="sensor", name="Forces")

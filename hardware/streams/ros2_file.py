@@ -81,6 +81,7 @@ def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
         "design_hash": sensor.design_hash,
         "model_hash": sensor.model_hash,
         "board_serial": sensor.board.get("serial", 0),
+        "pillars": list(sensor.layout.pillar_names),
     }
 
 

@@ -16,7 +16,7 @@ from geometry.layout import rest_lengths
 class RubberState:
     """Strains of e sensors' pillars at their last readings, and the contacts that are broken in them.
 
-    `like` (e, rows, cols, 3) has the kind of all tensors, `spread` is that of the pillars' memories.
+    `like` (e, rows, cols, P) has the kind of all tensors, `spread` is that of the pillars' memories.
     """
 
     def __init__(self, design: SensorDesign, like: Tensor, spread: float) -> None:
@@ -47,7 +47,7 @@ class RubberState:
     def step(self, length_mm: Tensor, seconds: float) -> Tensor:
         """Factors of resistances as pillars of these lengths show them, so many seconds after the last step.
 
-        Both (e, rows, cols, 3); derivatives lead back to these lengths, not to earlier ones. Errors as of `require`.
+        Both (e, rows, cols, P); derivatives lead back to these lengths, not to earlier ones. Errors as of `require`.
         """
         self.require(seconds)
         strain = length_mm / self._rest_mm - 1.0

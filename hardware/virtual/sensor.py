@@ -29,11 +29,12 @@ from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_comp
 from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import AXES, PILLARS, rest_lengths
+from geometry.layout import AXES, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
+from hardware.virtual.twin_sensors import TwinSensors
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -47,7 +48,7 @@ class Reading:
     """One reading of e sensors; derivatives lead back to points and forces."""
 
     force_n: Tensor  #: (e, rows, cols, 3): on each pad along x, y, z [N]; Fz positive in compression
-    resistance_ohm: Tensor  #: (e, rows, cols, 3): pillars z, x, y as the host finds them [Ω]; `OPEN_OHM` of dead ones
+    resistance_ohm: Tensor  #: (e, rows, cols, P): of all pillars as the host finds them [Ω]; `OPEN_OHM` of dead ones
     decoded_n: Tensor | None  #: (e, rows, cols, k): forces that the model tells of these [N]; None without a model
     contacts: tuple[Contact, ...] = ()  #: of bodies, by `VirtualSensor.press`
 
@@ -138,6 +139,8 @@ class VirtualSensor:
         design = design.design if isinstance(design, TwinFile) else design
         self.design = design if crossbar is None or twin is not None else seen_by(crossbar, design)
         self.shape = self.design.array.rows, self.design.array.cols  #: rows, cols
+        self._layout = self.design.unit.layout
+        self._pillars = (*self.shape, len(self._layout.pillars))
         self._imperfections = Imperfections(
             noise=noise,
             bits=bits,
@@ -167,6 +170,8 @@ class VirtualSensor:
             if other is not None and (other.rows, other.cols) != self.shape:
                 sizes = f"{other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}"
                 raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
+            if other is not None and other.layout != self._layout:
+                raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
         feels = model is not None and model.knows_touch
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
         self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
@@ -184,11 +189,11 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            self._twin = _Twin(decoder, self._like)
+            self._twin = TwinSensors(decoder, self._like)
             self._forward = self._shape = self._twin.forward
-        self._gain = self._like.new_ones((environments, *self.shape, 3))
+        self._gain = self._like.new_ones((environments, *self._pillars))
         self._offset = torch.zeros_like(self._gain)
-        self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, 3)
+        self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
         self._member = torch.zeros(environments, dtype=torch.int64, device=self.device)
         self._steppers: list[dict[Hashable, Stepper]] = [{} for _ in range(environments)]
         self._rubber = RubberState(self.design, self._gain, memory_spread)
@@ -219,21 +224,22 @@ class VirtualSensor:
             self._generator.manual_seed(seed)
         everywhere = torch.arange(self.environments, device=self._like.device)
         chosen = everywhere if which is None else everywhere[which]
-        settings, like = self._imperfections, self._like.new_empty((len(chosen), *self.shape, 3))
+        settings, like = self._imperfections, self._like.new_empty((len(chosen), *self._pillars))
         electrics = self.design.electrics
         self._gain[chosen] = 1.0 + settings.gain_spread * like.uniform_(-1.0, 1.0, generator=self._generator)
         self._offset[chosen] = settings.offset_ohm * like.normal_(generator=self._generator)
         self.dead = self.dead.index_copy(0, chosen, like.uniform_(generator=self._generator) < self.dead_probability)
         self._gain[chosen] = settings.warmed(self._gain[chosen], electrics)
         if electrics.contact_ohm and self._twin is None:
-            drawn = self._normal((len(chosen), *self.shape, len(self.design.unit.layout.terminals)))
-            contacts = electrics.contact_ohm * of_both_ends(log_normal(drawn, electrics.contact_spread))
+            drawn = self._normal((len(chosen), *self.shape, len(self._layout.terminals)))
+            contacts = electrics.contact_ohm * of_both_ends(log_normal(drawn, electrics.contact_spread), self._layout)
             self._offset[chosen] += contacts - self._gain[chosen] * electrics.contacts_ohm
         self._rubber.forget(chosen, self._normal)
         if self._twin is not None:
             numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
             self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
-        rest_ohm = self._gain * self.resistances(torch.zeros_like(self._gain)) + self._offset
+        at_rest = self._like.new_zeros((self.environments, *self.shape, len(AXES)))
+        rest_ohm = self._gain * self.resistances(at_rest) + self._offset
         if bool((rest_ohm <= 0.0).any()):
             raise DesignError(
                 f"offset_ohm={settings.offset_ohm:g} takes a pillar's resistance at rest to {float(rest_ohm.min()):.4g}"
@@ -261,18 +267,18 @@ class VirtualSensor:
         return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
 
     def resistances(self, force_n: Tensor, seconds: float | None = None) -> Tensor:
-        """Exact resistances (e, rows, cols, 3) [Ω] under forces on the pads (e, rows, cols, 3) [N].
+        """Exact resistances (e, rows, cols, P) [Ω] under forces on the pads (e, rows, cols, 3) [N].
 
         A twin's are those of the environment's own sensor, gains and offsets included. With `seconds` since these were
         asked for last, rubber with memory remembers; without, resistances are those of rubber that does not.
         """
-        self._require(force_n, "force_n")
+        self._require(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            ohms = self._twin.resistances(columns, self._member).reshape(force_n.shape)
+            ohms = self._twin.resistances(columns, self._member).reshape(self._gain.shape)
         else:
-            ohms = self._forward.resistances(columns).reshape(force_n.shape)
-        return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(force_n.shape), seconds)
+            ohms = self._forward.resistances(columns).reshape(self._gain.shape)
+        return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(self._gain.shape), seconds)
 
     def _remembered(self, ohms: Tensor, lengths_mm: Callable[[], Tensor], seconds: float | None) -> Tensor:
         """Resistances of pillars of these lengths that were read so many seconds ago; contacts do not remember."""
@@ -283,16 +289,16 @@ class VirtualSensor:
 
     def strains(self, force_n: Tensor) -> Tensor:
         """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
-        lengths = self._forward.lengths(force_n.reshape(self.environments, -1)).reshape(self.environments, -1, 3)
-        return (lengths / self._like.new_tensor(rest_lengths(self.design.unit)) - 1.0).abs().amax(dim=(1, 2))
+        lengths = self._forward.lengths(force_n.reshape(self.environments, -1)).reshape(-1, *self._pillars)
+        return (lengths / self._like.new_tensor(rest_lengths(self.design.unit)) - 1.0).abs().amax(dim=(1, 2, 3))
 
     def read(self, resistance_ohm: Tensor) -> Tensor:
-        """Resistances as this specimen shows them and its electronics read them, both (e, rows, cols, 3) [Ω].
+        """Resistances as this specimen shows them and its electronics read them, both (e, rows, cols, P) [Ω].
 
         Order as of `Imperfections.apply`: gain and offset, noise, converter, and last what is dead reads as open.
         A converter's counts have the derivatives of what they round; outside its range they stay at its end.
         """
-        self._require(resistance_ohm, "resistance_ohm")
+        self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
         settings = self._imperfections
         ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_WHOLE_OHM)
         if settings.noise:
@@ -307,11 +313,11 @@ class VirtualSensor:
         return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
-        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, 3) [Ω]."""
+        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, P) [Ω]."""
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
-        self._require(resistance_ohm, "resistance_ohm")
-        pillars = [PILLARS.index(pillar) for pillar in self._decoder.component.pillars]
+        self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
+        pillars = self._decoder.pillars
         columns = resistance_ohm[..., pillars]
         if (dead := self._decoder.dead) is not None:
             columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
@@ -362,7 +368,8 @@ class VirtualSensor:
             raise ArgumentError("a twin's own sensors know loads on pads alone: press a design, with gain_spread.")
         self._rubber.require(seconds)
         surface, grid = self._top
-        force, moved = (np.zeros((self.environments, surface.design.n_units, k, 3)) for k in (1, 2))
+        n_upper, n_units = len(self._layout.upper), surface.design.n_units
+        force, moved = (np.zeros((self.environments, n_units, k, 3)) for k in (1, n_upper))
         contacts: list[Contact] = []
         for number, own in enumerate(bodies):
             before = self._steppers[number]
@@ -373,14 +380,14 @@ class VirtualSensor:
                     contacts.append(contact)
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
                     box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
-                    moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, 2, 3)
-        lengths, sizes = pillar_lengths(moved, self.design.unit), (self.environments, *self.shape, 3)
+                    moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, n_upper, 3)
+        lengths, sizes = pillar_lengths(moved, self.design.unit), self._gain.shape
         with torch.no_grad():
             exact_ohm = self._like.new_tensor(exact_resistances(lengths, self.design)).reshape(sizes)
             exact_ohm = self._remembered(exact_ohm, lambda: self._like.new_tensor(lengths).reshape(sizes), seconds)
             resistance_ohm = self.read(exact_ohm)
             decoded_n = self._decoded(resistance_ohm)
-        applied_n = self._like.new_tensor(force).reshape(sizes)
+        applied_n = self._like.new_tensor(force).reshape(self.environments, *self.shape, len(AXES))
         return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n, contacts=tuple(contacts))
 
     def _decoded(self, resistance_ohm: Tensor) -> Tensor | None:
@@ -388,7 +395,7 @@ class VirtualSensor:
             return None if self._decoder is None else self.forces(resistance_ohm)
         ohms = resistance_ohm.detach().cpu().double().numpy()
         found = [one.touches(scan)[0].force_n for one, scan in zip(self._followers, ohms[:, None], strict=True)]
-        return self._like.new_tensor(np.stack(found)).reshape(resistance_ohm.shape)
+        return self._like.new_tensor(np.stack(found)).reshape(*resistance_ohm.shape[:-1], -1)
 
     @cached_property
     def _top(self) -> tuple[SurfaceCompliance, Grid]:
@@ -398,8 +405,8 @@ class VirtualSensor:
     def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)
 
-    def _require(self, values: Tensor, name: str) -> None:
-        expected = (self.environments, *self.shape, len(AXES))
+    def _require(self, values: Tensor, name: str, last: int) -> None:
+        expected = (self.environments, *self.shape, last)
         if values.shape != expected:
             raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
 
@@ -417,33 +424,3 @@ def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:
         return torch.ones_like(place_mm)[..., None]
     within = torch.minimum(torch.maximum(place_mm, centres_mm[0]), centres_mm[-1])
     return (1.0 - (within[..., None] - centres_mm).abs() / (centres_mm[1] - centres_mm[0])).clamp(min=0.0)
-
-
-class _Twin:
-    """The posterior's sensors of a twin, each to first order about the most probable one, as `Ensemble.readings`."""
-
-    def __init__(self, decoder: Decoupler, like: Tensor) -> None:
-        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
-            raise DesignError(
-                f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
-            )
-        self.forward: Any = in_torch(decoder.inverse.forward, like)
-        held = decoder.ensemble
-        self.members = len(held)
-        self._relative, self._offset = like.new_tensor(held.resistance), like.new_tensor(held.offset_ohm)
-        self._rest = like.new_tensor(held.rest_mm).mT  # (m, 3, P)
-        self._influence = like.new_tensor(held.influence).permute(0, 3, 2, 1).flatten(2)  # (m, Q, 3 P)
-
-    def resistances(self, force_n: Tensor, member: Tensor) -> Tensor:
-        """Resistances (e, P) [Ω] of sensors `member` (e,) under forces (e, Q) [N]."""
-        vectors = self.forward.vectors(force_n)
-        signed = vectors if self.forward.sign is None else vectors * self.forward.sign
-        squares = (signed * vectors).sum(dim=1)
-        moved = self._rest[member]
-        for m in member.unique():
-            own = member == m
-            moved[own] = moved[own] + (force_n[own] @ self._influence[m]).reshape(-1, *moved.shape[1:])
-        slopes = (2.0 * signed / squares[:, None])[:, : moved.shape[1]]
-        relative = 1.0 + self._relative[member] + (moved * slopes).sum(dim=1)
-        ohms = relative * self.forward.ohm_per_mm2 * squares + self.forward.offset_ohm + self._offset[member]
-        return ohms.clamp(min=MIN_WHOLE_OHM)

@@ -10,7 +10,7 @@ from dataset.simulation import DatasetSettings, displacements, simulate
 from fem.array.response import ArrayResponse
 from fem.pictures.arrays import uniform_pressure
 from geometry.design import SensorDesign
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 from studies.paper.printed import LARGEST_FORCE_N, MEAN_OVER_WIDTHS, PRESSURES_MPA
 
 CAP = max(MEAN_OVER_WIDTHS)  #: largest strain of the paper's experiments
@@ -100,7 +100,7 @@ def pressed(response: ArrayResponse, loaded: str, pressure_mpa: float) -> Presse
         force_n=pressure_mpa * design.pad.size_mm**2,
         largest_mm=float(size_mm.max()),
         largest_at=int(size_mm.max(axis=1).argmax()),
-        strain={name: float(strain) for name, strain in zip(PILLARS, middle, strict=True)},
+        strain={name: float(strain) for name, strain in zip(design.unit.layout.pillar_names, middle, strict=True)},
         largest_strain=float(pillar_strains(moved, lengths, design.unit).max()),
     )
 

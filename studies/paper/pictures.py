@@ -50,7 +50,7 @@ def draw_figure_7(design: SensorDesign, path: Path) -> None:
 
 
 def draw_electrode_grid(response: ArrayResponse, traction_mpa: FloatArray | None, path: Path) -> None:
-    """Write a PNG of the grid of upper electrodes U1, as the paper's figures 6 and 8.
+    """Write a PNG of the grid of each unit's first upper electrode, as the paper's figures 6 and 8.
 
     Circles are the electrodes at rest; loaded, a net joins where they have moved to, coloured by how far.
 
@@ -91,7 +91,13 @@ def draw_electrode_grid(response: ArrayResponse, traction_mpa: FloatArray | None
         bar = figure.colorbar(dots, cax=figure.add_axes((0.86, 0.22, 0.025, 0.6)))
         bar.set_label("displacement of the electrode [mm]", fontsize=13)
         bar.ax.tick_params(labelsize=12)
-        figure.legend(loc="upper left", title="electrodes U1", frameon=False, fontsize=12, title_fontsize=13)
+        figure.legend(
+            loc="upper left",
+            title=f"electrodes {design.unit.layout.upper_names[0]}",
+            frameon=False,
+            fontsize=12,
+            title_fontsize=13,
+        )
     reach = np.abs(np.concatenate([rest, now])[..., :2]).max() * 1.05
     low = min(0.0, float(now[..., 2].min()))
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low, max(height, float(now[..., 2].max())) * 1.1))

@@ -23,8 +23,6 @@ from fem.array.solving import ResponseSettings, array_response, response_cache_k
 from geometry.design import Array, SensorDesign
 from geometry.layout import (
     AXES,
-    ELECTRODES,
-    PILLAR_TOP,
     FloatArray,
     electrode_squares,
     pillar_ends,
@@ -171,7 +169,7 @@ def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
         noise_n={f"f{axis}": float(np.sqrt((unbiased_n[:, i] ** 2).mean())) for i, axis in enumerate(AXES)},
         distance_mm=np.linalg.norm(places, axis=1).tolist(),
         moved=share.ravel().tolist(),
-        on_rim=np.repeat(rim, len(ELECTRODES)).tolist(),
+        on_rim=np.repeat(rim, len(design.unit.layout.upper)).tolist(),
     )
 
 
@@ -238,10 +236,10 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
     compliance = layer_mean_compliance(
         electrode_squares(near)[:, None], touches, design.unit.height_mm, design.matrix_material
     )
-    moved = compliance.reshape(near.n_units, len(ELECTRODES), len(touches), 3, 3)
+    moved = compliance.reshape(near.n_units, len(design.unit.layout.upper), len(touches), 3, 3)
     bottom, top = pillar_ends(design.unit).transpose(1, 0, 2)
     along = (top - bottom) / rest_lengths(design.unit)[:, None] ** 2
-    readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, PILLAR_TOP])
+    readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, design.unit.layout.pillar_top])
     strongest: FloatArray = np.abs(readings).max(axis=(0, 1))
     return strongest
 

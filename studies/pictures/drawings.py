@@ -12,9 +12,10 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from dataset.protocols import NORMAL_MPA, PROTOCOLS, TANGENTIAL_MPA
 from geometry.design import SensorDesign, Unit
-from geometry.layout import PILLARS, FloatArray, pillar_ends, pillar_sections, unit_centres
-from geometry.wiring import crossings, pillar_of_crossing
+from geometry.layout import AXES, FloatArray, electrode_centres, pillar_ends, pillar_sections, unit_centres
+from geometry.wiring import crossings, pillar_of_crossing, unit_wires, wires
 from studies.charts import new_figure, save
+from tripillar.sweep.judge import own_axes
 from tripillar.terminal.entry import run_alone
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
@@ -31,18 +32,18 @@ def draw_build(design: SensorDesign, path: Path) -> None:
     """Draw one unit of a design and the wiring of a 2 × 2 array, and write a PNG."""
     figure = new_figure(11, 4.6, dpi=130, layout="tight")
     _unit(figure.add_subplot(1, 2, 1, projection="3d"), design.unit)
-    _wiring(figure.add_subplot(1, 2, 2), rows=2, cols=2)
+    _wiring(figure.add_subplot(1, 2, 2), design.unit, rows=2, cols=2)
     save(figure, path)
 
 
 def _unit(axes: Axes3D, unit: Unit) -> None:
-    """The three pillars of a unit with the names of its electrodes."""
-    for name, ends, section in zip(PILLARS, pillar_ends(unit), pillar_sections(unit), strict=True):
-        axes.add_collection3d(Poly3DCollection(prism_faces(ends, section), color=COLOURS[name], alpha=0.75, lw=0))
-        axes.plot([], [], lw=6, color=COLOURS[name], label=f"{name} pillar, senses F{name}")
-    z_ends, x_ends, y_ends = pillar_ends(unit)
-    for place, name, up in ((z_ends[1], "U1", 1), (y_ends[1], "U2", 1), (z_ends[0], "L1", -1), (x_ends[0], "L2", -1)):
-        x, y, z = place
+    """The pillars of a unit with the names of its electrodes."""
+    layout, sensed = unit.layout, [AXES[axis] for axis in own_axes(unit)]
+    for name, axis, *shape in zip(layout.pillar_names, sensed, pillar_ends(unit), pillar_sections(unit), strict=True):
+        axes.add_collection3d(Poly3DCollection(prism_faces(*shape), color=COLOURS[axis], alpha=0.75, lw=0))
+        axes.plot([], [], lw=6, color=COLOURS[axis], label=f"{name} pillar, senses F{axis}")
+    for number, (name, (x, y, z)) in enumerate(zip(layout.terminals, electrode_centres(unit), strict=True)):
+        up = 1 if number < len(layout.upper) else -1
         axes.text(x, y, z + 0.13 * up * unit.height_mm, name, ha="center", va="center")
     half, s, h = unit.footprint_mm / 2, unit.span_mm / 2, unit.height_mm
     axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(0, h), xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
@@ -60,21 +61,28 @@ def prism_faces(ends_mm: FloatArray, section_mm: FloatArray) -> list[FloatArray]
     return [bottom, top, *sides]
 
 
-def _wiring(axes: Axes, rows: int, cols: int) -> None:
+def _wiring(axes: Axes, unit: Unit, rows: int, cols: int) -> None:
     """Row and column wires, and at each crossing the pillar that it reads."""
-    for wire in range(2 * rows):
+    layout, (n_rows, n_columns), n_upper = unit.layout, wires(rows, cols, unit.layout), len(unit.layout.upper)
+    of_row, of_column = (
+        [[name for name, own in zip(names, each, strict=True) if own == wire] for wire in range(max(each) + 1)]
+        for names, each in zip((layout.upper_names, layout.terminals[n_upper:]), unit_wires(layout), strict=True)
+    )
+    for wire in range(n_rows):
+        i, own = divmod(wire, len(of_row))
         axes.axhline(wire, color=GREY, lw=1)
-        axes.text(-0.7, wire, f"row wire {wire}: U{wire % 2 + 1} of row {wire // 2}", ha="right", va="center")
-    for wire in range(2 * cols):
+        axes.text(-0.7, wire, f"row wire {wire}: {', '.join(of_row[own])} of row {i}", ha="right", va="center")
+    for wire in range(n_columns):
+        j, own = divmod(wire, len(of_column))
         axes.axvline(wire, color=GREY, lw=1)
-        label = f"column wire {wire}:\nL{wire % 2 + 1} of column {wire // 2}"
+        label = f"column wire {wire}:\n{', '.join(of_column[own])} of column {j}"
         axes.text(wire, -0.7, label, ha="center", va="top", rotation=90, linespacing=1.3)
-    pillars = pillar_of_crossing(rows, cols) % len(PILLARS)
-    for (row, column), pillar in zip(crossings(rows, cols), pillars, strict=True):
-        name = PILLARS[pillar]
-        axes.plot(column, row, "o", ms=17, color=COLOURS[name])
+    pillars, sensed = pillar_of_crossing(rows, cols, layout) % len(layout.pillars), own_axes(unit)
+    for (row, column), pillar in zip(crossings(rows, cols, layout), pillars, strict=True):
+        axes.plot(column, row, "o", ms=17, color=COLOURS[AXES[sensed[pillar]]])
+        name = layout.pillar_names[pillar]
         axes.text(column, row, name, color="white", ha="center", va="center", weight="bold")
-    axes.set(xlim=(-0.6, 2 * cols - 0.4), ylim=(-0.6, 2 * rows - 0.4), aspect="equal")
+    axes.set(xlim=(-0.6, n_columns - 0.4), ylim=(-0.6, n_rows - 0.4), aspect="equal")
     axes.axis("off")
     axes.set_title(f"wiring of a {rows} × {cols} array", fontsize=10)
 

@@ -189,7 +189,7 @@ def unit_bayes(response: ArrayResponse, data: Samples, usual_n: FloatArray) -> F
     parts = component_named("all")
     forward = SensorModel.of(response, parts)
     force_n = force_columns(data.force_n, parts)[:LIMIT_SAMPLES]
-    readable = readable_columns(parts, data.dead, forward.n_pillars)
+    readable = readable_columns(parts, data.layout, data.dead, forward.n_pillars)
     least = bayes(forward, force_n, data.noise, data.bits, readable, force_columns(usual_n, parts))
     return np.sqrt((least**2).mean(axis=0)).reshape(data.force_n.shape[1:])
 

@@ -13,21 +13,26 @@ from fem.array.closed_forms import layer_response
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import ResponseSensitivities
 from geometry import Array, SensorDesign
-from geometry.layout import AXES, FloatArray, pillar_volumes, unit_centres
+from geometry.design import Unit
+from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_volumes, unit_centres
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations
 
-#: mm per N of U1 and U2 (last but one) along x, y, z under a force along x, y, z (last) on their own unit
-_OWN = np.array(
-    [
-        [[1.0e-2, 0.0, 2e-3], [0.0, 1.0e-2, 2e-3], [1e-3, 1e-3, 4e-3]],
-        [[1.0e-2, 0.0, 2e-3], [0.0, 1.0e-2, -2e-3], [1e-3, -1e-3, 4e-3]],
-    ]
-)
 _RANGE_N = {"x": (29.0, 144.0), "y": (29.0, 144.0), "z": (144.0, 720.0)}  #: of independent pad loads
 
 
-def sensor(rows: int = 6, cols: int = 6) -> SensorDesign:
-    return replace(SensorDesign(), array=Array(rows=rows, cols=cols))
+def sensor(rows: int = 6, cols: int = 6, layout: str = "song2018") -> SensorDesign:
+    return SensorDesign(unit=Unit(layout=LAYOUTS[layout]), array=Array(rows=rows, cols=cols))
+
+
+def _own(layout: Layout) -> FloatArray:
+    """Motion (n_upper, 3, 3) [mm/N] of electrodes along x, y, z by forces along x, y, z (last) on their own unit.
+
+    Pressure pushes an electrode towards the unit's middle, and shear tilts the top about it.
+    """
+    found = np.tile(np.diag([1.0e-2, 1.0e-2, 4e-3]), (len(layout.upper), 1, 1))
+    for k, electrode in enumerate(layout.upper):
+        found[k, :2, 2], found[k, 2, :2] = -2e-3 * np.array(electrode.place), -1e-3 * np.array(electrode.place)
+    return found
 
 
 def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Samples:
@@ -38,8 +43,8 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Samp
     for axis in axes:
         force_n[..., AXES.index(axis)] = generator.uniform(*_RANGE_N[axis], (n_samples, rows * cols))
     pushed = force_n * [1.0, 1.0, -1.0]  # compression moves electrodes along −z
-    displacement_mm = np.einsum("kl,eij,nlj->nkei", _neighbour(design), _OWN, pushed)
-    length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, 3)
+    displacement_mm = np.einsum("kl,eij,nlj->nkei", _neighbour(design), _own(design.unit.layout), pushed)
+    length_mm = pillar_lengths(displacement_mm, design.unit).reshape(n_samples, rows, cols, -1)
     resistance_ohm = pillar_resistances(length_mm, pillar_volumes(design.unit), design.resistivity_ohm_mm)
     return Samples(resistance_ohm=resistance_ohm, force_n=force_n.reshape(n_samples, rows, cols, 3), design=design)
 
@@ -47,7 +52,8 @@ def labelled(design: SensorDesign, axes: str, n_samples: int, seed: int) -> Samp
 def response(design: SensorDesign) -> ArrayResponse:
     """The influence that `labelled` uses."""
     rows, cols = design.array.rows, design.array.cols
-    influence = np.einsum("kl,eij->keilj", _neighbour(design), _OWN).reshape(rows, cols, 2, 3, rows, cols, 3)
+    influence = np.einsum("kl,eij->keilj", _neighbour(design), _own(design.unit.layout))
+    influence = influence.reshape(rows, cols, -1, 3, rows, cols, 3)
     return ArrayResponse(design=design, influence_mm_per_n=influence, residual=0.0, unknowns=0, seconds={})
 
 

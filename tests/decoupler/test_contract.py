@@ -33,6 +33,7 @@ from tests.decoupler.test_sensor_model import conducted
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
+OTHERS = ("six-pillar", "eight-pillar", "upright-four")  #: layouts
 AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
 DEAD = np.zeros((2, 3, 3), dtype=bool)
 DEAD[0, 1], DEAD[1, 2, 0] = True, True
@@ -53,14 +54,19 @@ class Case:
 def read(data: Samples, **errors: float) -> Samples:
     """Samples as a specimen with gains, offsets, noise and converter shows them."""
     settings = Imperfections(specimen=1, **errors)
-    drawn = settings.apply(data.resistance_ohm, np.random.default_rng(0))
+    drawn = settings.apply(data.resistance_ohm, np.random.default_rng(0), layout=data.layout)
     return replace(data, resistance_ohm=drawn, noise=settings.noise, bits=settings.bits)
 
 
-def linear(component: str = "all", net: str = "skip", feature: str = "inverse", n: int = 600, **errors: float) -> Case:
-    data = read(labelled(SENSOR, AXES[component], n + 200, seed=0), **errors)
-    network = NetworkConfig(hidden=6, net=net, feature=feature)
-    return Case(train(data[:n], component, network, TrainingConfig(), response=RESPONSE), data[n:])
+def linear(
+    component: str = "all", net: str = "skip", feature: str = "inverse", layout: str = "song2018", **errors: float
+) -> Case:
+    design = sensor(2, 3, layout)
+    data, network = (
+        read(labelled(design, AXES[component], 800, seed=0), **errors),
+        NetworkConfig(hidden=6, net=net, feature=feature),
+    )
+    return Case(train(data[:600], component, network, TrainingConfig(), response=response(design)), data[600:])
 
 
 def dead(feature: str) -> Case:
@@ -86,13 +92,14 @@ def drifting() -> Case:
     return Case(model, read(data[2000:], noise=1e-3, **DRIFTS))
 
 
-def identified() -> Case:
-    data = read(labelled(SENSOR, "xyz", 220, seed=0), gain_spread=0.1, offset_ohm=100.0, noise=1e-3)
-    return Case(identify(Pairs.of(data[:20]), RESPONSE).decoder, data[20:])
+def identified(layout: str = "song2018") -> Case:
+    design = sensor(2, 3, layout)
+    data = read(labelled(design, "xyz", 220, seed=0), gain_spread=0.1, offset_ohm=100.0, noise=1e-3)
+    return Case(identify(Pairs.of(data[:20]), response(design)).decoder, data[20:])
 
 
-def at_finite_strain() -> Case:
-    return Case(finite.learned(), finite.samples(finite.law(1.0), noise=1e-3)[1000:])
+def at_finite_strain(layout: str = "song2018") -> Case:
+    return Case(*finite.learned(layout))
 
 
 #: by what is particular about each; noise-free ones learn nothing but what the response leaves
@@ -107,7 +114,11 @@ CASES: dict[str, Callable[[], Case]] = {
     "conduction": conducting,
     "drifts": drifting,
     "identified": identified,
+    **{layout: lambda layout=layout: linear(layout=layout, noise=1e-3, bits=12) for layout in OTHERS},
+    **{f"fx-{layout}": lambda layout=layout: linear("fx", "skip", "root", layout, noise=1e-3) for layout in OTHERS},
+    "identified-six-pillar": lambda: identified("six-pillar"),
     "finite-strain": at_finite_strain,
+    "finite-strain-six-pillar": lambda: at_finite_strain("six-pillar"),
 }
 made = cache(lambda name: CASES[name]())
 
@@ -122,7 +133,7 @@ def test_its_file_gives_the_same_bits(case, tmp_path):
     write_model(case.model, tmp_path / "model.safetensors")
     again, ohms = read_model(tmp_path / "model.safetensors"), case.test.resistance_ohm[:40]
     assert again.made_from == case.model.made_from
-    weights = np.ones((ohms[0].size // 3 * len(again.component.axes), 1))
+    weights = np.ones((case.test.force_n[0].size // 3 * len(again.component.axes), 1))
     answers = [
         lambda model: model.forces(ohms),
         lambda model: model.half_widths(ohms),
@@ -178,7 +189,7 @@ def test_other_forms_give_its_forces(case, tmp_path):
         return
     rest_ohm = model.rest_resistances()
     scans = np.concatenate([scans, rest_ohm[None] + 1.0])  # which a converter cannot tell from rest
-    columns = torch.from_numpy(pillar_columns(scans, model.component, model.dead))
+    columns = torch.from_numpy(pillar_columns(scans, model.component, model.layout, model.dead))
     assert model.dead is None or (columns == DEAD_OHM).any()
     tensors = in_torch(model, columns.new_zeros(())).first_answers(columns).numpy()
     expected = model.forces(scans)

@@ -14,7 +14,7 @@ SENSOR = sensor(2, 3)
 ALL = component_named("all")
 FORWARD = SensorModel.of(response(SENSOR), ALL)
 DATA = labelled(SENSOR, "xyz", n_samples=150, seed=0)
-FORCES, COLUMNS = force_columns(DATA.force_n, ALL), pillar_columns(DATA.resistance_ohm, ALL)
+FORCES, COLUMNS = force_columns(DATA.force_n, ALL), pillar_columns(DATA.resistance_ohm, ALL, DATA.layout)
 NOISE = 0.002
 
 

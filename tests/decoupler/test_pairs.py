@@ -10,8 +10,10 @@ from dataset.samples import SampleError
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.data.pairs import Pairs
 from geometry.errors import FileFormatError
+from tests.decoupler.synthetic_sensor import sensor
 
 PAD_MM2 = 144.0
+DESIGN, LONE = sensor(2, 3), sensor(1, 1)
 TIMED = "load,row,col,fx_n,fy_n,fz_n,from_s,to_s"
 KINDS = "load,kind,row,col,fx_n,fy_n,fz_n,kpa,error,tilt,share"
 
@@ -23,13 +25,13 @@ def table(tmp_path, *lines, header=TIMED):
 
 
 def one(tmp_path, line, header=KINDS):
-    (load,) = read_loads(table(tmp_path, f"a,{line}", header=header), 2, 3, PAD_MM2)
+    (load,) = read_loads(table(tmp_path, f"a,{line}", header=header), DESIGN)
     return load
 
 
 def test_lines_of_one_load_act_together(tmp_path):
     path = table(tmp_path, "nothing,0,0,0,0,0,0,1", "a,1,2,0,0,5,2,3", "a,0,1,1.5,,-2,2,3", "b, 1, 1, , , 9.81, ,")
-    nothing, a, b = read_loads(path, 2, 3, PAD_MM2)
+    nothing, a, b = read_loads(path, DESIGN)
     assert (nothing.name, nothing.force_n.any(), nothing.from_s, nothing.to_s) == ("nothing", False, 0.0, 1.0)
     assert len(nothing.unknown_n) == 0
     assert (a.force_n[1, 2].tolist(), a.force_n[0, 1].tolist(), (a.force_n != 0).sum()) == ([0, 0, 5], [1.5, 0, -2], 3)
@@ -69,22 +71,22 @@ def test_pairs_that_are_kept_come_back(tmp_path):
     """One after another, with all that is known of their forces; a table of another array is left alone."""
     header = "load,kind,row,col,fz_n,noise,r_0_0_z,r_0_0_x,r_0_0_y"
     path = table(tmp_path, "rest,nothing,,,,0.1 %,10000,14000,", "w,pad,0,0,1 kg,0.001,9900,13990,13990", header=header)
-    pairs = read_pairs(path, 1, 1, PAD_MM2)
+    pairs = read_pairs(path, LONE)
     assert (len(pairs), pairs.noise, pairs.names) == (2, 0.001, ("rest", "w"))
     assert np.isnan(pairs.resistance_ohm[0, 0, 0]).tolist() == [False, False, True]
     path, ohms = tmp_path / "pairs.csv", np.array([[[9900.0, np.nan, 13990.0]]])
     lines = "a,,0,0,,1 kg,2 %,", "b,,0,0,5,,,0", "b,,0,0,,1,,"
-    loads = read_loads(table(tmp_path, *lines, header="load,kind,row,col,fx_n,fz_n,error,tilt"), 1, 1, PAD_MM2)
+    loads = read_loads(table(tmp_path, *lines, header="load,kind,row,col,fx_n,fz_n,error,tilt"), LONE)
     for load in loads:
-        keep_pair(path, replace(load, resistance_ohm=ohms, noise=2e-4))
-    back = read_pairs(path, 1, 1, PAD_MM2)
+        keep_pair(path, replace(load, resistance_ohm=ohms, noise=2e-4), LONE.unit.layout)
+    back = read_pairs(path, LONE)
     assert (back.names, back.noise) == (("a", "b"), 2e-4)
     assert np.array_equal(back.resistance_ohm[1], ohms, equal_nan=True)
     for k, load in enumerate(loads):
         assert np.array_equal(back.force_n[k], load.force_n)
         assert np.array_equal(back.unknown_n[k], load.unknown_n)
     with pytest.raises(FileFormatError, match="has other columns"):
-        keep_pair(path, replace(loads[0], resistance_ohm=np.ones((1, 2, 3))))
+        keep_pair(path, replace(loads[0], resistance_ohm=np.ones((1, 2, 3))), LONE.unit.layout)
 
 
 @pytest.mark.parametrize(
@@ -100,13 +102,19 @@ def test_pairs_that_are_kept_come_back(tmp_path):
         (["a,plate,,,,,400,,-1 %,,"], KINDS, "error is '-1 %', must be a number from 0 on, or a percentage"),
         (["a,pad,0,0,,,400,,1 %,,20 %"], KINDS, "share is '20 %', but one pad takes all"),
         (["1"], "spam", "needs a header"),
+        (["x,0,0,2.5,9,9"], "load,row,col,fz_n,r_0_0_z,r_2_0_z", "readings of 3 × 1 units, the design has 2 × 3"),
+        (
+            ["x,0,0,2.5,9"],
+            "load,row,col,fz_n,r_0_0_z2",
+            "readings of a pillar z2, the design has 2 × 3 with pillars z, x, y",
+        ),
         (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )
 def test_a_line_that_makes_no_sense_is_named(tmp_path, lines, header, says):
     path = table(tmp_path, *lines, header=header)
     with pytest.raises(FileFormatError) as refused:
-        (read_pairs if "no readings" in says else read_loads)(path, 2, 3, PAD_MM2)
+        (read_pairs if "no readings" in says else read_loads)(path, DESIGN)
     assert says in str(refused.value)
 
 

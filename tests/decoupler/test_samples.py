@@ -11,7 +11,6 @@ from decoupler.data.columns import COMPONENTS, Columns, Scaling, component_named
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import suited_component, without_stuck
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import PILLARS
 from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor
 
 ALL = component_named("all")
@@ -51,7 +50,7 @@ def test_stuck_pillars_are_found_whatever_their_noise_and_healthy_ones_are_not(k
     assert without_stuck(healthy, model(known, component)) is healthy
     if n == 3:
         return
-    places = [(row, col, PILLARS.index(component.pillars[0])) for row, col in ((0, 1), (2, 2))]
+    places = [(row, col, component.pillars(data.layout)[0]) for row, col in ((0, 1), (2, 2))]
     for place in places:
         ohm = 7000 + generator.uniform(-1, 1, n)
         data.resistance_ohm[:, *place] = ohm * (1 + noise * generator.standard_normal(n))

@@ -7,12 +7,12 @@ import pytest
 
 from dataset.resistance import conducted_lengths
 from decoupler import SampleError, component_named
-from decoupler.data.columns import COMPONENTS, Columns, force_columns, pillar_columns
+from decoupler.data.columns import COMPONENTS, Columns, force_columns
 from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training.suited import explaining, suited_feature
 from fem.array.response import ArrayResponse, ConductedPillars
-from geometry.layout import PILLAR_TOP, pillar_ends
+from geometry.layout import pillar_ends
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -28,7 +28,7 @@ SHUFFLED = np.random.default_rng(0).permutation(DATA.force_n)  #: resistances of
 
 def conducted(factor: float) -> ArrayResponse:
     """The response with resistances as by conduction: eq. 1 with components turned, one more whose square counts −1."""
-    B = RESPONSE.influence_mm_per_n[:, :, list(PILLAR_TOP)]  # (rows, cols, 3 pillars, 3, ...)
+    B = RESPONSE.influence_mm_per_n[:, :, SENSOR.unit.layout.pillar_top]  # (rows, cols, 3 pillars, 3, ...)
     d = np.broadcast_to(np.diff(pillar_ends(SENSOR.unit), axis=1)[:, 0], B.shape[:4])
     turn = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
     more = factor * B[..., :1, :, :, :]
@@ -48,7 +48,7 @@ def test_gives_the_resistances_that_the_dataset_has(name):
     """Two routes from forces to ohms; by conduction in components that are those of eq. 1 as well. Rounding only."""
     component = component_named(name)
     data = labelled(SENSOR, "".join(component.axes), n_samples=20, seed=0)
-    force_n, expected = force_columns(data.force_n, component), pillar_columns(data.resistance_ohm, component)
+    force_n, expected = force_columns(data.force_n, component), Columns.of(data, component).resistance_ohm
     for given in (RESPONSE, conducted(0.0)):
         forward = SensorModel.of(given, component)
         np.testing.assert_allclose(forward.resistances(force_n), expected, rtol=1e-13)

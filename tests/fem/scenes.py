@@ -24,6 +24,12 @@ FOUR = Layout(
     ),
 )
 
+
+def round_of(layout: Layout) -> Layout:
+    """The same layout, its pillars round."""
+    return replace(layout, pillars=tuple(replace(one, section="round") for one in layout.pillars))
+
+
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 
 BLOCK = """

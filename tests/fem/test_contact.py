@@ -20,7 +20,7 @@ from fem.contact import (
 )
 from fem.contact.indentation import OPEN, STICK
 from fem.contact.surface import Patch, PatchCompliance
-from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import pad_squares
 
@@ -143,7 +143,6 @@ def test_stl_of_a_box_is_a_flat_punch_and_no_solid_is_refused(pair: SurfaceCompl
         ({"friction": -0.1}, "friction=-0.1 must be"),
         ({"slide_mm": (1e3, 0.0)}, "leaves the sensor"),
         ({"at_mm": (float("nan"), 0.0)}, "finite"),
-        ({"sensor": SensorDesign(pad=Pad(kind="stiff"))}, "stiff plates"),
         ({"sensor": SensorDesign(array=Array(rows=20))}, "too many"),
     ],
 )

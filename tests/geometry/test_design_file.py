@@ -2,6 +2,7 @@
 
 import re
 import time
+import tomllib
 
 import pytest
 from hypothesis import given, settings
@@ -11,7 +12,6 @@ from geometry import (
     Array,
     DesignError,
     Electrics,
-    FileFormatError,
     Material,
     Pad,
     SensorDesign,
@@ -21,9 +21,10 @@ from geometry import (
     read_design,
 )
 from geometry.design_file import read_tolerances, whole_design
+from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
-from tests.fem.scenes import FOUR
+from tests.fem.scenes import round_of
 
 materials = st.builds(Material, young_mpa=st.floats(1e-3, 1e3), poisson=st.floats(0.0, 0.5, exclude_max=True))
 conductions = st.builds(Electrics, model=st.just("conduction"), elastoresistance_along=st.floats(-10.0, 10.0))
@@ -104,16 +105,63 @@ def test_what_a_file_leaves_out_is_the_papers_if_it_says_so():
 
 
 def test_later_tables_and_layouts_leave_older_files_and_hashes_alone():
-    """Defaults do not count in hashes; no file states a layout yet."""
-    text, other = design_to_toml(SensorDesign()), Unit(layout=FOUR)
+    """Defaults do not count in hashes, and no layout is written of the paper's unit."""
+    text = design_to_toml(SensorDesign())
     before = text[: text.index("[electrics]")] + text[text.index("[pillar_material]") :]
     assert whole_design(before, "an older file") == SensorDesign()
     assert "electrics" not in stated(SensorDesign())
     assert "layout" not in stated(SensorDesign())["unit"]
-    changed = [SensorDesign(electrics=Electrics(model="conduction")), SensorDesign(unit=other)]
-    assert digest(SensorDesign()) not in map(digest, changed)
-    with pytest.raises(FileFormatError, match="states no layout yet"):
-        design_to_toml(SensorDesign(unit=other))
+    assert not {"layout", "electrode", "pillar"} & {*tomllib.loads(text)}
+    changed = [SensorDesign(electrics=Electrics(model="conduction"))]
+    changed += [SensorDesign(unit=Unit(layout=layout)) for layout in (*OTHERS.values(), *ROUND.values())]
+    assert len({*map(digest, [SensorDesign(), *changed])}) == 1 + len(changed)
+
+
+ROUND = {f"{name}, round": round_of(layout) for name, layout in LAYOUTS.items()}
+OWN = Layout(
+    upper=(Electrode("Up", (0.0, 0.5), wire="a"), Electrode("V2", (1.2, 0.5))),
+    lower=(Electrode("L1", (0.0, 0.5)), Electrode("L2", (1.2, 0.5), wire="b"), Electrode("L3", (0.0, -1.0), wire="b")),
+    pillars=(Pillar("z", "L1", "Up", "round", 1.25), Pillar("z2", "L2", "V2", "square", 0.5), Pillar("y", "L3", "Up")),
+)
+OTHERS = {name: layout for name, layout in LAYOUTS.items() if name != "song2018"} | {"of your own": OWN}
+EVERY = LAYOUTS | ROUND | OTHERS
+
+
+@pytest.mark.parametrize("layout", EVERY.values(), ids=list(EVERY))
+def test_layouts_come_back_whole_in_whatever_way_they_are_written(layout):
+    """By name or as tables, written [[electrode]] or in lines, of units that would not suit the paper's pillars."""
+    design = SensorDesign(unit=Unit(layout=layout, span_mm=9.0))
+    text = design_to_toml(design)
+    assert design_from_toml(text) == whole_design(text, "a file") == design
+    assert ("layout = " in text) == (layout in OTHERS.values() and layout is not OWN)
+    if layout is OWN:
+        tables = tomllib.loads(text)
+        named = "".join(
+            f"\n[[{kind}]]\n" + "\n".join(f"{key} = {value!r}" for key, value in entry.items())
+            for kind in ("electrode", "pillar")
+            for entry in tables[kind]
+        )
+        assert design_from_toml(f"[unit]\nspan_mm = 9.0{named}") == design
+
+
+ONE = 'electrode = [{name = "U", level = "upper", place = [0, 0]}, {name = "L", level = "lower", place = [0, 0]}'
+PILLAR = 'pillar = [{name = "z", from = "L", to = "U"'
+REFUSED_LAYOUTS = {
+    'layout = "seven"': "layout = 'seven': give one of song2018, six-pillar, eight-pillar, upright-four",
+    f"{ONE}]\n{PILLAR}}}, {{name = 3, from = 'L', to = 'U'}}]": "3 is no name: give up to 8",
+    f"{ONE}]\n{PILLAR}}}, {{name = 'z', from = 'L', to = 'U'}}]": "two pillars are named z",
+    f"{ONE}]\n{PILLAR}, section = 'oval'}}]": "[[pillar]] 1: section='oval' must be one of square, round",
+    f"{ONE}]\n{PILLAR}, width_mm = 0}}]": "[[pillar]] 1: width_mm=0 must be a number above 0",
+    f"{ONE}, {{name = 'V', level = 'upper', place = [1, 0]}}]\n{PILLAR}}}]": "no pillar joins V: each needs one",
+    'layout = "six-pillar"\n[unit]\nspan_mm = 2.0': "in [unit]: span_mm=2 lets pillars or electrodes of a unit merge",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED_LAYOUTS, ids=range(len(REFUSED_LAYOUTS)))
+def test_layouts_that_make_no_unit_are_refused_in_one_line(text):
+    with pytest.raises(DesignError, match=rf"^my\.toml: .*{re.escape(REFUSED_LAYOUTS[text])}") as caught:
+        design_from_toml(text, "my.toml")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):

@@ -7,12 +7,11 @@ import pytest
 import trimesh
 
 from geometry import Array, DesignError, Pad, SensorDesign, Unit
+from geometry.cad import unit_solid
 from geometry.layout import (
     AXES,
-    ELECTRODES,
     LAYOUTS,
-    PILLAR_TOP,
-    PILLARS,
+    SONG2018,
     Electrode,
     Layout,
     Pillar,
@@ -22,18 +21,22 @@ from geometry.layout import (
     pillar_ends,
     pillar_sections,
     pillar_volumes,
+    require_told,
     rest_lengths,
     unit_centres,
     upper_electrodes,
 )
-from geometry.prism import pillar_prisms, prisms_at, slab_prism
+from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
+from geometry.shares import pillar_shares
+from tests.fem.scenes import round_of
 
 EXACT = 1e-14  # rounding
 
 
 def test_papers_unit_in_the_orders_of_the_file_contract():
     """U1 and U2 over L1's row; z stands from L1 to U1, x leans from L2 to U1, y from L1 to U2."""
-    assert (AXES, ELECTRODES, PILLARS, PILLAR_TOP) == (("x", "y", "z"), ("U1", "U2"), ("z", "x", "y"), (0, 0, 1))
+    assert (AXES, SONG2018.upper_names, SONG2018.pillar_top) == (("x", "y", "z"), ("U1", "U2"), (0, 0, 1))
+    assert SONG2018.pillar_names == ("z", "x", "y")
     U1, U2, L1, L2 = [-5.0, -5.0, 10.0], [-5.0, 5.0, 10.0], [-5.0, -5.0, 0.0], [5.0, -5.0, 0.0]
     assert electrode_centres(Unit()).tolist() == [U1, U2, L1, L2]
     assert upper_electrodes(Unit()).tolist() == [U1, U2]
@@ -89,6 +92,17 @@ def test_points_inside_pillars_are_those_inside_their_hulls(design):
     assert (len(prisms), slab_prism(design).volume_mm3) == (3 * design.n_units, pytest.approx(x * y * h))
 
 
+def test_round_prisms_hold_what_lies_on_their_ellipses():
+    prism = Prism(base_mm=(1.0, 0.0, 0.0), top_mm=(4.0, 0.0, 6.0), section_mm=(4.0, 2.0), is_round=True)
+    angle = np.linspace(0.0, 6.0, 20)
+    on_side = np.column_stack([3.5 + 2 * np.cos(angle), np.sin(angle), np.full(20, 5.0)])
+    assert prism.distance(on_side) == pytest.approx(np.zeros(20), abs=1e-12)
+    for ratio, inside in ((0.99, True), (1.01, False)):
+        moved = np.column_stack([[3.5, 0.0] + ratio * (on_side[:, :2] - [3.5, 0.0]), on_side[:, 2]])
+        assert (prism.holds(moved) == inside).all()
+    assert prism.distance(np.array([[3.5, 2.0, 5.0], [4.0, 0.0, 7.0]])).tolist() == [1.0, 1.0]
+
+
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
 Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
 WRONG = {
@@ -100,6 +114,11 @@ WRONG = {
     "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
     "no pillar joins electrodes": ((), (), ()),
     "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
+    "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
+        tuple(replace(one, wire="a") for one in UPPER),
+        LOWER,
+        (Z, X),
+    ),
 }
 
 
@@ -116,3 +135,45 @@ def test_ends_of_pillars_and_electrodes_may_not_meet_in_any_layout():
     assert unit.footprint_mm == pytest.approx(6.0)
     with pytest.raises(DesignError, match="it must be above 3"):
         replace(unit, span_mm=3.0)
+
+
+CROSS = Layout(
+    upper=(Electrode("U1", (1.0, 0.0)), Electrode("U2", (0.0, 1.0))),
+    lower=(Electrode("L1", (-1.0, 0.0)), Electrode("L2", (0.0, -1.0))),
+    pillars=(Pillar("x", "L1", "U1"), Pillar("y", "L2", "U2")),
+)
+
+
+def test_pillars_that_cross_between_their_electrodes_are_refused():
+    """Two that meet in the middle; the paper's x and y meet in narrow units, but inside z, which joins both."""
+    with pytest.raises(DesignError, match=r"pillars x and y cross between their electrodes at span_mm=10: widen the"):
+        Unit(layout=CROSS)
+    Unit(span_mm=3.0)
+
+
+def test_forces_that_a_layout_cannot_tell_apart_are_named():
+    """Uprights alone tell shear by how it turns a pad, but not from pressure where all stand in one line."""
+    for layout in LAYOUTS.values():
+        require_told(Unit(layout=layout))
+    line = Unit(layout=Layout(UPPER, (*LOWER, Electrode("L2", (1.0, 0.0))), (Z, Pillar("w", "L2", "U2"))))
+    for axes in ("z", "xz"):
+        require_told(line, tuple(axes))
+    with pytest.raises(DesignError, match="pillars z, w do not tell forces along y from others: ask for fewer"):
+        require_told(line)
+    with pytest.raises(DesignError, match="do not tell forces along y from others"):
+        require_told(line, ("y",))
+
+
+def test_round_pillars_fill_their_circle_and_widths_of_their_own_count():
+    """Volumes π w² l/4; the same by boxes, and of what is common of two by solids: 1e-5 of Gauss points."""
+    round_x = tuple(replace(one, section="round") if one.name == "x" else one for one in LAYOUTS["six-pillar"].pillars)
+    own = replace(LAYOUTS["six-pillar"], pillars=(replace(round_x[0], width_mm=1.0), *round_x[1:]))
+    volumes, square = pillar_volumes(Unit(layout=own)), pillar_volumes(Unit(layout=LAYOUTS["six-pillar"]))
+    assert volumes / square == pytest.approx([0.25, np.pi / 4, 1, 1, 1, 1], rel=EXACT)
+    assert pillar_sections(Unit(layout=own))[0].tolist() == [1.0, 1.0]
+    paper = SONG2018
+    unit = Unit(layout=round_of(paper))
+    lines = np.linspace(-7.0, 7.0, 41), np.linspace(0.0, 10.0, 11)
+    shares = pillar_shares(unit, lines[0], lines[0], lines[1])
+    assert 0 <= shares.min() <= shares.max() <= 1
+    assert shares.sum() * 0.35**2 == pytest.approx(unit_solid(unit).volume, rel=1e-4)

@@ -4,10 +4,12 @@ import queue
 import subprocess
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
-from geometry.wiring import crossings
+from geometry.layout import LAYOUTS
+from geometry.wiring import crossings, fewest_wires
 from hardware.boards.simavr_board import EMPTY, FIRMWARE
 from hardware.boards.virtual_board import CountedPort, a_frame
 from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode, encode
@@ -19,6 +21,18 @@ from hardware.readout.calibration import Electronics
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]
 COUNTS = np.random.default_rng(0).integers(1, 1023, (50, INFO.n_crossings))
+
+
+def sharing_wires(layout):
+    """The same layout on as few wires as do."""
+    of = {name: f"w{number}" for level in fewest_wires(layout) for number, names in enumerate(level) for name in names}
+    levels = {
+        side: tuple(replace(one, wire=of[one.name]) for one in getattr(layout, side)) for side in ("upper", "lower")
+    }
+    return replace(layout, **levels)
+
+
+SHARED = sharing_wires(LAYOUTS["six-pillar"])  #: 3 + 2 wires a unit
 PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
 
 CHIP = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)  #: of the simulated chip

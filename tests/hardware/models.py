@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from decoupler.data.columns import COMPONENTS, Scaling
+from geometry.layout import SONG2018
 from hardware.link.frames import Info, ScanMode
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
@@ -18,6 +19,7 @@ class Unknown:
     is_identified = knows_uncertainty = knows_touch = False
     reading_noise = 0.0
     made_from: ClassVar = {}
+    layout = SONG2018
 
     def follower(self):
         return self

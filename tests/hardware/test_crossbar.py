@@ -6,22 +6,24 @@ import numpy as np
 import pytest
 
 from dataset.imperfections import OPEN_OHM, Imperfections
-from geometry.design import Electrics, SensorDesign
+from geometry.design import Electrics, SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.wiring import crossings
+from geometry.layout import LAYOUTS, SONG2018, rest_lengths
+from geometry.wiring import crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import STEP_SHARE, Corrector, Crossbar
 from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
 from tests.geometry.closed_forms import crossings_from_pillars
+from tests.hardware.boards import SHARED
 
-REST_OHM = np.array([1e4, 1e4 * np.sqrt(2), 1e4 * np.sqrt(2)])
 each_mode = pytest.mark.parametrize("mode", list(ScanMode))
+each_layout = pytest.mark.parametrize("layout", [*LAYOUTS.values(), SHARED], ids=[*LAYOUTS, "shared wires"])
 
 
-def pressed(n, rows=6, cols=6, seed=0):
+def pressed(n, rows=6, cols=6, seed=0, layout=SONG2018):
     """Resistances of pillars that are up to 30 % shorter or 9 % longer than at rest."""
-    strain = np.random.default_rng(seed).uniform(-0.3, 0.09, (n, rows, cols, 3))
-    return REST_OHM * (1 + strain) ** 2
+    strain = np.random.default_rng(seed).uniform(-0.3, 0.09, (n, rows, cols, len(layout.pillars)))
+    return 1e3 * rest_lengths(Unit(layout=layout)) * (1 + strain) ** 2
 
 
 def crossbar_of(mode, **settings):
@@ -34,13 +36,14 @@ def kirchhoff(crossbar, resistance_ohm):
     Unlike `Crossbar` it knows no admittance between ends, no rank-one update and no closed form. An amplifier holds its
     input at -1/A of its output, so to its wire it is R_s / (1 + A) to ground.
     """
-    n_rows, n_wires = 2 * crossbar.rows, 2 * (crossbar.rows + crossbar.cols)
+    (n_rows, n_columns), layout = wires(crossbar.rows, crossbar.cols, crossbar.layout), crossbar.layout
+    n_wires = n_rows + n_columns
     reference, ground = n_wires, n_wires + 1
     tapped, gain = crossbar.scan_mode == ScanMode.FOUR_WIRE, crossbar.amplifier_gain
     amplified = tapped or crossbar.scan_mode == ScanMode.ZERO_POTENTIAL
     switched_ohm, input_ohm = crossbar.switch_ohm + crossbar.line_ohm, crossbar.sense_ohm / (1 + gain)
-    ends = (crossings(crossbar.rows, crossbar.cols) + np.array([0, n_rows])).tolist()
-    pillars_ohm, found = crossings_from_pillars(resistance_ohm), []
+    ends = (crossings(crossbar.rows, crossbar.cols, layout) + np.array([0, n_rows])).tolist()
+    pillars_ohm, found = crossings_from_pillars(resistance_ohm, layout), []
     for row, column in ends:
         resistors = [(*pair, ohm) for pair, ohm in zip(ends, pillars_ohm, strict=True)]
         for wire in range(n_wires):
@@ -54,7 +57,8 @@ def kirchhoff(crossbar, resistance_ohm):
         for one, other, ohm in resistors:
             Y[[one, other], [one, other]] += 1 / ohm
             Y[[one, other], [other, one]] -= 1 / ohm
-        everywhere = np.linalg.solve(Y[:n_wires, :n_wires], -Y[:n_wires, reference])
+        # wires that nothing joins to the reference float
+        everywhere = np.linalg.lstsq(Y[:n_wires, :n_wires], -Y[:n_wires, reference], rcond=None)[0]
         volts, across = everywhere[column], everywhere[row] - everywhere[column] if tapped else 1.0
         amps = volts / across / (crossbar.line_ohm + input_ohm if amplified else switched_ohm + crossbar.sense_ohm)
         found.append(amps * (gain * input_ohm if amplified else crossbar.sense_ohm))
@@ -62,10 +66,13 @@ def kirchhoff(crossbar, resistance_ohm):
 
 
 @each_mode
-def test_readings_are_those_of_the_whole_circuit(mode):
-    crossbar = crossbar_of(mode, rows=2, cols=3, switch_ohm=70.0, line_ohm=5.0, amplifier_gain=2e3)
-    state = pressed(1, 2, 3)
+@each_layout
+def test_readings_are_those_of_the_whole_circuit_and_back(mode, layout):
+    crossbar = crossbar_of(mode, rows=2, cols=3, switch_ohm=70.0, line_ohm=5.0, amplifier_gain=2e3, layout=layout)
+    state = pressed(1, 2, 3, layout=layout)
     assert crossbar.readings(state)[0] == pytest.approx(kirchhoff(crossbar, state[0]), rel=1e-9)
+    exact = replace(crossbar, bits=None)
+    assert Corrector(exact).correct(exact.readings(state)) == pytest.approx(state, rel=1e-8)
 
 
 @each_mode

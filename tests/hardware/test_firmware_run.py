@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import time
@@ -11,7 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.boards.simavr_board import MCUS, SimavrError, write_table
+from geometry.design import SensorDesign, Unit
+from geometry.layout import LAYOUTS
+from hardware.boards.simavr_board import EMPTY, MCUS, SimavrError, write_table
+from hardware.boards.simulated import by_wire, usual_rate
 from hardware.link.frames import Errors, ScanMode
 from tests.hardware.boards import (
     CHIP,
@@ -19,11 +23,13 @@ from tests.hardware.boards import (
     DISTINCT,
     PATIENT_S,
     ROW_WIRE,
+    SHARED,
     build,
     is_gapless,
     listening,
     starts_us,
 )
+from tripillar.face.exporting import export
 
 SETTLE_US = 30  # what scan.c promises the circuit
 
@@ -51,9 +57,50 @@ def test_a_board_reads_every_crossing_on_time(board, mcu):
     assert SETTLE_US <= statistics["min_settle_us"] < 58  # a whole conversion, up to the next one's sample
 
 
+OTHERS = [(MCUS[0], LAYOUTS["six-pillar"], 50), (MCUS[0], SHARED, 50), (MCUS[1], LAYOUTS["eight-pillar"], 50)]
+
+
+@pytest.mark.parametrize(("mcu", "layout", "least_hz"), OTHERS, ids=["six pillars", "on shared wires", "eight pillars"])
+def test_a_board_of_another_layout_reads_every_crossing_at_its_own_rate(board, tmp_path, mcu, layout, least_hz):
+    """6 × 6 units, by the header that `tripillar export --to header` writes; the highest rate costs no overrun."""
+    export(design=SensorDesign(unit=Unit(layout=layout)), to="header", out=tmp_path / "sensor.h")
+    elf = tmp_path / f"tripillar-{mcu}.elf"
+    build(tmp_path, str(elf), f"SENSOR={tmp_path}/sensor.h")
+    info = replace(CHIP, layout=layout, rate_hz=usual_rate(36 * len(layout.pillars)))
+    counts = np.arange(1, info.n_crossings + 1)[None] * 3  # tells each crossing from all others
+    with heard(board, mcu, counts=by_wire(counts, info), elf=elf) as (running, listener):
+        assert listener.ask(b"?") == info
+        frames = listener.take_frames(3 + 100)[3:]  # answers cost a frame where memory holds one
+        statistics = running.stop()
+    assert all((frame.counts == counts[0]).all() for frame in listener.frames)
+    assert is_gapless(frames)
+    assert frames[-1].overruns == frames[0].overruns
+    assert 1e6 / np.diff(starts_us(frames)).max() >= least_hz
+    assert statistics["bad_addresses"] == statistics["bytes_dropped"] == 0
+    assert statistics["min_settle_us"] >= SETTLE_US
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["ROWS=33", "COLS=1"], "the pins of an atmega328p number 64 row and 64 column wires, those of an atmega2560"),
+        (
+            ["ROWS=11", "COLS=11"],
+            "this sensor has more pillars than the RAM of this board holds frames of: build for a larger",
+        ),
+        (["SENSOR=none.h"], "no none.h: give the whole path of a header that 'tripillar export --to header' wrote"),
+    ],
+)
+def test_what_a_chip_cannot_hold_is_one_line(built, tmp_path, settings, said):
+    with pytest.raises(subprocess.CalledProcessError) as refusal:
+        build(tmp_path, f"BOARD={MCUS[0]}", "all", *settings)
+    assert re.search(said, refusal.value.stderr)
+    assert not list(tmp_path.glob("*.hex"))
+
+
 def test_all_counts_arrive_as_they_are_and_change_with_the_boards_time(board):
     step_us = 50_000
-    counts = np.zeros((10, 12, 12), dtype=int)
+    counts = np.full((10, 12, 12), EMPTY)
     counts[:, ROW_WIRE, COLUMN_WIRE] = np.arange(10 * 108).reshape(10, 108) % 1024
     with heard(board, counts=counts, step_us=step_us) as (_, listener):
         frames = listener.take_frames(150)

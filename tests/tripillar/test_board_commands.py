@@ -222,7 +222,7 @@ def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, mon
     assert "load '0 0 9000' changed the resistances by 0 % of what it should" in refused.stderr.splitlines()[-1]
     assert (forced.returncode, "'spam' is no weight" in forced.stderr) == (0, True)
     assert json.loads(forced.stdout)["loads"] == 2
-    kept = read_pairs(house.folder / "pairs.csv", 1, 2, 144.0)
+    kept = read_pairs(house.folder / "pairs.csv", SensorDesign(array=Array(rows=1, cols=2)))
     assert kept.names == ("nothing", "0 0 9000")
     assert kept.force_n[1, 0, 0, 2] == pytest.approx(9 * 9.80665)
 

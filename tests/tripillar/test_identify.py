@@ -51,8 +51,9 @@ def house(tmp_path, monkeypatch):
     monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
-    for load in read_loads(tmp_path / "loads.csv", 3, 3, 144.0):
-        keep_pair(tmp_path / "pairs.csv", replace(load, resistance_ohm=shown(load.force_n[None])[0], noise=1e-4))
+    for load in read_loads(tmp_path / "loads.csv", DESIGN):
+        pair = replace(load, resistance_ohm=shown(load.force_n[None])[0], noise=1e-4)
+        keep_pair(tmp_path / "pairs.csv", pair, DESIGN.unit.layout)
     return House(tmp_path)
 
 
@@ -109,7 +110,7 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     """Tolerances of a design file, what you have, and any number of samples: of very many a draw."""
     text = (house.folder / "sensor.toml").read_text()
     (house.folder / "exact.toml").write_text(f'{text}\n[tolerance]\n"rubber.young_mpa" = 0\n')
-    pairs = read_pairs(house.folder / "pairs.csv", 3, 3, 144.0)
+    pairs = read_pairs(house.folder / "pairs.csv", DESIGN)
     twin = identifying.identify(pairs, house.folder / "exact.toml", next_loads=2, have="plate:20kg,string:3kg")
     assert (twin.parameters, len(twin.next_loads)) == ({}, 2)
     assert all("20kg on a plate" in each.load or each.load == "nothing" for each in twin.next_loads)

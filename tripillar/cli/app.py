@@ -44,7 +44,6 @@ GONE = {
     "simulate": "board",
     "fine-tune": "identify --data PAIRS.nc --design sensor.toml --out own.safetensors; it needs no model",
     "identify --model": "identify --finite MODEL",
-    "export --to": "export FILE --out OUT, whose ending says what is written",
     "sweep --train": "train on samples of the designs that it has found",
     "board --scene": "board --pressure MPA",
 }

@@ -26,7 +26,7 @@ from geometry.design import Material, SensorDesign
 from geometry.layout import pillar_volumes
 from tripillar.doctor import Check, judged
 
-#: U1 and U2 of the middle unit per newton along x, y, z on its pad, (3, 2, 3) [mm]: NGSolve of high order, hp-refined
+#: both electrodes of the paper's middle unit per newton along x, y, z on its pad, (3, 2, 3) [mm]: NGSolve, hp-refined
 MIDDLE_MM_PER_N = [
     [[0.008251462, 0.001340425, -0.0005107207], [0.008252958, -0.001343757, -0.0005112099]],
     [[0.001340327, 0.008251707, -0.0005103141], [-0.001337874, 0.008263002, 0.0005005658]],
@@ -108,7 +108,7 @@ def forces_back_from_resistances() -> float:
     data = _samples("three-axis", 4)
     component = component_named("all")
     force_n = force_columns(data.force_n, component)
-    again = exact_inverse(forward, pillar_columns(data.resistance_ohm, component), force_n.mean(axis=0))
+    again = exact_inverse(forward, pillar_columns(data.resistance_ohm, component, data.layout), force_n.mean(axis=0))
     return float(np.abs(again - force_n).max() / np.abs(force_n).max())
 
 

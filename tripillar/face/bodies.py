@@ -7,17 +7,27 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from geometry.design import Array, SensorDesign
+from geometry.design import Array, SensorDesign, Unit
 from geometry.design_file import design_to_toml, write_design
+from geometry.errors import DesignError
+from geometry.layout import LAYOUTS
 from geometry.storage.files import write_bytes
+from geometry.wiring import explained
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, scene_of, to_write
 
+LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
+
 
 @job(out="")
 def design(
-    *, out: File | None = None, rows: int = Array.rows, cols: int = Array.cols, extend: str = ""
+    *,
+    out: File | None = None,
+    layout: LayoutName = "song2018",
+    rows: int = Array.rows,
+    cols: int = Array.cols,
+    extend: str = "",
 ) -> SensorDesign:
     """Write a design file: the paper's sensor, every number with its meaning.
 
@@ -25,6 +35,8 @@ def design(
     ----------
     out : path, optional
         File to write (.toml); default: print it.
+    layout : str
+        Electrodes of a unit and the pillars between them; a design file may state its own.
     rows : int
         Number of units along y.
     cols : int
@@ -38,7 +50,9 @@ def design(
     >>> design(rows=2, cols=3).n_units
     6
     """
-    sensor = SensorDesign(array=Array(rows=rows, cols=cols))
+    if layout not in LAYOUTS:
+        raise DesignError(f"layout={layout!r} must be one of {', '.join(LAYOUTS)}.")
+    sensor = SensorDesign(array=Array(rows=rows, cols=cols), unit=Unit(layout=LAYOUTS[layout]))
     for name in filter(None, map(str.strip, str(extend).split(","))):
         if name.endswith(".toml"):
             to_write("out", out, "", [name])
@@ -47,7 +61,8 @@ def design(
             sensor = stages.surrounded(sensor, name)
     if out is not None:
         write_design(sensor, Path(out))
-    text = "" if out is not None else design_to_toml(sensor).removesuffix("\n")
+    wires = "" if layout == "song2018" else explained(sensor.unit.layout)
+    text = wires if out is not None else design_to_toml(sensor).removesuffix("\n")
     current().answer(lambda: asdict(sensor), text, out)
     return sensor
 
@@ -178,7 +193,7 @@ def response(
     Returns
     -------
     ArrayResponse
-        ``influence_mm_per_n``, shape (rows, cols, 2, 3, rows, cols, 3): unit, electrode U1 or U2, axis of the
+        ``influence_mm_per_n``, shape (rows, cols, upper electrodes, 3, rows, cols, 3): unit, electrode, axis of the
         displacement; unit and axis of the load. ``error_estimate`` is relative.
 
     Examples

@@ -1,4 +1,4 @@
-"""Write what jobs give, and models, data sets and recordings for other programs."""
+"""Write what jobs give, and models, data sets, recordings and sensors for other programs."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from geometry.design import SensorDesign
 from geometry.design_file import write_design
 from geometry.errors import ArgumentError, DesignError
+from geometry.storage.files import write_text
+from geometry.wiring import wires
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import File, ModelLike, job, pads_model_of, to_write
+from tripillar.face.inputs import DesignLike, File, ModelLike, design_of, job, pads_model_of, to_write
 
 if TYPE_CHECKING:
     Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.AnyDecoder | stages.Twin
@@ -25,8 +27,12 @@ def export(
     out: File,
     model: ModelLike | None = None,
     precision: Literal["float", "double"] | None = None,
+    to: Literal["header"] | None = None,
+    design: DesignLike | None = None,
 ) -> Path:
     """Write a model, a data set or a recording for other programs: ONNX or C, CSV, NetCDF or MCAP.
+
+    Or a design for the firmware: its wires and channels.
 
     Parameters
     ----------
@@ -39,6 +45,10 @@ def export(
         Model file to write in their place.
     precision : str, optional
         Precision of a model's numbers; default: double in .onnx, float in .h.
+    to : str, optional
+        Form of what is written: header, the design's wires and channels in C, for make -C hardware/firmware SENSOR=OUT.
+    design : SensorDesign or path, optional
+        Design file (TOML) of that header; default: the paper's sensor.
 
     Returns
     -------
@@ -46,6 +56,12 @@ def export(
         The file that was written.
     """
     caller, path = current(), Path(out)
+    if to is not None:
+        if data is not None or model is not None or precision is not None:
+            raise DesignError("to='header' is of a design: give design=FILE alone.")
+        return _write_header(design_of(design), path)
+    if design is not None:
+        raise DesignError("design= is for to='header', the header that the firmware is built with: give it, too.")
     if (data is None) == (model is None):
         raise DesignError("give a data set, a recording or model=FILE, one of them.")
     if precision is not None and model is None:
@@ -71,6 +87,19 @@ def export(
         result |= {"samples": len(samples), "columns": len(columns)}
         text = f"{len(samples)} samples, {len(columns)} columns"
     caller.answer(lambda: result, text, path)
+    return path
+
+
+def _write_header(design: SensorDesign, path: Path) -> Path:
+    """Write what the firmware has to know of a sensor."""
+    to_write("out", path, ".h")
+    array, layout = design.array, design.unit.layout
+    write_text(stages.sensor_header(array.rows, array.cols, layout), path)
+    (n_rows, n_columns), n = wires(array.rows, array.cols, layout), design.n_units * len(layout.pillars)
+    result = {"file": str(path), "row_wires": n_rows, "column_wires": n_columns, "channels": n}
+    result |= {"rate_hz": stages.usual_rate(n)}
+    text = f"{n} channels on {n_rows} row and {n_columns} column wires, {result['rate_hz']} scans a second"
+    current().answer(lambda: result, text, path)
     return path
 
 

@@ -249,7 +249,7 @@ def _pairs(data: "PairsLike", sensor: SensorDesign | None) -> "stages.AnySamples
     if isinstance(data, Path | str):
         if sensor is None or not _is_table(data):
             return samples_of(data)
-        return stages.read_pairs(Path(data), sensor.array.rows, sensor.array.cols, sensor.pad.size_mm**2)
+        return stages.read_pairs(Path(data), sensor)
     if not isinstance(data, stages.Samples | stages.StoredSamples):
         require_type("data", data, stages.Pairs, "give samples, or decoupler.data.pairs.Pairs")
     return data
@@ -376,7 +376,7 @@ def _at_strain(finite: "SamplesLike | ModelLike", response: "stages.ArrayRespons
 def _possible(design: SensorDesign, have: str | Path | None) -> "list[stages.KnownLoad]":
     """Loads that can be made of what is at hand, or of a table."""
     if have is not None and Path(have).suffix == ".csv":
-        return stages.loads_of_table(Path(have), design)
+        return stages.read_loads(Path(have), design)
     return stages.loads_at_hand(stages.KITCHEN if have is None else str(have), design)
 
 

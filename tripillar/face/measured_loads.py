@@ -39,8 +39,8 @@ def measured_live(
     """
     with connect(port, **settings) as (scanner, _):
         _require_design(design, scanner.info)
-        asked = _typed(design) if loads is None else iter(loads_of_table(loads, design))
-        taken = loads_of_table(keep, design) if keep is not None and keep.exists() else []
+        asked = _typed(design) if loads is None else iter(read_loads(loads, design))
+        taken = read_loads(keep, design) if keep is not None and keep.exists() else []
         crossbar, known = electronics.crossbar(scanner.info), {load.name for load in taken}
         for load in asked:
             if load.name in known and loads is not None:
@@ -56,8 +56,8 @@ def measured_live(
                 counts = counts_within(scanner, seconds)
             taken.append(_read(load, counts, crossbar))
             if keep is not None:
-                keep_pair(keep, taken[-1])
-    return as_pairs(taken, port), scanner.info.serial
+                keep_pair(keep, taken[-1], design.unit.layout)
+    return as_pairs(taken, port, design.unit.layout), scanner.info.serial
 
 
 def measured_in_recording(
@@ -72,7 +72,7 @@ def measured_in_recording(
     crossbar = electronics.crossbar(info)
     since_s = recording.time_s - recording.time_s[0]
     taken = []
-    for load in loads_of_table(loads, design):
+    for load in read_loads(loads, design):
         if load.from_s is None or load.to_s is None:
             raise FileFormatError(f"{loads}: load '{load.name}' has no from_s and to_s: say when it is in {path}.")
         within = (since_s >= load.from_s) & (since_s <= load.to_s)
@@ -87,7 +87,7 @@ def measured_in_recording(
                 f"{moved}: correct its times, or take it as it is with force=True."
             )
         taken.append(_read(load, recording.counts[within], crossbar))
-    return as_pairs(taken, path), info.serial
+    return as_pairs(taken, path, design.unit.layout), info.serial
 
 
 def _require_design(design: SensorDesign, info: Info) -> None:
@@ -96,11 +96,6 @@ def _require_design(design: SensorDesign, info: Info) -> None:
             f"the board has {info.rows} × {info.cols} units, the design {design.array.rows} × {design.array.cols}: "
             "give design= of this sensor."
         )
-
-
-def loads_of_table(table: Path, design: SensorDesign) -> list[KnownLoad]:
-    """The loads of a table on the sensor of a design."""
-    return read_loads(table, design.array.rows, design.array.cols, design.pad.size_mm**2)
 
 
 def _typed(design: SensorDesign) -> Iterator[KnownLoad]:

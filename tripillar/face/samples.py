@@ -140,7 +140,7 @@ def dataset(
     if is_finite or twin is not None:
         stages.pad_protocol(protocol)
     elif protocol == stages.INDENT:
-        stages.require_bare(sensor)
+        stages.require_pressable(sensor)
     if history is not None and (is_finite or twin is not None):
         raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
     if is_finite and twin is not None:
@@ -220,7 +220,7 @@ def _readout(
         if wires or not correct:
             raise DesignError("sense_ohm=, switch_ohm=, line_ohm= and correct=False belong to crossbar=: give it, too.")
         return None
-    rows, cols, shunts = sensor.array.rows, sensor.array.cols, stages.shunts_of(sensor)
-    mode = stages.scan_mode_named(crossbar)
-    wired = stages.Crossbar.suited(mode, rows=rows, cols=cols, bits=bits, shunt_siemens=shunts, **wires)
+    of_array: dict[str, Any] = {"rows": sensor.array.rows, "cols": sensor.array.cols, "layout": sensor.unit.layout}
+    mode, shunts = stages.scan_mode_named(crossbar), stages.shunts_of(sensor)
+    wired = stages.Crossbar.suited(mode, bits=bits, shunt_siemens=shunts, **of_array, **wires)
     return stages.CrossbarReadout(crossbar=wired, corrected=correct)

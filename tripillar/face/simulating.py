@@ -36,7 +36,7 @@ def board(
     pressure_mpa: float = 3.0,
     period_s: float = 6.0,
     mode: Literal["zero-potential", "grounded", "divider", "four-wire"] = "zero-potential",
-    rate_hz: int = 150,
+    rate_hz: int | None = None,
     sense_ohm: int | None = None,
     noise: float = 0.0,
     bits: int = 10,
@@ -63,8 +63,8 @@ def board(
         Period of the press and slide [s].
     mode : str
         Circuit that reads the array.
-    rate_hz : int
-        Number of scans a second.
+    rate_hz : int, optional
+        Number of scans a second; default: 150, or as many as a chip has time for.
     sense_ohm : int, optional
         Sense or feedback resistor [Ω]; default: one that suits 10 kΩ.
     noise : float
@@ -104,7 +104,8 @@ def board(
         raise DesignError(stages.NO_TERMINALS)
     scan_mode = stages.scan_mode_named(mode)
     sense_ohm = round(stages.SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
-    told = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, rate_hz=rate_hz, serial=serial)
+    asked: dict[str, Any] = {} if rate_hz is None else {"rate_hz": rate_hz}
+    told = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, serial=serial, **asked)
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     own = Imperfections(**SPECIMEN.of(more))
@@ -116,7 +117,8 @@ def board(
     seen = replace(response, design=stages.seen_by(electronics.crossbar(told), response.design))
     motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)
     rows, cols = motion.resistance_ohm.shape[1:3]
-    told = replace(told, rows=rows, cols=cols)
+    told = replace(told, rows=rows, cols=cols, layout=seen.design.unit.layout)
+    told = replace(told, **{"rate_hz": stages.usual_rate(told.n_crossings)} | asked)
     suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
     caller.say(why)
     crossbar = replace(electronics.crossbar(told), noise=noise, shunt_siemens=shunts)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, component_named
     from decoupler.data.enough import ENOUGH, drawn
-    from decoupler.data.load_table import KnownLoad, read_pairs
+    from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import loads_of as loads_of_protocol
     from decoupler.evaluation.assessment import Assessment, as_plain, assess
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
     from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid
-    from fem.contact.surface import require_bare
+    from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
     from fem.pictures.contact import draw_contact
@@ -70,8 +70,9 @@ if TYPE_CHECKING:
     from geometry.mould import write_cad
     from geometry.pool import open_pool
     from hardware.boards.simulated import (
-        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, write_truth,
+        PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,
     )  # fmt: skip
+    from hardware.boards.sensor_header import sensor_header
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
@@ -94,7 +95,7 @@ if TYPE_CHECKING:
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
     from tripillar.face.checks import heed, joint_model, mention, mention_another_sensor, warn_of_test
-    from tripillar.face.measured_loads import loads_of_table, measured_in_recording, measured_live
+    from tripillar.face.measured_loads import measured_in_recording, measured_live
     from tripillar.face.tables import (
         assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,
         stage_table,
@@ -107,7 +108,7 @@ if TYPE_CHECKING:
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons
+    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.opening import open_page

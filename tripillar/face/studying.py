@@ -114,7 +114,7 @@ def sweep(
         found |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
-    stages.write_parquet(rows, files[0])
+    stages.write_parquet(rows, asked.metrics, files[0])
     if not all(row.failed for row in rows):
         files.append(folder / f"{source.stem}-pareto.png")
         stages.draw_pareto(rows, asked, files[1])
@@ -123,13 +123,15 @@ def sweep(
         "designs": len(rows),
         "judged_now": len(missing),
         "failed": {kind: len(each) for kind, each in failed.items()},
-        "best": [row.flat() for row in stages.ranked(rows, asked)[:best]],
+        "best": [row.flat(asked.metrics) for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
     table = stages.best_table
     caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
+    for line in stages.untold(rows, asked):
+        caller.say(line)
     return rows
 
 
@@ -148,7 +150,7 @@ def _optimized(
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat()}
+    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics)}
     table = stages.best_table
     current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
     return best

@@ -1,8 +1,10 @@
 """Judging a design: from its finite-element response to its metrics, without training; runs in worker processes.
 
-Every force is judged by the pillar named after it, its own. Definitions with their equations are in docs/results.md.
+Every pillar is judged by the force along which it leans, its own; an upright one by Fz. Definitions with their
+equations are in docs/results.md.
 """
 
+from dataclasses import asdict, fields
 from time import perf_counter
 
 import numpy as np
@@ -17,14 +19,19 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.touch.limits import touch_limits
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
-from geometry.design import SensorDesign
+from geometry.castability import Castability, castability, conductive_mm3
+from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.layout import AXES, PILLARS, FloatArray
-from tripillar.sweep.rows import DISTANCES, Metrics, Row
+from geometry.errors import DesignError
+from geometry.layout import AXES, FloatArray, pillar_ends, require_told
+from geometry.wiring import wires
+from hardware.boards.sensor_header import fastest_hz
+from tripillar.sweep.rows import DISTANCES, Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
 
-OWN_AXIS = tuple(AXES.index(pillar) for pillar in PILLARS)  #: the force component that each pillar is named after
+Judged = dict[str, float | str]  #: metrics, or why there is none
+FAR = "no unit is {} × pitch away"  #: why crosstalk is not known
 LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is the mean of
 SEED = 0  #: of those draws, the same for every design
 
@@ -34,14 +41,18 @@ def row_of(sample: Sample, judging: Judging) -> Row:
     assert sample.design is not None
     start = perf_counter()
     response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
-    metrics = metrics_of(response, judging.noise, judging.bits, judging.cap)
+    found = metrics_of(response, judging.noise, judging.bits, judging.cap) | made_of(sample.design)
     if judging.touch_n:
-        errors = ReadingError(noise=judging.noise, bits=judging.bits)
-        net, place = touch_limits(sample.design, judging.touch_n, errors)
-        metrics |= {"touch_net_pct": net, "touch_place_mm": place}
-    spent = {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
-    metrics |= spent | {"seconds": perf_counter() - start}
-    return Row(cache_key=sample.cache_key, values=sample.values, design=design_to_toml(sample.design), metrics=metrics)
+        found |= touch_of(sample.design, judging)
+    found |= {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
+    found |= {"seconds": perf_counter() - start}
+    return Row(
+        cache_key=sample.cache_key,
+        values=sample.values,
+        design=design_to_toml(sample.design),
+        metrics={name: None if isinstance(value, str) else value for name, value in found.items()},
+        untold={name: value for name, value in found.items() if isinstance(value, str)},
+    )
 
 
 def failed_row(sample: Sample, reason: str) -> Row:
@@ -50,8 +61,8 @@ def failed_row(sample: Sample, reason: str) -> Row:
     return Row(cache_key=sample.cache_key, values=sample.values, design=design, reason=reason)
 
 
-def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Metrics:
-    """Metrics of a design by the names of `METRICS`; None where the array is too small for one.
+def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Judged:
+    """Metrics of a design's response by the names of `metrics_for`; a text says why there is none.
 
     Parameters
     ----------
@@ -62,42 +73,76 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
         Largest strain |l − l₀|/l₀ of a pillar.
     """
     design = response.design
-    joint = component_named("all")
-    forward = SensorModel.of(response, joint)
+    forward = SensorModel.of(response, component_named("all"))
     G = relative_slopes(forward)
-    own = self_sensitivities(G, design.n_units)
+    own, pillars = self_sensitivities(G, design), design.unit.layout.pillar_names
     talk = crosstalk(G, design)
-    force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
-    errors = noise_limited_errors(forward, force_columns(force_n, joint), noise, bits)
-    error = float(np.sqrt((errors**2).mean()))
     one, everywhere = largest_pressures(response, cap)
-    area_mm2 = design.pad.size_mm**2
-    range_n = min(one, everywhere) * area_mm2
-    x, y, z = design.slab_mm
+    range_n = min(one, everywhere) * design.pad.size_mm**2
     return {
-        "error_n": error,
-        "error_pct": 100 * error / range_n,
-        **{f"error_{axis}_n": float(value) for axis, value in zip(AXES, errors, strict=True)},
+        **errors_of(response, forward, noise, bits, cap, range_n),
         "range_n": range_n,
         "pressure_one_mpa": one,
         "pressure_all_mpa": everywhere,
         **{
             f"sensitivity_{pillar}_pct_per_n": 100 * float(value)
-            for pillar, value in zip(PILLARS, own.mean(axis=0), strict=True)
+            for pillar, value in zip(pillars, own.mean(axis=0), strict=True)
         },
         "sensitivity_least_pct_per_n": 100 * float(own.min()),
-        **{f"crosstalk_{d}": _number(talk[:, k].max()) for k, d in enumerate(DISTANCES)},
+        **{f"crosstalk_{d}": _told(talk[:, k].max(), FAR.format(d)) for k, d in enumerate(DISTANCES)},
         **{
-            f"crosstalk_{pillar}_{d}": _number(talk[p, k])
-            for p, pillar in enumerate(PILLARS)
+            f"crosstalk_{pillar}_{d}": _told(talk[p, k], FAR.format(d))
+            for p, pillar in enumerate(pillars)
             for k, d in enumerate(DISTANCES)
         },
-        "condition": float(np.linalg.cond(G)),
-        "area_cm2": x * y / 100,
-        "volume_cm3": x * y * z / 1000,
-        "error_estimate": _number(response.error_estimate),
+        "error_estimate": _told(response.error_estimate, "the method estimates none"),
         "unknowns": float(response.unknowns),
     }
+
+
+def errors_of(
+    response: ArrayResponse, forward: SensorModel, noise: float, bits: int | None, cap: float, range_n: float
+) -> Judged:
+    """Errors of pad loads and the condition number, or why the layout tells no loads."""
+    names = "error_n", "error_pct", *(f"error_{axis}_n" for axis in AXES), "condition"
+    try:
+        require_told(response.design.unit)
+    except DesignError as refusal:
+        return dict.fromkeys(names, str(refusal))
+    force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
+    errors = noise_limited_errors(forward, force_columns(force_n, component_named("all")), noise, bits)
+    error = float(np.sqrt((errors**2).mean()))
+    condition = float(np.linalg.cond(relative_slopes(forward)))
+    return dict(zip(names, (error, 100 * error / range_n, *map(float, errors), condition), strict=True))
+
+
+def made_of(design: SensorDesign) -> Judged:
+    """What a design takes to be built and read: size, rubber, wires and channels, scan rate, how well it casts."""
+    (x, y, z), layout = design.slab_mm, design.unit.layout
+    channels = design.n_units * len(layout.pillars)
+    try:
+        cast: Judged = asdict(castability(design))
+    except DesignError as error:
+        cast = dict.fromkeys((spec.name for spec in fields(Castability)), str(error))
+    return {
+        "area_cm2": x * y / 100,
+        "volume_cm3": x * y * z / 1000,
+        "conductive_cm3": conductive_mm3(design) / 1000,
+        "channels": float(channels),
+        "wires": float(sum(wires(design.array.rows, design.array.cols, layout))),
+        "rate_hz": float(fastest_hz(channels)),
+        **{name: "no pillar leans" if value is None else value for name, value in cast.items()},
+    }
+
+
+def touch_of(design: SensorDesign, judging: Judging) -> Judged:
+    """Least deviations of touches, or why they are not known."""
+    names = "touch_net_pct", "touch_place_mm"
+    try:
+        found = touch_limits(design, judging.touch_n, ReadingError(noise=judging.noise, bits=judging.bits))
+    except DesignError as error:
+        return dict.fromkeys(names, str(error))
+    return dict(zip(names, found, strict=True))
 
 
 def relative_slopes(forward: SensorModel) -> FloatArray:
@@ -106,24 +151,36 @@ def relative_slopes(forward: SensorModel) -> FloatArray:
     return 2 * J[0] / lengths[0][:, None]
 
 
-def self_sensitivities(G: FloatArray, n_units: int) -> FloatArray:
-    """Size of the relative resistance change of every pillar by 1 N of its own component, (n_units, 3) [1/N]."""
-    by_unit = G.reshape(n_units, len(PILLARS), n_units, len(AXES))
-    every = np.arange(n_units)
-    return np.abs(by_unit[every[:, None], np.arange(len(PILLARS)), every[:, None], OWN_AXIS])
+def own_axes(unit: Unit) -> list[int]:
+    """Number of each pillar's own force component: along which it leans, of an upright one z.
+
+    >>> own_axes(Unit())
+    [2, 0, 1]
+    """
+    foot, top = pillar_ends(unit).transpose(1, 0, 2)
+    leans = top[:, :2] != foot[:, :2]
+    return np.where(leans.any(axis=1), leans.argmax(axis=1), AXES.index("z")).tolist()
+
+
+def self_sensitivities(G: FloatArray, design: SensorDesign) -> FloatArray:
+    """Size of the relative resistance change of every pillar by 1 N of its own component, (n_units, P) [1/N]."""
+    own, n_units = own_axes(design.unit), design.n_units
+    every = np.arange(n_units)[:, None]
+    return np.abs(G.reshape(n_units, len(own), n_units, len(AXES))[every, np.arange(len(own)), every, own])
 
 
 def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
-    """Worst crosstalk of each kind of pillar at each of `DISTANCES`, shape (3, 3); NaN where no unit is so far away.
+    """Worst crosstalk of each kind of pillar at each of `DISTANCES`, shape (P, 3); NaN where no unit is so far away.
 
-    Crosstalk is the response of a pillar so many pitches away along a row or a column to a force of its name, over that
-    of the loaded unit's own pillar.
+    Crosstalk is the response of a pillar so many pitches away along a row or a column to a force of its own component,
+    over that of the loaded unit's own pillar.
     """
     rows, cols = np.indices((design.array.rows, design.array.cols)).reshape(2, -1)
     apart = [np.abs(place[:, None] - place) for place in (rows, cols)]
-    by_unit = np.abs(G.reshape(design.n_units, len(PILLARS), design.n_units, len(AXES)))
-    found = np.full((len(PILLARS), len(DISTANCES)), np.nan)
-    for p, axis in enumerate(OWN_AXIS):
+    own = own_axes(design.unit)
+    by_unit = np.abs(G.reshape(design.n_units, len(own), design.n_units, len(AXES)))
+    found = np.full((len(own), len(DISTANCES)), np.nan)
+    for p, axis in enumerate(own):
         slopes = by_unit[:, p, :, axis]  # observed, loaded
         ratios = slopes / slopes.diagonal()
         for k, distance in enumerate(DISTANCES):
@@ -152,7 +209,7 @@ def loads_at_cap(response: ArrayResponse, cap: float, n: int, seed: int) -> tupl
     -------
     array, shape (n, rows, cols, 3)
         Forces [N], z positive in compression.
-    array, shape (n, n_units, 2, 3)
+    array, shape (n, n_units, n_upper, 3)
         Displacements of the electrodes [mm].
     """
     design = response.design
@@ -173,5 +230,5 @@ def largest_pressures(response: ArrayResponse, cap: float) -> tuple[float, float
     return float(factors[:-1].min()), float(factors[-1])
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _told(value: float, otherwise: str) -> float | str:
+    return float(value) if np.isfinite(value) else otherwise

@@ -4,18 +4,20 @@ A row is written as soon as it is known, so that nothing is lost; a Parquet file
 metrics with their equations are in docs/results.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from geometry.layout import AXES, PILLARS, FloatArray
+from geometry.layout import AXES, FloatArray
 from geometry.storage.files import write_bytes
 
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
-#: the metrics of a row: name for tables and pictures, unit, meaning
+
+#: what rows hold: name for tables and pictures, unit, meaning; those with {pillar} for each pillar of a unit
 METRICS = {
     "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
     "error_pct": ("error", "%", "the same in % of range_n"),
@@ -27,24 +29,17 @@ METRICS = {
     "pressure_all_mpa": (
         "pressure on all pads", "MPa", "largest pressure on all pads at once below the strain cap"
     ),
-    **{
-        f"sensitivity_{pillar}_pct_per_n": (
-            f"sensitivity of {pillar} pillars", "%/N", f"change of a {pillar} pillar by its own force, mean over units"
-        )
-        for pillar in PILLARS
-    },
+    "sensitivity_{pillar}_pct_per_n": (
+        "sensitivity of {pillar} pillars", "%/N", "change of a {pillar} pillar by its own force, mean over units"
+    ),
     "sensitivity_least_pct_per_n": ("least sensitivity", "%/N", "the same of the least sensitive of all pillars"),
     **{
         f"crosstalk_{d}": (f"crosstalk at {d} × pitch", "1", f"worst response {d} pitches away over the loaded unit's")
         for d in DISTANCES
     },
-    **{
-        f"crosstalk_{pillar}_{d}": (
-            f"crosstalk of {pillar} pillars at {d} × pitch", "1", f"the same of {pillar} pillars alone, {d} away"
-        )
-        for pillar in PILLARS
-        for d in DISTANCES
-    },
+    "crosstalk_{pillar}_{distance}": (
+        "crosstalk of {pillar} pillars at {distance} × pitch", "1", "the same of {pillar} pillars, {distance} away"
+    ),
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
     ),
@@ -52,6 +47,13 @@ METRICS = {
     "touch_place_mm": ("place of a touch", "mm", "least deviation of its centre of pressure, median"),
     "area_cm2": ("area", "cm²", "footprint of the slab"),
     "volume_cm3": ("volume", "cm³", "volume of the slab"),
+    "conductive_cm3": ("conductive rubber", "cm³", "volume of all pillars"),
+    "channels": ("channels", "1", "pillars that are read, each at a crossing of its own"),
+    "wires": ("wires", "1", "row and column wires of the array"),
+    "rate_hz": ("scan rate", "Hz", "scans a second that the firmware has time for"),
+    "wall_mm": ("wall", "mm", "smallest wall between troughs of the mould, or of rubber to the slab's side"),
+    "undercut_mm": ("undercut", "mm", "how far a heel juts out under the wall of its trough"),
+    "demould_deg": ("demoulding angle", "°", "least angle of a slanted face to the vertical"),
     "error_estimate": ("error of the response", "1", "estimated relative error of the response"),
     "unknowns": ("unknowns", "1", "unknowns of the largest system solved"),
     "seconds": ("time", "s", "time spent on the design, whatever was taken from the cache left out"),
@@ -59,6 +61,38 @@ METRICS = {
     "seconds_condense": ("condensing", "s", "of which condensing it"),
     "seconds_couple": ("coupling", "s", "of which coupling the array"),
 }  # fmt: skip
+
+
+class Metric(NamedTuple):
+    """What a number of a row is."""
+
+    words: str  #: its name in tables and pictures
+    unit: str
+    meaning: str
+
+    @property
+    def label(self) -> str:
+        """Its name with its unit.
+
+        >>> Metric("area", "cm²", "").label, Metric("condition number", "1", "").label
+        ('area [cm²]', 'condition number')
+        """
+        return self.words if self.unit == "1" else f"{self.words} [{self.unit}]"
+
+
+def metrics_for(pillars: Iterable[str]) -> dict[str, Metric]:
+    """The metrics of a row by name, some of them for each pillar of a unit.
+
+    >>> [name for name in metrics_for(["z2"]) if "_z2_" in name]
+    ['sensitivity_z2_pct_per_n', 'crosstalk_z2_1', 'crosstalk_z2_2', 'crosstalk_z2_3']
+    """
+    pairs, found = list(product(pillars, DISTANCES)), {}
+    for name, texts in METRICS.items():
+        for pillar, distance in pairs if "{" in name else [("", 0)]:
+            filled = [text.format(pillar=pillar, distance=distance) for text in (name, *texts)]
+            found[filled[0]] = Metric(*filled[1:])
+    return found
+
 
 Metrics = dict[str, float | None]
 
@@ -68,10 +102,11 @@ class Row:
     """The metrics of one design, or why it has none."""
 
     cache_key: str  #: hash of the design and of how it was judged
-    values: dict[str, float]  #: of the varied keys
+    values: dict[str, float | str]  #: of the varied keys
     design: str | None  #: as a design file; None if the numbers make no design
-    metrics: Metrics = field(default_factory=dict)  #: by the names of `METRICS`
+    metrics: Metrics = field(default_factory=dict)  #: by the names of `metrics_for`
     reason: str = ""  #: why it failed
+    untold: dict[str, str] = field(default_factory=dict)  #: why it lacks a metric, by its name
 
     @property
     def failed(self) -> bool:
@@ -83,14 +118,22 @@ class Row:
         value = self.metrics.get(name)
         return float("inf") if value is None else value
 
-    def flat(self) -> dict[str, Any]:
-        """The row as one line of a table: numbers of the varied keys, every metric, and the design's text."""
+    def lacking(self) -> dict[str, list[str]]:
+        """Names of the metrics that it lacks, by the reason."""
+        found: dict[str, list[str]] = {}
+        for name, reason in self.untold.items():
+            found.setdefault(reason, []).append(name)
+        return found
+
+    def flat(self, metrics: Iterable[str]) -> dict[str, Any]:
+        """The row as one line of a table: values of the varied keys, these metrics, and the design's text."""
         return {
             "recipe": self.cache_key,
             **self.values,
             "failed": self.failed,
             "reason": self.reason,
-            **{name: self.metrics.get(name) for name in METRICS},
+            "untold": "; ".join(f"{', '.join(names)}: {reason}" for reason, names in self.lacking().items()),
+            **{name: self.metrics.get(name) for name in metrics},
             "design": self.design,
         }
 
@@ -100,24 +143,15 @@ def column(rows: Sequence[Row], name: str) -> FloatArray:
     return np.array([np.nan if (value := row.metrics.get(name)) is None else value for row in rows])
 
 
-def metric_label(name: str) -> str:
-    """The name of a metric with its unit, for tables and pictures.
-
-    >>> metric_label("area_cm2"), metric_label("condition")
-    ('area [cm²]', 'condition number')
-    """
-    label, unit, _ = METRICS[name]
-    return label if unit == "1" else f"{label} [{unit}]"
-
-
-def write_parquet(rows: Sequence[Row], path: Path) -> None:
+def write_parquet(rows: Sequence[Row], metrics: Mapping[str, Metric], path: Path) -> None:
     """Write rows as a Parquet table, whole or not at all; its metrics have their units and meaning as metadata."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    types = dict.fromkeys(("recipe", "reason", "design"), pa.string()) | {"failed": pa.bool_()}
-    notes = {name: {"units": units, "meaning": meaning} for name, (_, units, meaning) in METRICS.items()}
-    lines = [row.flat() for row in rows]
+    texts = [name for row in rows for name, value in row.values.items() if isinstance(value, str)]
+    types = dict.fromkeys(("recipe", "reason", "untold", "design", *texts), pa.string()) | {"failed": pa.bool_()}
+    notes = {name: {"units": metric.unit, "meaning": metric.meaning} for name, metric in metrics.items()}
+    lines = [row.flat(metrics) for row in rows]
     schema = pa.schema([pa.field(name, types.get(name, pa.float64()), metadata=notes.get(name)) for name in lines[0]])
     content = pa.BufferOutputStream()
     pq.write_table(pa.Table.from_pylist(lines, schema=schema), content)

@@ -1,5 +1,6 @@
 """Conduction held against closed forms: bars, constrictions, rotations; its derivatives, and its reduction."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,9 @@ from fem.conduction.potentials import (
 from fem.conduction.reduced import reduced_conduction
 from geometry.design import Unit
 from geometry.errors import DesignError
+from geometry.layout import LAYOUTS, pillar_volumes, rest_lengths
+from geometry.shares import pillar_shares
+from tests.fem.scenes import round_of
 
 
 def graded(start, end, *singular):
@@ -73,6 +77,30 @@ def test_unit_at_rest():
     assert (found.error_estimate < 2e-4).all()
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert np.linalg.eigvalsh(found.matrix_mm)[1] > 0
+
+
+def test_round_units_at_rest():
+    """Uprights resist exactly by l/S; the paper's fill what boxes' shares of them do, and err as they say.
+
+    By polygons of 8 to 24 sides z and x lie 3.2 to 3.3 and 5.0 to 5.2 % above eq. 1.
+    """
+    uprights, paper = (Unit(layout=round_of(LAYOUTS[name])) for name in ("upright-four", "song2018"))
+    assert unit_conductances(uprights).pillars_per_mm == pytest.approx(np.full(4, 10 / np.pi), rel=1e-10)
+    lines = np.linspace(-7.0, 7.0, 29), np.linspace(0.0, 10.0, 11)
+    filled_mm3 = pillar_shares(paper, lines[0], lines[0], lines[1]).sum() * 0.5**2
+    assert unit_hexahedra(paper, 1, 1).weight_mm3.sum() == pytest.approx(filled_mm3, rel=1e-4)
+    found = unit_conductances(paper)
+    z, x, y = found.pillars_per_mm * pillar_volumes(paper) / rest_lengths(paper) ** 2
+    assert (z, x) == pytest.approx((1.0325, 1.051), abs=1e-3)
+    assert x == pytest.approx(y, rel=1e-8)
+    assert (np.abs([z / 1.0325 - 1, x / 1.051 - 1]) < found.error_estimate[:2]).all()
+    thin = replace(paper.layout.pillars[0], width_mm=1.0)
+    for unit, says in (
+        (replace(paper, electrode_mm=1.5), "raise electrode_mm from 1.5 to 2, or take eq. 1"),
+        (replace(paper, layout=replace(paper.layout, pillars=(thin, *paper.layout.pillars[1:]))), "U1 has two: take"),
+    ):
+        with pytest.raises(DesignError, match=says):
+            unit_conductances(unit)
 
 
 @pytest.mark.long

@@ -1,12 +1,16 @@
 // Numbers beside the picture, as text, colours and rows, and as CSV; null is unknown. What the server says of all units is
-// one list with three numbers a unit, of the axes x, y, z or the pillars z, x, y.
+// one list with a number for each axis of each unit, or for each of its pillars, which the facts name.
 
-const AXES = ["x", "y", "z"], PILLARS = ["z", "x", "y"];
+export const AXES = ["x", "y", "z"];
 export const ARROWS = "→↗↑↖←↙↓↘";  // of shear, by eighths of a turn from +x
 export const MAPS = {
-  "resistance-maps": { titles: PILLARS.map(name => `${name} pillar`), name: "change_pct", unit: "%", digits: 1, least: 2 },
-  "force-maps": { titles: AXES.map(name => `F${name}`), name: "force_n", unit: "N", digits: 0, least: 10 },
+  "resistance-maps": { titles: pillarTitles, name: "change_pct", unit: "%", digits: 1, least: 2 },
+  "force-maps": { titles: () => AXES.map(name => `F${name}`), name: "force_n", unit: "N", digits: 0, least: 10 },
 };
+
+export function pillarTitles({ pillars }) {
+  return pillars.map(name => `${name} pillar`);
+}
 
 export function words(value, digits) {
   if (value === null) return "–";
@@ -23,11 +27,12 @@ export function colour(value, most) {
 }
 
 const minus = (one, other) => (one === null || other === null ? null : one - other);
-const three = (values, unit) => values.slice(3 * unit, 3 * unit + 3);
+export const ofUnit = (values, unit, n) => values.slice(n * unit, n * unit + n);
+const three = (values, unit) => ofUnit(values, unit, 3);
 
-export function unitPillars({ resistance_ohm, change_pct, strain_pct }, unit) {
-  const [ohm, change, strain] = [resistance_ohm, change_pct, strain_pct].map(values => three(values, unit));
-  return PILLARS.map((name, k) => [name, words(ohm[k] / 1e3, 3), words(change[k], 2), words(strain[k] ?? Infinity, 1)]);
+export function unitPillars({ pillars }, { resistance_ohm, change_pct, strain_pct }, unit) {
+  const [ohm, change, strain] = [resistance_ohm, change_pct, strain_pct].map(all => ofUnit(all, unit, pillars.length));
+  return pillars.map((name, k) => [name, words(ohm[k] / 1e3, 3), words(change[k], 2), words(strain[k] ?? Infinity, 1)]);
 }
 
 export function unitForces({ applied_n, force_n }, unit) {
@@ -36,20 +41,23 @@ export function unitForces({ applied_n, force_n }, unit) {
     [`F${name}`, words(applied[k], 1), words(found[k], 1), words(minus(found[k], applied[k]), 2)]);
 }
 
-export function tableRows({ cols }, { resistance_ohm, applied_n, force_n }) {
-  return Array.from({ length: resistance_ohm.length / 3 }, (_, unit) => {
-    const applied = three(applied_n, unit), found = three(force_n, unit);
-    return [`${Math.floor(unit / cols)}, ${unit % cols}`, ...three(resistance_ohm, unit).map(ohm => words(ohm / 1e3, 3)),
+export const tableHead = ({ pillars }) =>
+  ["unit", ...pillars.map(name => `R${name}`), ...AXES.flatMap(axis => [`F${axis} appl.`, `F${axis} dec.`])];
+
+export function tableRows({ cols, pillars }, { resistance_ohm, applied_n, force_n }) {
+  return Array.from({ length: force_n.length / 3 }, (_, unit) => {
+    const applied = three(applied_n, unit), found = three(force_n, unit), ohms = ofUnit(resistance_ohm, unit, pillars.length);
+    return [`${Math.floor(unit / cols)}, ${unit % cols}`, ...ohms.map(ohm => words(ohm / 1e3, 3)),
       ...AXES.flatMap((_, k) => [words(applied[k], 1), words(found[k], 1)])];
   });
 }
 
 // the largest strain [%] and whose it is; of a pillar that turned over it is unknown
 
-export function largestStrain({ cols }, { strain_pct }) {
+export function largestStrain({ cols, pillars }, { strain_pct }) {
   const strains = strain_pct.map(strain => strain ?? Infinity), most = Math.max(...strains), at = strains.indexOf(most);
-  const unit = Math.floor(at / 3);
-  return [most, `${PILLARS[at % 3]} pillar of row ${Math.floor(unit / cols)}, col ${unit % cols}`];
+  const unit = Math.floor(at / pillars.length);
+  return [most, `${pillars[at % pillars.length]} pillar of row ${Math.floor(unit / cols)}, col ${unit % cols}`];
 }
 
 export function missed({ applied_n, force_n }) {
@@ -58,14 +66,15 @@ export function missed({ applied_n, force_n }) {
   return errors.length ? `all forces missed by ${words(Math.sqrt(square), 2)} N (rms)` : "";
 }
 
-export function csv({ rows, cols, pitch_mm }, { traction_mpa, resistance_ohm, applied_n, force_n }) {
+export function csv({ rows, cols, pitch_mm, pillars }, { traction_mpa, resistance_ohm, applied_n, force_n }) {
   const head = ["row", "col", "x_mm", "y_mm", ...AXES.map(axis => `traction_${axis}_mpa`),
-    ...PILLARS.map(pillar => `resistance_${pillar}_ohm`), ...AXES.map(axis => `applied_f${axis}_n`),
+    ...pillars.map(pillar => `resistance_${pillar}_ohm`), ...AXES.map(axis => `applied_f${axis}_n`),
     ...AXES.map(axis => `decoupled_f${axis}_n`)];
   const lines = Array.from({ length: rows * cols }, (_, unit) => {
     const row = Math.floor(unit / cols), col = unit % cols;
     const place = [pitch_mm * (col - (cols - 1) / 2), pitch_mm * (row - (rows - 1) / 2)];
-    return [row, col, ...place, ...[traction_mpa, resistance_ohm, applied_n, force_n].flatMap(all => three(all, unit))];
+    return [row, col, ...place, ...three(traction_mpa, unit), ...ofUnit(resistance_ohm, unit, pillars.length),
+      ...three(applied_n, unit), ...three(force_n, unit)];
   });
   return [head, ...lines].map(line => line.join()).join("\n") + "\n";
 }

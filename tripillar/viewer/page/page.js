@@ -2,7 +2,9 @@
 // what was said last, from which a lost connection goes on.
 
 import { loadState, save, savePicture } from "./files.js";
-import { colour, csv, largestStrain, missed, tableRows, unitForces, unitPillars, words, ARROWS, MAPS } from "./numbers.js";
+import {
+  colour, csv, largestStrain, missed, tableHead, tableRows, unitForces, unitPillars, words, ARROWS, MAPS,
+} from "./numbers.js";
 import { watchPicture } from "./picture.js";
 import { Plot } from "./plot.js";
 
@@ -66,6 +68,7 @@ function lay(given) {
   byId("by-sensor").hidden = facts.sensor === null;
   byId("port").textContent = facts.sensor ?? "";
   document.body.style.setProperty("--cols", facts.cols);
+  fill(byId("whole-table").tHead.rows[0], tableHead(facts), "th", text);
   for (const control of all("[data-control]")) {
     const name = control.dataset.control, kind = facts.kinds[name];
     if (control.type === "range") {
@@ -146,7 +149,7 @@ function showNumbers() {
     text(part(button, 0, "span"), Math.abs(z) > 0.02 ? words(-z, Math.abs(z) < 10 ? 1 : 0) : "");
     text(part(button, 1, "small"), Math.hypot(x, y) > 0.02 ? ARROWS[(eighth + 8) % 8] : "");
   });
-  showRows(byId("unit-pillars"), unitPillars(said, pad));
+  showRows(byId("unit-pillars"), unitPillars(facts, said, pad));
   showRows(byId("unit-forces"), unitForces(said, pad));
   if (controls.tab === "maps") for (const [id, map] of Object.entries(MAPS)) showMaps(byId(id), map);
   if (controls.tab === "table") showRows(byId("whole-table"), tableRows(facts, said));
@@ -155,8 +158,9 @@ function showNumbers() {
 // the strongest colour is of the largest value, but at least of `least`, so that noise at rest stays pale
 
 function showMaps(place, { titles, name, unit, digits, least }) {
-  fill(place, titles, "div", (element, title, axis) => {
-    const values = said[name].filter((_, at) => at % 3 === axis), most = Math.max(least, ...values.map(Math.abs));
+  const titled = titles(facts);
+  fill(place, titled, "div", (element, title, which) => {
+    const values = said[name].filter((_, at) => at % titled.length === which), most = Math.max(least, ...values.map(Math.abs));
     element.className = "map";
     const caption = part(element, 0, "div"), cells = element.querySelector(".cells") ?? part(element, 1, "div");
     caption.className = "caption";
@@ -166,10 +170,10 @@ function showMaps(place, { titles, name, unit, digits, least }) {
     }
     text(part(caption, 0, "b"), title);
     text(part(caption, 1, "span"), `± ${words(most, digits)} ${unit}`);
-    fill(cells, lying(), "div", (box, which) => {
-      asCell(box, which, colour(values[which], most));
-      text(part(box, 0, "span"), words(values[which], digits));
-      box.title = `${words(values[which], digits)} ${unit}`;
+    fill(cells, lying(), "div", (box, place) => {
+      asCell(box, place, colour(values[place], most));
+      text(part(box, 0, "span"), words(values[place], digits));
+      box.title = `${words(values[place], digits)} ${unit}`;
     });
   });
 }

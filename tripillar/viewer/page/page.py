@@ -164,6 +164,7 @@ class Page:
             "cols": array.cols,
             "pitch_mm": array.pitch_mm,
             "pads": self._design.pad.kind,
+            "pillars": self._design.unit.layout.pillar_names,
             "cap": CAP_PCT,
             "friction": FRICTION,
             "decoupler": self._subject.decoupler,
@@ -220,7 +221,7 @@ class Page:
     def update(self) -> dict[str, Any]:
         """Load the array, schedule its picture, and return what the page shows beside it.
 
-        Numbers of units are lists of three a unit, along x, y, z or of the pillars z, x, y; None where unknown. All is
+        Numbers of units are lists of three a unit, along x, y, z, or of one a pillar; None where unknown. All is
         "trouble" alone where forces or displacements are unknown.
         """
         start, controls, feed = time.perf_counter(), self.controls, self._subject.feed
@@ -232,7 +233,7 @@ class Page:
         is_drawn = strain <= MAX_DRAWN
         drawn = self._traction if is_drawn else 0.0 * self._traction
         looks = (controls[name] for name in ("colour", "scale", "pad", "dark"))
-        bar = self.scene.show(drawn, reading.change.reshape(-1, 3), *looks)
+        bar = self.scene.show(drawn, reading.change, *looks)
         seconds = time.perf_counter() - start
         self.pictures.schedule_render()
         shown: dict[str, Any] = {

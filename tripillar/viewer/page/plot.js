@@ -1,12 +1,13 @@
 // Forces and readings of some pads over the last minute. Every unit is remembered, so a pad that is added shows its past.
 
+import { AXES, ofUnit, pillarTitles } from "./numbers.js";
+
 const SECONDS = 60, COLOURS = 6, MOST = 60 * 200;
-const NAMES = ["Fx [N]", "Fy [N]", "Fz [N]", "z pillar, change [%]", "x pillar, change [%]", "y pillar, change [%]"];
 
 export class Plot {
   constructor(canvas) {
     this.canvas = canvas;
-    this.samples = [];  // {t, values: of each unit six}
+    this.samples = [];  // {t, values: of each unit those of `names`}
     this.pads = new Set();
     this.quantity = 2;
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -14,7 +15,8 @@ export class Plot {
 
   lay(facts, select, cells, clear) {
     this.facts = facts;
-    select.replaceChildren(...NAMES.map((name, place) => new Option(name, place)));
+    this.names = [...AXES.map(axis => `F${axis} [N]`), ...pillarTitles(facts).map(title => `${title}, change [%]`)];
+    select.replaceChildren(...this.names.map((name, place) => new Option(name, place)));
     select.value = this.quantity;
     select.onchange = () => (this.quantity = +select.value, this.draw());
     clear.onclick = () => (this.samples = [], this.draw());
@@ -41,8 +43,9 @@ export class Plot {
   }
 
   add({ force_n, change_pct }) {
-    const t = performance.now() / 1000, three = (all, unit) => all.slice(3 * unit, 3 * unit + 3);
-    const values = Array.from({ length: force_n.length / 3 }, (_, unit) => [...three(force_n, unit), ...three(change_pct, unit)]);
+    const t = performance.now() / 1000, n = this.facts.pillars.length;
+    const values = Array.from({ length: force_n.length / AXES.length },
+      (_, unit) => [...ofUnit(force_n, unit, AXES.length), ...ofUnit(change_pct, unit, n)]);
     this.samples.push({ t, values });
     while (this.samples.length > MOST || this.samples[1]?.t < t - SECONDS) this.samples.shift();
     this.draw();
@@ -56,7 +59,8 @@ export class Plot {
   name = unit => `row ${Math.floor(unit / this.facts.cols)}, col ${unit % this.facts.cols}`;
 
   csv() {
-    const pads = [...this.pads], names = ["fx_n", "fy_n", "fz_n", "z_change_pct", "x_change_pct", "y_change_pct"];
+    const changes = this.facts.pillars.map(pillar => `${pillar}_change_pct`);
+    const pads = [...this.pads], names = [...AXES.map(axis => `f${axis}_n`), ...changes];
     const head = ["time_s", ...pads.flatMap(unit => names.map(name => `${name} of ${this.name(unit).replace(",", "")}`))];
     const start = this.samples[0]?.t ?? 0;
     const lines = this.samples.map(({ t, values }) => [(t - start).toFixed(4), ...pads.flatMap(unit => values[unit])]);
@@ -97,7 +101,7 @@ export class Plot {
     for (let ago = SECONDS; ago >= 0; ago -= 15) context.fillText(ago ? `−${ago}` : "now", Math.min(x(now - ago), wide - 18), bottom + 14);
     context.fillText("time [s]", (left + wide) / 2, bottom + 27);
     context.textAlign = "left";
-    context.fillText(NAMES[quantity], 0, 11);
+    context.fillText(this.names[quantity], 0, 11);
     context.lineWidth = 2;
     context.save();
     context.beginPath();

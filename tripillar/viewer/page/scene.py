@@ -58,8 +58,8 @@ class ArrayScene:
         Parameters
         ----------
         traction_mpa : array, shape (n_units, 3)
-        change : array, shape (n_units, 3)
-            Relative change from rest of the resistances of the z, x and y pillars.
+        change : array, shape (rows, cols, n_pillars)
+            Relative change from rest of the pillars' resistances.
         colour : str
             One of `TITLES`.
         scale : float

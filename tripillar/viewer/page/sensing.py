@@ -35,7 +35,7 @@ from tripillar.terminal.force_view import RATE_OVER, contact_lines, notes_on, pa
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
 
-#: forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, 3) [Ω]; NaN where unknown
+#: forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, P) [Ω]; NaN where unknown
 Decouple = Callable[[FloatArray], FloatArray]
 
 
@@ -45,10 +45,10 @@ class Reading:
 
     traction_mpa: FloatArray  #: (n_units, 3): on the pads, z negative pushing down
     applied_n: FloatArray  #: (rows, cols, 3): forces on the pads, Fz positive in compression; NaN where unknown
-    resistance_ohm: FloatArray  #: (rows, cols, 3): pillars z, x, y
-    change: FloatArray  #: (rows, cols, 3): of the resistances from rest, relative
+    resistance_ohm: FloatArray  #: (rows, cols, P): of each unit's P pillars
+    change: FloatArray  #: (rows, cols, P): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
-    strain: FloatArray  #: (rows, cols, 3): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
+    strain: FloatArray  #: (rows, cols, P): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +77,12 @@ class PressedSensor:
         traction_mpa, rest_ohm = tractions(scan.force_n, self.response.design), rest_resistances(self.response.design)
         _, strain = self._deformed(traction_mpa)
         return Reading(
-            traction_mpa=traction_mpa, applied_n=np.full_like(strain, np.nan), resistance_ohm=scan.resistance_ohm,
+            traction_mpa=traction_mpa, applied_n=np.full_like(scan.force_n, np.nan), resistance_ohm=scan.resistance_ohm,
             change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
         )  # fmt: skip
 
     def _deformed(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lengths [mm] and strains of all pillars, each (rows, cols, 3)."""
+        """Lengths [mm] and strains of all pillars, each (rows, cols, P)."""
         design = self.response.design
         moved_mm = displacements(self.response, traction_mpa[None])[0]
         lengths_mm = pillar_lengths(moved_mm, design.unit)
@@ -105,12 +105,12 @@ def inverse_forces(response: ArrayResponse) -> Decouple:
     force_n = force_columns(by_unit(forces(loads, design), design), joint)
     forward = SensorModel.of(response, joint)
     inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-    return lambda resistance_ohm: inverse.forces(resistance_ohm.reshape(1, -1)).reshape(resistance_ohm.shape)
+    return lambda resistance_ohm: by_unit(inverse.forces(resistance_ohm.reshape(1, -1)).reshape(-1, len(AXES)), design)
 
 
 def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:
-    """(..., n_units, 3) as (..., rows, cols, 3)."""
-    return values.reshape(*values.shape[:-2], design.array.rows, design.array.cols, 3)
+    """(..., n_units, n) as (..., rows, cols, n)."""
+    return values.reshape(*values.shape[:-2], design.array.rows, design.array.cols, values.shape[-1])
 
 
 def with_all_axes(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:

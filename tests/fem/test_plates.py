@@ -1,0 +1,114 @@
+"""Shapes pressed on arrays of rigid plates: against the array's response, closed forms and NGSolve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fem.array.solving import ResponseSettings, solve_response
+from fem.contact import Flat, Sphere, SurfaceCompliance, press
+from fem.contact import surface as surface_module
+from fem.contact.surface import PLATE_FACE_MM_PER_MPA, Patch, PatchCompliance
+from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
+from geometry.design import Array, Pad, SensorDesign
+
+PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
+
+
+@pytest.fixture(scope="module")
+def plated() -> SurfaceCompliance:
+    """The paper's unit twice under plates, on coarse cells."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(2, 4))
+        made = surface_module._solved(PLATED, lambda step: None)
+    return replace(made, design=PLATED)
+
+
+def on_right_plate(axis: int) -> tuple[Patch, np.ndarray]:
+    """A force of 1 N along an axis, spread over the right plate."""
+    force = np.zeros((3, 24, 24))
+    force[axis] = 1 / 24**2
+    return Patch((1.5, -6.0), (13.5, 6.0), 24, 24), force
+
+
+def test_forces_on_plates_move_electrodes_as_in_the_array_s_response(plated: SurfaceCompliance):
+    """Another path to the middle of a plate: to the response's tolerance and that of coarse cells."""
+    response = solve_response(PLATED, ResponseSettings(tolerance=1e-2))
+    for axis in range(3):
+        patch, force = on_right_plate(axis)
+        expected = response.influence_mm_per_n[..., 0, 1, axis]
+        found = PatchCompliance(plated, patch).electrodes_mm(force)
+        assert np.abs(found - expected).max() < 0.015 * np.abs(expected).max()
+
+
+def test_a_plate_s_cells_move_as_a_rigid_body_by_any_forces(plated: SurfaceCompliance):
+    """But for what its own face gives under each cell; forces and displacements are reciprocal, between plates, too."""
+    patch = Patch((-15.0, -7.5), (15.0, 7.5), 40, 20)
+    compliance = PatchCompliance(plated, patch)
+    f, g = np.random.default_rng(0).normal(size=(2, 3, 20, 40))
+    moved = compliance.moved_mm(f)
+    assert (f * compliance.moved_mm(g)).sum() == pytest.approx((g * moved).sum(), rel=2e-5)
+    on_left = np.ix_(range(3), np.abs(patch.y_mm) < 6.0, np.abs(patch.x_mm + 7.5) < 6.0)
+    own = moved[on_left] - PLATE_FACE_MM_PER_MPA / patch.cell_mm2 * f[on_left]
+    x, y = np.meshgrid(patch.x_mm[np.abs(patch.x_mm + 7.5) < 6.0] + 7.5, patch.y_mm[np.abs(patch.y_mm) < 6.0])
+    zero, one = 0 * x, 1 + 0 * x
+    motions = [(one, zero, zero), (zero, one, zero), (zero, zero, one), (-y, x, zero), (zero, zero, x), (zero, zero, y)]
+    A = np.stack([np.stack(each).ravel() for each in motions], axis=1)
+    left = A @ np.linalg.lstsq(A, own.ravel())[0] - own.ravel()
+    assert np.abs(left).max() < 1e-5 * np.abs(own).max()
+
+
+def test_a_ball_on_a_plate_s_middle_is_two_springs_in_series(plated: SurfaceCompliance):
+    """δ = F c + √(F k / π R): the plate on the rubber, and its face of compliance k per area under a ball."""
+    contact = press(plated, Sphere(10.0), 0.5, at_mm=(7.5, 0.0))
+    force_n = contact.net_force_n[2]
+    patch, even = on_right_plate(2)
+    compliance = PatchCompliance(plated, patch)
+    c = compliance.moved_mm(even)[2].mean() - PLATE_FACE_MM_PER_MPA / 144
+    expected_mm = force_n * c + np.sqrt(force_n * PLATE_FACE_MM_PER_MPA / np.pi / 10.0)
+    assert expected_mm == pytest.approx(0.5, rel=5e-3)  # some ten cells touch
+    assert contact.force_n[0, 0, 2] == 0.0
+    expected = -force_n * compliance.electrodes_mm(even)
+    assert np.abs(contact.electrode_mm - expected).max() < 1e-2 * np.abs(expected).max()  # it turns a little
+
+
+def test_a_punch_over_the_gap_presses_both_plates_and_turns_them(plated: SurfaceCompliance):
+    """Dragged to the end all of it slips."""
+    contact = press(plated, Flat((8.0, 6.0)), 0.3, slide_mm=(1.5, 0.0), friction=0.3, cells=16)
+    left, right = contact.force_n[0]
+    assert left[2] > 10.0 < right[2]
+    assert contact.net_force_n[0] == pytest.approx(0.3 * contact.net_force_n[2], rel=1e-2)
+    assert contact.unit_moment_nmm[0, 0, 0] > 0 > contact.unit_moment_nmm[0, 1, 0]
+    assert contact.gap_mm.min() > -2e-3 * contact.depth_mm
+
+
+@pytest.mark.parametrize(
+    ("pad", "low", "high"),
+    [(Pad(kind="stiff"), -3.1, 4.2), (Pad(kind="stiff", size_mm=11.0, offset_x_mm=0.5), -7.0, 9.0)],
+)
+def test_grids_have_lines_at_the_edges_of_plates(pad: Pad, low: float, high: float):
+    """They cover what is asked with at least as many cells, and meet edges to a fiftieth of a cell."""
+    design = replace(PLATED, pad=pad)
+    first, last, count = plated_grid(design, 0, low, high, 30)
+    step = (last - first) / count
+    assert first <= low < high <= last
+    assert 0.4 < step * 30 / (high - low) <= 1.0
+    places = [strip.low_mm for strip in slab_strips(design, 0, 0) if strip.is_plate and first < strip.low_mm < last]
+    off = (np.array(places) - first) / step
+    assert len(off)
+    assert np.abs(off - np.rint(off)).max() < 0.05
+
+
+def test_polynomials_between_tiles_end_at_plates_and_keep_moments():
+    strips = slab_strips(PLATED, 0, 0)
+    places = np.linspace(-14.9, 14.9, 61)
+    found, tiles = shares(places, strips, 2)
+    lines = edges(strips)[tiles.start : tiles.stop + 1]
+    middles = (lines[:-1] + lines[1:]) / 2
+    assert found.sum(axis=1) == pytest.approx(1.0)
+    assert found @ middles == pytest.approx(places)
+    on = [strip for strip in strips if strip.is_plate]
+    beside = (middles < on[0].low_mm) | (middles > on[0].high_mm)
+    inside = (places > on[0].low_mm) & (places < on[0].high_mm)
+    assert not found[np.ix_(inside, beside)].any()
+    assert sum(strip.tiles for strip in cell_strips(PLATED, 1)) == 7
