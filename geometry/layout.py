@@ -210,9 +210,6 @@ LAYOUTS = {
     "eight-pillar": _on_corners("z1 L1 U1, x1 L2 U1, z2 L3 U2, y2 L1 U2, z3 L4 U3, x3 L3 U3, z4 L2 U4, y4 L4 U4"),
     "upright-four": _on_corners("z1 L1 U1, z2 L3 U2, z3 L4 U3, z4 L2 U4"),
 }
-ELECTRODES = SONG2018.upper_names  #: upper electrodes of the paper's unit
-PILLARS = SONG2018.pillar_names  #: its pillars
-PILLAR_TOP = SONG2018.pillar_top  #: number of the upper electrode at the top of each
 
 
 def unit_centres(design: "SensorDesign") -> FloatArray:
