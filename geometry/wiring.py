@@ -7,11 +7,14 @@ wire 0 by rising column wire, then along row wire 1, and so on; each is a channe
 """
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import SONG2018, Layout
+
+MAX_SEARCHED = 10  #: electrodes of the smaller level for which the fewest wires are looked for
 
 
 def unit_wires(layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -81,11 +84,12 @@ def crossing_of_pillar(rows: int, cols: int, layout: Layout = SONG2018) -> NDArr
     return np.argsort(pillar_of_crossing(rows, cols, layout)).reshape(rows, cols, -1)
 
 
+@cache
 def fewest_wires(layout: Layout) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
     """Electrodes by the row and by the column wires of a unit, as few of both together as any sharing allows.
 
     By search over all ways to share the wires of one level; those of the other level then follow as the colours of a
-    graph. Few electrodes take milliseconds, ten a second.
+    graph. Four electrodes a level take a millisecond, ten a second.
 
     >>> from geometry.layout import LAYOUTS
     >>> [len(level) for level in fewest_wires(LAYOUTS["six-pillar"])]
@@ -98,6 +102,10 @@ def fewest_wires(layout: Layout) -> tuple[tuple[tuple[str, ...], ...], tuple[tup
         pairs, upper, lower = [(foot, top) for top, foot in pairs], lower, upper
     best: tuple[list[list[str]], list[list[str]]] = [[name] for name in upper], [[name] for name in lower]
     for shared in _partitions(upper):
+        if len(shared) + -(-len(pairs) // len(shared)) >= sum(
+            map(len, best)
+        ):  # more pillars than crossings, or no gain
+            continue
         of = {name: number for number, names in enumerate(shared) for name in names}
         crossed = [(of[top], foot) for top, foot in pairs]
         if len({*crossed}) < len(pairs):
@@ -142,8 +150,8 @@ def explained(layout: Layout) -> str:
     """In words how many wires and channels a unit has, and how few wires would do."""
     n_row, n_column = unit_crossings(layout).shape
     said = f"Wires of a unit: {n_row} in rows, {n_column} in columns; {len(layout.pillars)} channels."
-    fewest = fewest_wires(layout)
-    if sum(map(len, fewest)) == n_row + n_column:
+    fewest = fewest_wires(layout) if min(len(layout.upper), len(layout.lower)) <= MAX_SEARCHED else None
+    if fewest is None or sum(map(len, fewest)) == n_row + n_column:
         return said
     shared = [" and ".join(names) for level in fewest for names in level if len(names) > 1]
     return f"{said} {len(fewest[0])} and {len(fewest[1])} would do: {', '.join(shared)} can share a wire."

@@ -7,6 +7,17 @@ from geometry.layout_file import layout_text
 from geometry.wiring import unit_crossings
 from hardware.link.frames import stated
 
+CONVERSION_US, MARGIN_US = 52, 50  #: of the firmware (settings.h): time of a conversion, of a scan beside them
+
+
+def fastest_hz(n_crossings: int) -> int:
+    """Scans a second that the firmware has time for [Hz].
+
+    >>> fastest_hz(108), fastest_hz(216)
+    (176, 88)
+    """
+    return 1_000_000 // (CONVERSION_US * n_crossings + MARGIN_US)
+
 
 def sensor_header(rows: int, cols: int, layout: Layout) -> str:
     """The text of a header for ``make -C hardware/firmware SENSOR=FILE``: an array of rows × cols units of a layout.

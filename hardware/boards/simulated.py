@@ -27,7 +27,7 @@ from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.storage.files import cache_folder, digest, write_text
 from geometry.storage.netcdf import write_netcdf
 from geometry.wiring import crossings, wires
-from hardware.boards.sensor_header import sensor_header
+from hardware.boards.sensor_header import fastest_hz, sensor_header
 from hardware.boards.simavr_board import (
     CHIP_BITS,
     EMPTY,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["atmega328p", "atmega2560", "python"]
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
-USUAL_HZ, CONVERSION_US, MARGIN_US = 150, 52, 50  #: of the firmware: rate, time of a conversion, of a scan beside them
+USUAL_HZ = 150  #: rate of the firmware
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,7 +156,7 @@ def usual_rate(n_crossings: int) -> int:
     >>> usual_rate(108), usual_rate(216)
     (150, 88)
     """
-    return min(USUAL_HZ, 1_000_000 // (CONVERSION_US * n_crossings + MARGIN_US))
+    return min(USUAL_HZ, fastest_hz(n_crossings))
 
 
 def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:

@@ -90,21 +90,18 @@ def plain_numbers(values: FloatArray) -> list[float | None]:
 
 def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
     """The sensor on a board, as a model knows it."""
-    shape, axes, scaling = (
-        (model.rows, model.cols, len(info.layout.pillars)),
-        model.component.axes,
-        model.output_scaling,
-    )
-    rest_ohm, unknown = model.rest_resistances(), np.full(shape, np.nan)
+    axes, scaling, design = model.component.axes, model.output_scaling, model.design
+    shape, places = (model.rows, model.cols, len(info.layout.pillars)), np.full((model.rows, model.cols, 3), np.nan)
+    rest_ohm = model.rest_resistances()
     limits = np.stack([scaling.centre - scaling.half_range, scaling.centre + scaling.half_range], axis=-1)
     return SensorDescription(
         rows=model.rows,
         cols=model.cols,
         axes=axes,
-        position_mm=unknown if model.design is None else pad_positions(model.design, of_units=model.knows_touch),
-        pad_mm=np.nan if model.design is None else model.design.pad.size_mm,
+        position_mm=places if design is None else pad_positions(design, of_units=model.knows_touch),
+        pad_mm=np.nan if design is None else design.pad.size_mm,
         range_n=limits.reshape(*shape[:2], len(axes), 2),
-        rest_ohm=unknown if rest_ohm is None else rest_ohm,
+        rest_ohm=np.full(shape, np.nan) if rest_ohm is None else rest_ohm,
         dead=np.zeros(shape, dtype=bool) if model.dead is None else model.dead,
         design_hash=model.design_hash or "",
         model_hash=str(model.made_from.get("recipe") or model.made_from.get("identified_on", "")),

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_toml, design_to_toml
+from geometry.design_file import design_from_toml, design_to_toml, whole_design
 from tests.docs.terminal import ROOT
 from tripillar.cli.app import COMMANDS, app_of
 from tripillar.cli.help import options_of
@@ -68,6 +68,13 @@ def test_the_contribution_guide_names_what_is_there():
 def test_the_citation_is_of_this_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_the_layout_shown_is_one_in_ten_lines():
+    (shown,) = re.findall(r"```text\n(extends.*?)```", (ROOT / "docs/sensor.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len(shown.splitlines()) <= 10
+    layout = whole_design(shown, "the page").unit.layout
+    assert (layout.pillar_names, layout.pillars[1].section) == (("z1", "z2", "x"), "round")
 
 
 def test_the_design_file_shown_is_the_one_written():

@@ -12,8 +12,8 @@ from fem.conduction.potentials import unit_conductances
 from fem.contact.surface import endless_surface
 from fem.finite.samples import SampleSolver
 from geometry.design import Array, Electrics, SensorDesign, Unit
-from geometry.layout import pillar_volumes, rest_lengths
-from tests.fem.scenes import FOUR
+from geometry.layout import LAYOUTS, pillar_volumes, rest_lengths
+from tests.fem.scenes import FOUR, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -73,3 +73,18 @@ def test_samples_at_finite_strain_have_every_electrode_and_pillar(electrics, few
     assert len(change[1]) == 4
     if electrics.is_conduction:
         assert change[1][:2] == pytest.approx(change[0][[0, 2]], rel=3e-3)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_samples_of_one_rubber_are_alike_whatever_the_pillars(name):
+    """They bend nothing: electrodes that layouts have in common move alike, round pillars as square ones."""
+    lone, force_n = SensorDesign(array=Array(rows=1, cols=1)), 144.0 * np.array([[[0.1, 0.05, -0.5]]])
+    layout = LAYOUTS[name]
+    paper, square, round_one = (
+        SampleSolver(replace(lone, unit=Unit(layout=one))).displacements(force_n)
+        for one in (LAYOUTS["song2018"], layout, round_of(layout))
+    )
+    assert square.displacement_mm[:, :, :2] == pytest.approx(paper.displacement_mm, abs=1e-9)
+    assert square.displacement_mm.shape[2] == len(layout.upper)
+    assert square.resistance_ratio.shape[-1] == len(layout.pillars)
+    assert round_one.resistance_ratio == pytest.approx(square.resistance_ratio, rel=1e-12)

@@ -26,7 +26,7 @@ from geometry.layout import (
     unit_centres,
     upper_electrodes,
 )
-from geometry.prism import pillar_prisms, prisms_at, slab_prism
+from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
 from geometry.shares import pillar_shares
 from tests.fem.scenes import round_of
 
@@ -92,6 +92,17 @@ def test_points_inside_pillars_are_those_inside_their_hulls(design):
     assert (len(prisms), slab_prism(design).volume_mm3) == (3 * design.n_units, pytest.approx(x * y * h))
 
 
+def test_round_prisms_hold_what_lies_on_their_ellipses():
+    prism = Prism(base_mm=(1.0, 0.0, 0.0), top_mm=(4.0, 0.0, 6.0), section_mm=(4.0, 2.0), is_round=True)
+    angle = np.linspace(0.0, 6.0, 20)
+    on_side = np.column_stack([3.5 + 2 * np.cos(angle), np.sin(angle), np.full(20, 5.0)])
+    assert prism.distance(on_side) == pytest.approx(np.zeros(20), abs=1e-12)
+    for ratio, inside in ((0.99, True), (1.01, False)):
+        moved = np.column_stack([[3.5, 0.0] + ratio * (on_side[:, :2] - [3.5, 0.0]), on_side[:, 2]])
+        assert (prism.holds(moved) == inside).all()
+    assert prism.distance(np.array([[3.5, 2.0, 5.0], [4.0, 0.0, 7.0]])).tolist() == [1.0, 1.0]
+
+
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
 Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
 WRONG = {
@@ -103,7 +114,7 @@ WRONG = {
     "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
     "no pillar joins electrodes": ((), (), ()),
     "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
-    "pillars z and x want one crossing of wires: give L1 and L1 or U1 and U2 wires of their own": (
+    "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
         tuple(replace(one, wire="a") for one in UPPER),
         LOWER,
         (Z, X),

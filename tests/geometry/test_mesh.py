@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from geometry import Array, GeometryError, Material, Pad, SensorDesign, Unit
+from geometry.cad import unit_solid
+from geometry.layout import LAYOUTS
 from geometry.mesh import (
     REGIONS,
     MeshSettings,
@@ -20,10 +23,12 @@ from geometry.mesh import (
     mesh_cache_key,
     outward,
     sensor_mesh,
+    snap_to_side,
     suited_settings,
 )
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
+from tests.fem.scenes import round_of
 from tests.geometry.closed_forms import union_mm3
 
 COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
@@ -152,3 +157,32 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
     with pytest.raises(GeometryError, match="gone"):
         sensor_mesh(ONE, COARSE)
     assert envelopes == [0.04, 0.02, 0.01, 0.005]
+
+
+def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
+    """A leaning column of ten unequal chords, its points off the side by 2 %: π a b h/4, whatever the chords."""
+    column = Prism(base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 2.0, 6.0), section_mm=(3.0, 2.0), is_round=True)
+    generator = np.random.default_rng(0)
+    angle = 2 * np.pi * (np.arange(10) + generator.uniform(-0.3, 0.3, 10)) / 10
+    ring = 0.5 * np.array(column.section_mm) * np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [
+        np.array(end[:2]) + ring * generator.uniform(0.98, 1.02, (10, 1)) for end in (column.base_mm, column.top_mm)
+    ]
+    points = np.vstack([np.column_stack([one, np.full(10, z)]) for one, z in zip(rings, (0.0, 6.0), strict=True)])
+    k, after = np.arange(10), (np.arange(10) + 1) % 10
+    faces = np.vstack([np.column_stack([k, after, 10 + k]), np.column_stack([after, 10 + after, 10 + k])])
+    moved = snap_to_side(points, faces, column, 0.05)
+    hull = trimesh.convex.convex_hull(moved)
+    assert column.volume_mm3 == pytest.approx(np.pi * 1.5 * 6.0)
+    assert hull.volume == pytest.approx(column.volume_mm3, rel=1e-9)
+    assert np.array_equal(moved[:, 2], points[:, 2])
+    assert np.array_equal(snap_to_side(points, faces, column, 1e-3), points)  # further away than the slack
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("layout", [LAYOUTS["six-pillar"], round_of(LAYOUTS["six-pillar"])], ids=["square", "round"])
+def test_six_pillars_are_meshed(layout):
+    """Their union is drawn by the CAD kernel; crotches of round pillars are not put back."""
+    design = replace(SOFT, unit=Unit(layout=layout))
+    mesh, _, _ = sensor_mesh(design, suited_settings(design))
+    assert mesh.region_volumes()[1] == pytest.approx(unit_solid(design.unit).volume, rel=1e-3)

@@ -6,10 +6,11 @@ import trimesh
 from build123d import CenterOf, GeomType, Location, import_step
 from trimesh import Trimesh
 
-from geometry import DesignError, GeometryError, SensorDesign
+from geometry import Array, DesignError, GeometryError, SensorDesign, Unit
 from geometry.cad import (
     STEP_TIME,
     array_solid,
+    box,
     matrix_solid,
     pillar_solids,
     sensor_solids,
@@ -17,10 +18,11 @@ from geometry.cad import (
     unit_solid,
     write_solids,
 )
-from geometry.layout import pillar_ends, pillar_volumes, unit_centres, upper_electrodes
+from geometry.layout import LAYOUTS, pillar_ends, pillar_volumes, unit_centres, upper_electrodes
 from geometry.mould import Mould, mould_solids, write_cad
 from geometry.shares import pillar_shares
 from geometry.surface import check_surface, surface_from_solid
+from tests.fem.scenes import round_of
 from tests.geometry.closed_forms import oblique_width, union_mm3
 
 UNIT = SensorDesign().unit
@@ -153,3 +155,28 @@ def test_the_lid_lifts_straight_off_and_units_lift_out_but_for_the_heel_of_the_y
     assert overlap_mm3(parts["mould_lid"], parts["mould_tray"]) == pytest.approx(0.0, abs=EXACT)
     with pytest.raises(DesignError, match=r"clearance_mm=1 leaves no wedges .* pillar_width_mm, 1;"):
         mould_solids(small_design, Mould(clearance_mm=1.0))
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [*LAYOUTS.values(), *(pytest.param(round_of(layout), marks=pytest.mark.long) for layout in LAYOUTS.values())],
+)
+def test_units_of_every_layout_are_drawn_and_moulded(layout):
+    """Lid, block and rubber fill the slab and meet nowhere; rubber lifts out but for heels, as small as square ones."""
+    unit = Unit(layout=layout)
+    design, solid = SensorDesign(unit=unit, array=Array(rows=1, cols=1)), unit_solid(unit)
+    assert solid.is_valid
+    parts = mould_solids(design, Mould(clearance_mm=0.0))
+    assert all(part.is_valid and len(part.solids()) == 1 for part in parts.values())
+    lid, block = parts["mould_lid"], parts["mould_pillars"]
+    assert overlap_mm3(lid, block) + overlap_mm3(lid, solid) + overlap_mm3(block, solid) == pytest.approx(0.0, abs=1e-6)
+    x, y, h = design.slab_mm
+    room = box(x, y, 0.0, h).volume
+    filled = sum(overlap_mm3(part, box(x, y, 0.0, h)) for part in (lid, block, solid))
+    assert filled == pytest.approx(room, rel=1e-9)
+    on_upright = {one.foot for one in layout.pillars if one.name.startswith("z")}
+    heels = sum(one.foot in on_upright for one in layout.pillars if not one.name.startswith("z"))
+    heel = unit.pillar_width_mm * ((oblique_width(unit) - unit.pillar_width_mm) / 2) ** 2 * h / (2 * unit.span_mm)
+    caught = [overlap_mm3(solid.moved(Location((0, 0, lift_mm))), block) for lift_mm in (1.0, 3.0)]
+    assert caught[0] <= heels * heel * (1 + 1e-6)
+    assert caught[1] == pytest.approx(caught[0], rel=1e-3, abs=1e-9)  # nothing further up is in the way

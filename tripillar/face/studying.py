@@ -130,6 +130,8 @@ def sweep(
     caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
+    for line in stages.untold(rows, asked):
+        caller.say(line)
     return rows
 
 

@@ -4,6 +4,7 @@ Every pillar is judged by the force along which it leans, its own; an upright on
 equations are in docs/results.md.
 """
 
+from dataclasses import asdict, fields
 from time import perf_counter
 
 import numpy as np
@@ -18,13 +19,19 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.touch.limits import touch_limits
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
+from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.layout import AXES, FloatArray, pillar_ends
-from tripillar.sweep.rows import DISTANCES, Metrics, Row
+from geometry.errors import DesignError
+from geometry.layout import AXES, FloatArray, pillar_ends, require_told
+from geometry.wiring import wires
+from hardware.boards.sensor_header import fastest_hz
+from tripillar.sweep.rows import DISTANCES, Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
 
+Judged = dict[str, float | str]  #: metrics, or why there is none
+FAR = "no unit is {} × pitch away"  #: why crosstalk is not known
 LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is the mean of
 SEED = 0  #: of those draws, the same for every design
 
@@ -34,14 +41,18 @@ def row_of(sample: Sample, judging: Judging) -> Row:
     assert sample.design is not None
     start = perf_counter()
     response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
-    metrics = metrics_of(response, judging.noise, judging.bits, judging.cap)
+    found = metrics_of(response, judging.noise, judging.bits, judging.cap) | made_of(sample.design)
     if judging.touch_n:
-        errors = ReadingError(noise=judging.noise, bits=judging.bits)
-        net, place = touch_limits(sample.design, judging.touch_n, errors)
-        metrics |= {"touch_net_pct": net, "touch_place_mm": place}
-    spent = {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
-    metrics |= spent | {"seconds": perf_counter() - start}
-    return Row(cache_key=sample.cache_key, values=sample.values, design=design_to_toml(sample.design), metrics=metrics)
+        found |= touch_of(sample.design, judging)
+    found |= {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
+    found |= {"seconds": perf_counter() - start}
+    return Row(
+        cache_key=sample.cache_key,
+        values=sample.values,
+        design=design_to_toml(sample.design),
+        metrics={name: None if isinstance(value, str) else value for name, value in found.items()},
+        untold={name: value for name, value in found.items() if isinstance(value, str)},
+    )
 
 
 def failed_row(sample: Sample, reason: str) -> Row:
@@ -50,8 +61,8 @@ def failed_row(sample: Sample, reason: str) -> Row:
     return Row(cache_key=sample.cache_key, values=sample.values, design=design, reason=reason)
 
 
-def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Metrics:
-    """Metrics of a design by the names of `metrics_for`; None where the array is too small for one.
+def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Judged:
+    """Metrics of a design's response by the names of `metrics_for`; a text says why there is none.
 
     Parameters
     ----------
@@ -62,22 +73,14 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
         Largest strain |l − l₀|/l₀ of a pillar.
     """
     design = response.design
-    joint = component_named("all")
-    forward = SensorModel.of(response, joint)
+    forward = SensorModel.of(response, component_named("all"))
     G = relative_slopes(forward)
     own, pillars = self_sensitivities(G, design), design.unit.layout.pillar_names
     talk = crosstalk(G, design)
-    force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
-    errors = noise_limited_errors(forward, force_columns(force_n, joint), noise, bits)
-    error = float(np.sqrt((errors**2).mean()))
     one, everywhere = largest_pressures(response, cap)
-    area_mm2 = design.pad.size_mm**2
-    range_n = min(one, everywhere) * area_mm2
-    x, y, z = design.slab_mm
+    range_n = min(one, everywhere) * design.pad.size_mm**2
     return {
-        "error_n": error,
-        "error_pct": 100 * error / range_n,
-        **{f"error_{axis}_n": float(value) for axis, value in zip(AXES, errors, strict=True)},
+        **errors_of(response, forward, noise, bits, cap, range_n),
         "range_n": range_n,
         "pressure_one_mpa": one,
         "pressure_all_mpa": everywhere,
@@ -86,18 +89,60 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
             for pillar, value in zip(pillars, own.mean(axis=0), strict=True)
         },
         "sensitivity_least_pct_per_n": 100 * float(own.min()),
-        **{f"crosstalk_{d}": _number(talk[:, k].max()) for k, d in enumerate(DISTANCES)},
+        **{f"crosstalk_{d}": _told(talk[:, k].max(), FAR.format(d)) for k, d in enumerate(DISTANCES)},
         **{
-            f"crosstalk_{pillar}_{d}": _number(talk[p, k])
+            f"crosstalk_{pillar}_{d}": _told(talk[p, k], FAR.format(d))
             for p, pillar in enumerate(pillars)
             for k, d in enumerate(DISTANCES)
         },
-        "condition": float(np.linalg.cond(G)),
-        "area_cm2": x * y / 100,
-        "volume_cm3": x * y * z / 1000,
-        "error_estimate": _number(response.error_estimate),
+        "error_estimate": _told(response.error_estimate, "the method estimates none"),
         "unknowns": float(response.unknowns),
     }
+
+
+def errors_of(
+    response: ArrayResponse, forward: SensorModel, noise: float, bits: int | None, cap: float, range_n: float
+) -> Judged:
+    """Errors of pad loads and the condition number, or why the layout tells no loads."""
+    names = "error_n", "error_pct", *(f"error_{axis}_n" for axis in AXES), "condition"
+    try:
+        require_told(response.design.unit)
+    except DesignError as refusal:
+        return dict.fromkeys(names, str(refusal))
+    force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
+    errors = noise_limited_errors(forward, force_columns(force_n, component_named("all")), noise, bits)
+    error = float(np.sqrt((errors**2).mean()))
+    condition = float(np.linalg.cond(relative_slopes(forward)))
+    return dict(zip(names, (error, 100 * error / range_n, *map(float, errors), condition), strict=True))
+
+
+def made_of(design: SensorDesign) -> Judged:
+    """What a design takes to be built and read: size, rubber, wires and channels, scan rate, how well it casts."""
+    (x, y, z), layout = design.slab_mm, design.unit.layout
+    channels = design.n_units * len(layout.pillars)
+    try:
+        cast: Judged = asdict(castability(design))
+    except DesignError as error:
+        cast = dict.fromkeys((spec.name for spec in fields(Castability)), str(error))
+    return {
+        "area_cm2": x * y / 100,
+        "volume_cm3": x * y * z / 1000,
+        "conductive_cm3": conductive_mm3(design) / 1000,
+        "channels": float(channels),
+        "wires": float(sum(wires(design.array.rows, design.array.cols, layout))),
+        "rate_hz": float(fastest_hz(channels)),
+        **{name: "no pillar leans" if value is None else value for name, value in cast.items()},
+    }
+
+
+def touch_of(design: SensorDesign, judging: Judging) -> Judged:
+    """Least deviations of touches, or why they are not known."""
+    names = "touch_net_pct", "touch_place_mm"
+    try:
+        found = touch_limits(design, judging.touch_n, ReadingError(noise=judging.noise, bits=judging.bits))
+    except DesignError as error:
+        return dict.fromkeys(names, str(error))
+    return dict(zip(names, found, strict=True))
 
 
 def relative_slopes(forward: SensorModel) -> FloatArray:
@@ -185,5 +230,5 @@ def largest_pressures(response: ArrayResponse, cap: float) -> tuple[float, float
     return float(factors[:-1].min()), float(factors[-1])
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _told(value: float, otherwise: str) -> float | str:
+    return float(value) if np.isfinite(value) else otherwise

@@ -13,6 +13,7 @@ from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all, kept_rows
 from tripillar.sweep.sampling import sample_at
 from tripillar.sweep.sweep_file import Sweep
+from tripillar.sweep.variables import Variable
 
 START = 16  #: trials drawn evenly before the search leans on any
 BATCH = 4  #: trials asked for at a time
@@ -31,13 +32,17 @@ def search(sweep: Sweep, pool: Pool, journal: Journal, progress: Callable[[Row],
         sampler=optuna.samplers.TPESampler(seed=sweep.seed, multivariate=True, n_startup_trials=START)
     )
     space: dict[str, optuna.distributions.BaseDistribution] = {
-        variable.name: optuna.distributions.FloatDistribution(0.0, 1.0) for variable in sweep.variables
+        variable.name: optuna.distributions.CategoricalDistribution(variable.values)
+        if variable.changes
+        else optuna.distributions.FloatDistribution(0.0, 1.0)
+        for variable in sweep.variables
     }
     rows: dict[str, Row] = {}
     for first in range(0, sweep.samples, BATCH):
         trials = [study.ask(space) for _ in range(min(BATCH, sweep.samples - first))]
-        shares = [[trial.params[variable.name] for variable in sweep.variables] for trial in trials]
-        samples = [sample_at(sweep, [v.at(u) for v, u in zip(sweep.variables, s, strict=True)]) for s in shares]
+        samples = [
+            sample_at(sweep, [_value(each, trial.params[each.name]) for each in sweep.variables]) for trial in trials
+        ]
         new = {sample.cache_key: sample for sample in samples if sample.cache_key not in rows}
         rows |= kept_rows(new.values(), journal)
         missing = [sample for key, sample in new.items() if key not in rows]
@@ -46,6 +51,11 @@ def search(sweep: Sweep, pool: Pool, journal: Journal, progress: Callable[[Row],
             study.tell(trial, value(rows[sample.cache_key], sweep))
             progress(rows[sample.cache_key])
     return list(rows.values())
+
+
+def _value(variable: Variable, tried: float | str) -> float | str:
+    """The value of a variable by what the search tried: one of its texts, or a share of its range."""
+    return tried if isinstance(tried, str) else variable.at(tried)
 
 
 def value(row: Row, sweep: Sweep) -> float:

@@ -47,6 +47,13 @@ METRICS = {
     "touch_place_mm": ("place of a touch", "mm", "least deviation of its centre of pressure, median"),
     "area_cm2": ("area", "cm²", "footprint of the slab"),
     "volume_cm3": ("volume", "cm³", "volume of the slab"),
+    "conductive_cm3": ("conductive rubber", "cm³", "volume of all pillars"),
+    "channels": ("channels", "1", "pillars that are read, each at a crossing of its own"),
+    "wires": ("wires", "1", "row and column wires of the array"),
+    "rate_hz": ("scan rate", "Hz", "scans a second that the firmware has time for"),
+    "wall_mm": ("wall", "mm", "smallest wall between troughs of the mould, or of rubber to the slab's side"),
+    "undercut_mm": ("undercut", "mm", "how far a heel juts out under the wall of its trough"),
+    "demould_deg": ("demoulding angle", "°", "least angle of a slanted face to the vertical"),
     "error_estimate": ("error of the response", "1", "estimated relative error of the response"),
     "unknowns": ("unknowns", "1", "unknowns of the largest system solved"),
     "seconds": ("time", "s", "time spent on the design, whatever was taken from the cache left out"),
@@ -95,10 +102,11 @@ class Row:
     """The metrics of one design, or why it has none."""
 
     cache_key: str  #: hash of the design and of how it was judged
-    values: dict[str, float]  #: of the varied keys
+    values: dict[str, float | str]  #: of the varied keys
     design: str | None  #: as a design file; None if the numbers make no design
     metrics: Metrics = field(default_factory=dict)  #: by the names of `metrics_for`
     reason: str = ""  #: why it failed
+    untold: dict[str, str] = field(default_factory=dict)  #: why it lacks a metric, by its name
 
     @property
     def failed(self) -> bool:
@@ -110,13 +118,21 @@ class Row:
         value = self.metrics.get(name)
         return float("inf") if value is None else value
 
+    def lacking(self) -> dict[str, list[str]]:
+        """Names of the metrics that it lacks, by the reason."""
+        found: dict[str, list[str]] = {}
+        for name, reason in self.untold.items():
+            found.setdefault(reason, []).append(name)
+        return found
+
     def flat(self, metrics: Iterable[str]) -> dict[str, Any]:
-        """The row as one line of a table: numbers of the varied keys, these metrics, and the design's text."""
+        """The row as one line of a table: values of the varied keys, these metrics, and the design's text."""
         return {
             "recipe": self.cache_key,
             **self.values,
             "failed": self.failed,
             "reason": self.reason,
+            "untold": "; ".join(f"{', '.join(names)}: {reason}" for reason, names in self.lacking().items()),
             **{name: self.metrics.get(name) for name in metrics},
             "design": self.design,
         }
@@ -132,7 +148,8 @@ def write_parquet(rows: Sequence[Row], metrics: Mapping[str, Metric], path: Path
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    types = dict.fromkeys(("recipe", "reason", "design"), pa.string()) | {"failed": pa.bool_()}
+    texts = [name for row in rows for name, value in row.values.items() if isinstance(value, str)]
+    types = dict.fromkeys(("recipe", "reason", "untold", "design", *texts), pa.string()) | {"failed": pa.bool_()}
     notes = {name: {"units": metric.unit, "meaning": metric.meaning} for name, metric in metrics.items()}
     lines = [row.flat(metrics) for row in rows]
     schema = pa.schema([pa.field(name, types.get(name, pa.float64()), metadata=notes.get(name)) for name in lines[0]])

@@ -11,11 +11,11 @@ from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
-from geometry.storage.files import digest, stated
+from geometry.storage.files import digest
 from tripillar.sweep.sweep_file import Judging, Sweep
-from tripillar.sweep.variables import value_of, with_values
+from tripillar.sweep.variables import table_of, value_of, with_values
 
-VERSION = 2  #: raise when the same design and settings give other metrics, so that kept rows are not reused
+VERSION = 3  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class Sample:
     """One design of a sweep, or why these numbers make none."""
 
     cache_key: str  #: hash of the design and of how it is judged
-    values: dict[str, float]  #: of the varied keys
+    values: dict[str, float | str]  #: of the varied keys
     design: SensorDesign | None
     reason: str = ""  #: why there is no design
 
@@ -31,13 +31,13 @@ class Sample:
 def samples_of(sweep: Sweep) -> list[Sample]:
     """The designs of a sweep in its order, each once: rounding may make two of them equal."""
     found: dict[str, Sample] = {}
-    for numbers in points_of(sweep):
-        sample = sample_at(sweep, numbers)
+    for values in points_of(sweep):
+        sample = sample_at(sweep, values)
         found.setdefault(sample.cache_key, sample)
     return list(found.values())
 
 
-def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
+def points_of(sweep: Sweep) -> list[tuple[float | str, ...]]:
     """The value of each variable in each design."""
     if sweep.sampling == "grid":
         return list(product(*(variable.values for variable in sweep.variables)))
@@ -50,10 +50,13 @@ def points_of(sweep: Sweep) -> list[tuple[float, ...]]:
     return [tuple(v.at(float(u)) for v, u in zip(sweep.variables, row, strict=True)) for row in shares]
 
 
-def sample_at(sweep: Sweep, numbers: Sequence[float]) -> Sample:
-    """The design with a number for each variable."""
-    table = with_values(stated(sweep.base), sweep.variables, numbers)
-    values = {variable.name: float(value_of(table, variable.name)) for variable in sweep.variables}
+def sample_at(sweep: Sweep, given: Sequence[float | str]) -> Sample:
+    """The design with a value for each variable."""
+    table = with_values(table_of(sweep.base), sweep.variables, given)
+    values = {
+        variable.name: value if isinstance(value, str) else float(value_of(table, variable.name))
+        for variable, value in zip(sweep.variables, given, strict=True)
+    }
     try:
         design = design_from_dict(table, "not a design")
     except DesignError as error:

@@ -12,9 +12,11 @@ from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign, quantity, require_sound
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
+from geometry.layout import Layout
+from geometry.layout_file import layout_from_tables
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from tripillar.sweep.rows import Metric, metrics_for
-from tripillar.sweep.variables import Variable
+from tripillar.sweep.variables import CHOICES, Variable
 
 STRICT = StrictTables(DesignError)
 SAMPLINGS = ("sobol", "latin-hypercube", "grid")
@@ -82,7 +84,7 @@ class Sweep:
         if not self.variables:
             raise DesignError("nothing is varied: give at least one [[vary]] with key, low and high.")
         keys = list(chain.from_iterable(variable.key for variable in self.variables))
-        twice = next((key for key in keys if keys.count(key) > 1), None)
+        twice = next((key for key in keys if keys.count(key) > 1 or key.partition(".")[0] in {*keys} - {key}), None)
         if twice is not None:
             raise DesignError(f"{twice} is varied twice: keep one of them.")
         shares = {key for variable in self.variables if variable.of for key in variable.key}
@@ -112,8 +114,15 @@ class Sweep:
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
-        """What its rows hold, by name."""
-        return metrics_for(self.base.unit.layout.pillar_names)
+        """What its rows hold, by name; of the pillars of all its layouts."""
+        names = (layout.pillar_names for layout in self.layouts)
+        return metrics_for(dict.fromkeys(chain.from_iterable(names)))
+
+    @property
+    def layouts(self) -> list[Layout]:
+        """Those of its designs."""
+        varied = next((variable.changes for variable in self.variables if variable.name == "layout"), None)
+        return [self.base.unit.layout] if varied is None else [layout_from_tables(change) for change in varied]
 
     def excess(self, metrics: dict[str, float | None]) -> float:
         """Sum of how far a design's metrics are out of bounds; 0 if all are within."""
@@ -123,16 +132,16 @@ class Sweep:
 def read_sweep(path: Path) -> Sweep:
     """Read a sweep file; `DesignError` if it is missing, not TOML or no sweep. The message begins with the path."""
     text = read_text(path, "give a sweep file, such as examples/sweep.toml", DesignError)
-    return sweep_from_dict(tables_of(text, path, DesignError), str(path))
+    return sweep_from_dict(tables_of(text, path, DesignError), str(path), path.parent)
 
 
-def sweep_from_dict(table: dict[str, Any], source: str = "the sweep") -> Sweep:
-    """A sweep from the nested tables of a TOML file; errors as in `read_sweep`."""
-    found: Sweep = STRICT.made(source, _sweep, table=table)
+def sweep_from_dict(table: dict[str, Any], source: str = "the sweep", folder: Path = Path()) -> Sweep:
+    """A sweep from the nested tables of a TOML file, paths in it from a folder on; errors as in `read_sweep`."""
+    found: Sweep = STRICT.made(source, _sweep, table=table, folder=folder)
     return found
 
 
-def _sweep(table: dict[str, Any]) -> Sweep:
+def _sweep(table: dict[str, Any], folder: Path) -> Sweep:
     STRICT.require_keys(table, ("design", "sweep", "vary", "bounds"))
     settings = STRICT.table(table, "sweep")
     judged = tuple(spec.name for spec in fields(Judging))
@@ -142,7 +151,7 @@ def _sweep(table: dict[str, Any]) -> Sweep:
         "[sweep]",
         Sweep,
         base=design_from_dict(STRICT.table(table, "design"), "[design]"),
-        variables=tuple(_variable(*entry) for entry in STRICT.entries(table, "vary")),
+        variables=tuple(_variable(*entry, folder) for entry in STRICT.entries(table, "vary")),
         judging=STRICT.made("[sweep]", Judging, **{key: settings[key] for key in judged if key in settings}),
         bounds={name: _bound(name, entry) for name, entry in STRICT.table(table, "bounds").items()},
         **{key: settings[key] for key in own if key in settings},
@@ -150,13 +159,17 @@ def _sweep(table: dict[str, Any]) -> Sweep:
     return sweep
 
 
-def _variable(place: str, entry: dict[str, Any]) -> Variable:
-    known = tuple(spec.name for spec in fields(Variable))
-    STRICT.require_keys(entry, known, f" in {place}")
+def _variable(place: str, entry: dict[str, Any], folder: Path) -> Variable:
+    known = tuple(spec.name for spec in fields(Variable) if spec.name != "changes")
+    is_choice = isinstance(entry.get("key"), str) and entry["key"] in CHOICES
+    STRICT.require_keys(entry, ("key", "values") if is_choice else known, f" in {place}")
     key, values = entry.get("key", []), entry.get("values", [])
     keys = [key] if isinstance(key, str) else key
     if not (isinstance(keys, list) and all(isinstance(one, str) for one in keys) and isinstance(values, list)):
-        raise DesignError(f"{place}: key must be a text or a list of texts, values a list of numbers.")
+        raise DesignError(f"{place}: key must be a text or a list of texts, values a list.")
+    if is_choice:
+        chosen: Variable = STRICT.made(place, Variable.of_texts, key=key, texts=values, folder=folder)
+        return chosen
     variable: Variable = STRICT.made(place, Variable, **entry | {"key": tuple(keys), "values": tuple(values)})
     return variable
 

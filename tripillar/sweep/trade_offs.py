@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import spearmanr
+from scipy.stats import rankdata, spearmanr
 
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
@@ -14,33 +14,42 @@ from tripillar.sweep.rows import Row, column
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
-SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table
+SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table, at least
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
-AGAINST = (("range_n", True), ("area_cm2", False))  #: metrics of the Pareto picture, and whether more is better
+#: metrics of the Pareto picture, and whether more is better
+AGAINST = (("range_n", True), ("area_cm2", False), ("channels", False))
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
 def ranked(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
-    """Rows within the sweep's bounds, the best first."""
-    sound = [row for row in rows if not row.failed and not sweep.excess(row.metrics)]
+    """Rows within the sweep's bounds whose minimised metric is known, the best first."""
+    sound = [row for row in told(rows, sweep) if not sweep.excess(row.metrics)]
     return sorted(sound, key=lambda row: row.metric(sweep.least))
+
+
+def told(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
+    """Rows whose minimised metric is known."""
+    return [row for row in rows if row.metrics.get(sweep.least) is not None]
 
 
 def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     """The best designs within the bounds, a line each."""
     best = ranked(rows, sweep)
     failed = sum(row.failed for row in rows)
-    sound = len(rows) - failed
+    sound, known = len(rows) - failed, len(told(rows, sweep))
     least = escape(sweep.metrics[sweep.least].label)
-    outside = f", {sound - len(best)} out of bounds" if sweep.bounds else ""
+    outside = f", {known - len(best)} out of bounds" if sweep.bounds else ""
+    outside += f", {sound - known} that do not tell it" if known < sound else ""
     table = Table(title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed")
     deciding = (sweep.least, *sweep.bounds)
-    shown = tuple(dict.fromkeys((*deciding, *SHOWN)))[: max(len(SHOWN), len(deciding))]
+    counted = ("channels",) if len({row.metrics.get("channels") for row in best}) > 1 else ()
+    shown = tuple(dict.fromkeys((*deciding, *counted, *SHOWN)))[: max(len(SHOWN), len(deciding))]
     for label in (*(variable.label for variable in sweep.variables), *(sweep.metrics[name].label for name in shown)):
         table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
     for row in best[:count]:
-        values = (f"{row.values[variable.name]:.4g}" for variable in sweep.variables)
-        table.add_row(*values, *(f"{row.metric(name):.3g}" for name in shown))
+        values = (row.values[variable.name] for variable in sweep.variables)
+        words = (escape(value) if isinstance(value, str) else f"{value:.4g}" for value in values)
+        table.add_row(*words, *("–" if row.metrics.get(name) is None else f"{row.metric(name):.3g}" for name in shown))
     return table
 
 
@@ -53,18 +62,32 @@ def reasons(rows: Sequence[Row]) -> dict[str, list[str]]:
     return found
 
 
+def untold(rows: Sequence[Row], sweep: Sweep) -> list[str]:
+    """Why designs lack the minimised metric, bounded ones or those of a touch, a line a reason."""
+    found: dict[str, tuple[list[str], int]] = {}
+    for row in rows:
+        for reason, names in row.lacking().items():
+            told = [name for name in names if name in (sweep.least, *sweep.bounds) or name.startswith("touch_")]
+            if told:
+                found[reason] = told, found.get(reason, (told, 0))[1] + 1
+    return [f"{count} without {', '.join(names)}: {reason}" for reason, (names, count) in found.items()]
+
+
 def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
-    """Write a PNG: error against force range and against size, with the designs that no other one beats in both."""
+    """Write a PNG: error against force range, size and channels, with the designs that no other one beats in both."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
     from matplotlib.figure import Figure
 
-    sound = [row for row in rows if not row.failed]
+    sound = told(rows, sweep)
     within = np.array([not sweep.excess(row.metrics) for row in sound])
     error = column(sound, sweep.least)
     variable = telling_variable(sound, sweep)
-    shade = np.array([row.values[variable.name] for row in sound])
-    norm = LogNorm() if _is_wide(shade) else Normalize()
+    shade = _shades(sound, variable)
+    norm: Normalize = LogNorm() if _is_wide(shade) else Normalize()
+    ticks = range(len(variable.values)) if variable.changes else None
+    if ticks is not None:
+        norm = BoundaryNorm(np.arange(len(ticks) + 1) - 0.5, 256)
     against = [pair for pair in AGAINST if np.ptp(column(sound, pair[0])) > 0] or [AGAINST[0]]
     figure = Figure(figsize=(4.5 + 3.5 * len(against), 5.2), dpi=120, layout="constrained")
     panels = figure.subplots(1, len(against), sharey=True, squeeze=False)[0]
@@ -85,7 +108,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         axes.grid(visible=True, which="major", alpha=0.25)
     figure.axes[0].set_ylabel(f"{sweep.metrics[sweep.least].label}, less is better")
     figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
-    figure.colorbar(ScalarMappable(norm=norm, cmap="viridis"), ax=figure.axes, label=variable.label, pad=0.01)
+    shades = ScalarMappable(norm=norm, cmap="viridis")
+    bar = figure.colorbar(shades, ax=figure.axes, label=variable.label, pad=0.01, ticks=ticks)
+    if ticks is not None:
+        bar.ax.set_yticklabels([str(text) for text in variable.values], rotation=90, va="center")
     failed = f"; {len(rows) - len(sound)} more failed" if len(sound) < len(rows) else ""
     figure.suptitle(f"{len(sound)} designs{failed}", fontsize=12)
     with replacing(path) as temporary:
@@ -106,16 +132,24 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
-    """The variable of the strongest rank correlation with the minimised metric."""
-    error = column(rows, sweep.least)
+    """The variable of the strongest rank correlation with the minimised metric; a choice's by mean ranks."""
+    error = rankdata(column(rows, sweep.least))
 
     def agreement(variable: Variable) -> float:
-        values = np.array([row.values[variable.name] for row in rows])
+        values = _shades(rows, variable)
+        if variable.changes:
+            values = np.array([error[values == value].mean() for value in values])
         if len(np.unique(values)) < 2 or len(np.unique(error)) < 2:
             return 0.0
-        return abs(float(spearmanr(values, error, nan_policy="omit").statistic))
+        return abs(float(spearmanr(values, error).statistic))
 
     return max(sweep.variables, key=agreement)
+
+
+def _shades(rows: Sequence[Row], variable: Variable) -> FloatArray:
+    """A variable's value in each row; of a choice the number of its text."""
+    values = [row.values[variable.name] for row in rows]
+    return np.array([variable.values.index(value) if isinstance(value, str) else value for value in values])
 
 
 def _is_wide(values: FloatArray) -> bool:

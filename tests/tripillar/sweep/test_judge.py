@@ -1,26 +1,32 @@
 """Metrics against closed forms: an array of springs whose response is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from decoupler.data.columns import component_named
 from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
-from geometry.design import Array, SensorDesign
+from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.layout import LAYOUTS, Layout
 from tripillar.sweep import judge
+from tripillar.sweep.sweep_file import Judging
 
 C = 1e-3  #: compliance of the springs [mm/N]
 FALL = 0.3  #: of the influence, each pitch
 SPRINGS = SensorDesign(array=Array(rows=2, cols=5))
+UPRIGHT = LAYOUTS["upright-four"]
 
 
-def springs(fall=FALL, compliance=C):
+def springs(fall=FALL, compliance=C, design=SPRINGS):
     """1 N on a pad moves the electrodes under it by C along its axis, those n pitches away by C·fall^n."""
-    rows, cols = np.indices((2, 5)).reshape(2, -1)
+    shape, n_upper = (design.array.rows, design.array.cols), len(design.unit.layout.upper)
+    rows, cols = np.indices(shape).reshape(2, -1)
     apart = np.abs(rows[:, None] - rows) + np.abs(cols[:, None] - cols)
-    influence = np.einsum("uv,e,ab->ueavb", compliance * float(fall) ** apart, np.ones(2), np.eye(3))
-    influence = influence.reshape(2, 5, 2, 3, 2, 5, 3)
-    return ArrayResponse(design=SPRINGS, influence_mm_per_n=influence, residual=0.0, unknowns=0, seconds={})
+    influence = np.einsum("uv,e,ab->ueavb", compliance * float(fall) ** apart, np.ones(n_upper), np.eye(3))
+    influence = influence.reshape(*shape, n_upper, 3, *shape, 3)
+    return ArrayResponse(design=design, influence_mm_per_n=influence, residual=0.0, unknowns=0, seconds={})
 
 
 def forward(response):
@@ -64,6 +70,30 @@ def test_an_array_that_differs_in_scale_alone_has_the_same_shares():
     stiff, soft = (judge.metrics_of(springs(compliance=c), noise=1e-3, bits=None, cap=0.3) for c in (C, 2 * C))
     for name in ("error_n", "error_x_n", "range_n", "pressure_all_mpa"):
         assert soft[name] == pytest.approx(stiff[name] / 2, rel=1e-9)
-    for name in ("error_pct", "crosstalk_1", "crosstalk_x_2", "condition", "area_cm2"):
+    for name in ("error_pct", "crosstalk_1", "crosstalk_x_2", "condition"):
         assert soft[name] == pytest.approx(stiff[name], rel=1e-9)
     assert soft["sensitivity_z_pct_per_n"] == pytest.approx(2 * stiff["sensitivity_z_pct_per_n"], rel=1e-9)
+
+
+def test_what_a_design_cannot_tell_is_a_reason():
+    """One upright pillar a unit tells no shear; five columns in two rows have no third neighbour along y, but along x.
+
+    Stiff pads are no bare rubber.
+    """
+    lone = replace(SPRINGS, unit=Unit(layout=Layout(UPRIGHT.upper[:1], UPRIGHT.lower[:1], UPRIGHT.pillars[:1])))
+    found = judge.metrics_of(springs(design=lone), noise=1e-3, bits=None, cap=0.3)
+    assert found["error_n"] == found["condition"] != found["range_n"] > 0
+    assert "do not tell forces along x and y" in found["error_n"]
+    pair = replace(SPRINGS, array=Array(rows=1, cols=2))
+    assert judge.metrics_of(springs(design=pair), 1e-3, None, 0.3)["crosstalk_z_2"] == "no unit is 2 × pitch away"
+    stiff = judge.touch_of(replace(SPRINGS, pad=Pad(kind="stiff")), Judging(touch_n=20.0))
+    assert "stiff plates" in stiff["touch_net_pct"]
+
+
+def test_what_a_design_takes_to_be_read():
+    """The paper's array: 108 channels on 24 wires, 176 scans a second."""
+    found = judge.made_of(SensorDesign())
+    assert (found["channels"], found["wires"], found["rate_hz"]) == (108, 24, 176)
+    assert (found["area_cm2"], found["volume_cm3"]) == (81, 81)
+    assert found["conductive_cm3"] == pytest.approx(36 * 141.823 / 1000, rel=1e-5)
+    assert judge.made_of(SensorDesign(unit=Unit(layout=UPRIGHT)))["demould_deg"] == "no pillar leans"

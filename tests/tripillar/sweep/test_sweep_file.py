@@ -1,12 +1,14 @@
 """Sweep files and what they ask for: keys, shares, samples; nonsense is refused in one line."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, Unit
+from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
+from geometry.layout import LAYOUTS, Layout
 from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of
 from tripillar.sweep.sweep_file import Bound, Judging, sweep_from_dict
 from tripillar.sweep.variables import KEYS, Variable, value_of, with_values
@@ -14,6 +16,8 @@ from tripillar.sweep.variables import KEYS, Variable, value_of, with_values
 PITCH = {"key": "array.pitch_mm", "low": 13.0, "high": 20.0}
 PAD = {"key": "pad.size_mm", "of": "array.pitch_mm", "low": 0.5, "high": 1.0}
 ROWS = {"key": ["array.rows", "array.cols"], "low": 2, "high": 4}
+YOUNG = {"key": "matrix_material.young_mpa", "low": 0.5, "high": 1.0}
+TURNED = tuple(replace(one, name=name) for one, name in zip(LAYOUTS["upright-four"].pillars, "abcd", strict=True))
 
 
 def sweep(*vary, **settings):
@@ -37,6 +41,27 @@ def test_shares_follow_the_key_they_are_of_and_whole_numbers_stay_whole_and_are_
     assert sorted(rows) == [2.0, 3.0, 4.0]
     sample = sample_at(sweep(PITCH), [5.0])
     assert (sample.design, "pitch_mm=5 is smaller than the unit" in sample.reason) == (None, True)
+
+
+def test_texts_change_a_design_by_name_and_by_file(tmp_path):
+    """A layout of one's own is read beside the sweep file; the columns are those of all layouts' pillars."""
+    own = Layout(upper=LAYOUTS["upright-four"].upper, lower=LAYOUTS["upright-four"].lower, pillars=TURNED)
+    (tmp_path / "own.toml").write_text(design_to_toml(SensorDesign(unit=Unit(layout=own))))
+    layouts = {"key": "layout", "values": ["own.toml", "six-pillar", "song2018"]}
+    kinds, rubbers = {"key": "pad.kind", "values": ["soft", "stiff"]}, ["ecoflex-00-50", "dragon-skin-30"]
+    given = {"design": {"layout": "eight-pillar"}, "sweep": {"sampling": "grid"}}
+    asked = sweep_from_dict(
+        given | {"vary": [layouts, kinds, {"key": "matrix_material", "values": rubbers}]}, folder=tmp_path
+    )
+    designs = [sample.design for sample in samples_of(asked)]
+    assert [each.unit.layout for each in designs[::4]] == [own, LAYOUTS["six-pillar"], LAYOUTS["song2018"]]
+    assert [(each.pad.kind, each.matrix_material.young_mpa) for each in designs[:4]] == [
+        (kind, young) for kind in ("soft", "stiff") for young in (0.087, 0.922)
+    ]
+    assert {"sensitivity_a_pct_per_n", "sensitivity_z3_pct_per_n", "sensitivity_y_pct_per_n"} < {*asked.metrics}
+    assert [*samples_of(asked)[0].values.values()] == ["own.toml", "soft", rubbers[0]]
+    pitches = {"key": "array.pitch_mm", "values": [15.0]}
+    assert samples_of(sweep_from_dict(given | {"vary": [pitches]}))[0].design.unit.layout == LAYOUTS["eight-pillar"]
 
 
 @pytest.mark.parametrize("sampling", ["sobol", "latin-hypercube"])
@@ -77,6 +102,18 @@ def test_a_row_is_known_by_its_design_and_how_it_is_judged_and_excess_is_relativ
         ({"vary": [PITCH], "sweep": {"least": "cost"}}, "no metric 'cost'; known are error_n"),
         ({"vary": [PITCH], "bounds": {"touch_place_mm": {"most": 1.0}}}, "touch_place_mm needs touch_n"),
         ({"vary": [PITCH], "bounds": {"range_n": {"least": 2, "most": 1}}}, "above most"),
+        (
+            {"vary": [{"key": "layout", "values": ["hexagon"]}]},
+            r"hexagon: no such file: give a file .* or one of song2018",
+        ),
+        ({"vary": [{"key": "layout", "values": [3]}]}, r"layout takes values = \[...\] of texts alone"),
+        (
+            {"vary": [{"key": "layout", "low": 1, "high": 2}]},
+            r"unknown key 'low' in \[\[vary\]\] 1; known are key, values",
+        ),
+        ({"vary": [{"key": "pad.kind", "values": ["hard"]}]}, "'hard' is no kind of pad: give some of soft, stiff"),
+        ({"vary": [{"key": "matrix_material", "values": ["gel"]}]}, "gel is neither"),
+        ({"vary": [{"key": "matrix_material", "values": ["pdms-10-1"]}, YOUNG]}, "young_mpa is varied twice"),
         ({"vary": [PITCH], "design": {"pad": {"size_mm": 99.0}}}, "pads may touch"),
     ],
 )

@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from fem.array.closed_forms import layer_response
-from geometry.design_file import read_design
+from geometry.design_file import design_from_toml, read_design
+from geometry.layout import LAYOUTS
 from geometry.pool import WorkerLost, open_pool
 from geometry.storage.journal import Journal
 from tests.house import House
@@ -33,6 +34,14 @@ sweep = {{ samples = {samples}, seed = 5 }}
 design.array = {{ rows = 1, cols = 2 }}
 vary = [{{ key = "pad.size_mm", low = {low}, high = 17.0 }}, {{ key = "unit.height_mm", low = 8.0, high = 12.0 }}]
 bounds.range_n = {{ least = 400.0 }}
+"""
+
+
+MIXED = """
+sweep = { sampling = "grid", tolerance = 5e-2, bits = 12 }
+design.array = { rows = 2, cols = 2 }
+vary = [{ key = "layout", values = ["song2018", "six-pillar"] }, { key = "pad.size_mm", values = [11.0, 12.0] }]
+bounds = { rate_hz = { least = 900.0 } }
 """
 
 
@@ -130,3 +139,19 @@ def test_a_search_leans_on_what_it_found_and_is_the_same_again(tmp_path, monkeyp
         again = search(asked, pool, Journal(tmp_path))
     assert {row.cache_key: row for row in again} == {row.cache_key: row for row in rows}
     assert (len(first), len(made), set(made[40:]) < set(first)) == (40, 60, True)
+
+
+def test_layouts_and_numbers_mix_in_one_sweep(tmp_path, monkeypatch):
+    """More pillars err less; 24 channels take 1298 µs a scan. Columns are those of the pillars of both layouts."""
+    monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
+    (tmp_path / "mix.toml").write_text(MIXED)
+    done = House(tmp_path).result("sweep", "mix.toml", "-q")
+    assert (done["designs"], done["failed"]) == (4, {})
+    rows = pq.read_table(tmp_path / "out/mix.parquet").to_pylist()
+    three, six = ([row for row in rows if row["layout"] == name] for name in ("song2018", "six-pillar"))
+    assert [row["layout"] for row in done["best"]] == ["song2018"] * 2
+    assert all(more["error_n"] < fewer["error_n"] for fewer, more in zip(three, six, strict=True))
+    assert {(row["channels"], row["wires"], row["rate_hz"]) for row in six} == {(24, 14, 770)}
+    assert all((row["crosstalk_x3_1"] is None, row["crosstalk_x_1"] is None) == (True, False) for row in three)
+    assert all(row["crosstalk_x3_1"] > 0 for row in six)
+    assert design_from_toml(six[0]["design"]).unit.layout == LAYOUTS["six-pillar"]
