@@ -106,7 +106,7 @@ def test_between_times_at_which_laws_are_followed_strain_goes_on():
 def test_an_hour_leaves_the_state_bounded_and_rest_at_rest():
     _, y = shown(MEMORY)
     follower = SensorFilter(memory=UNKNOWN).start(PILLARS)
-    for seconds, readings in ((APART_S, y), (2.0, np.zeros((1800, PILLARS)))):
+    for seconds, readings in ((APART_S, y), (1.0, np.zeros((3600, PILLARS)))):
         for each in readings:
             found, deviation = follower.step(each, seconds)
     kept = [value for value in {**vars(follower), **vars(follower._law)}.values() if isinstance(value, np.ndarray)]

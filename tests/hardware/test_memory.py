@@ -59,7 +59,7 @@ def sensor_of(causal):
 
 def test_memory_is_taken_out_of_readings_and_said(held):
     """Forces are those of the strain alone, (1 + ε)² − 1: while all move but for the doubt in the law, a fifth of what
-    ignoring memory costs, and for what a press by 0.2/s goes on between two times at which the law is followed; held for
+    ignoring memory costs, and for what a press by 0.2/s goes on between two readings of the law; held for
     1.4 s to the doubt that is left, 12 %, and the band of 0.003.
     """
     wanted = ((1 + held.strain) ** 2 - 1).reshape(-1, 1, 1, 1)
