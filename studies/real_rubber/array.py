@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -49,14 +49,14 @@ class Pressed:
 
     def __init__(self, loads: int, samples: int) -> None:
         response = tp.response(tp.SensorDesign())
-        train = tp.dataset(response, "three-axis", samples, seed=1, noise=NOISE, bits=12)
-        test = tp.dataset(response, "three-axis", loads, seed=5)
-        self.model, ohms = tp.train(train), test.resistance_ohm
-        self.rest_ohm = self.model.rest_resistances()
+        train: Any = tp.dataset(response, "three-axis", samples, seed=1, noise=NOISE, bits=12)
+        test: Any = tp.dataset(response, "three-axis", loads, seed=5)
+        self.model: Any = tp.train(train)
+        self.rest_ohm: Any = self.model.rest_resistances()
         self.force_n = float(np.sqrt(np.mean(test.force_n[..., 2] ** 2)))
         self.time_s = np.arange(0.0, SECONDS, APART_S)
         share = np.interp(self.time_s, CORNERS_S, (0.0, 1.0, 1.0, 0.0))
-        most = np.sqrt(ohms / self.rest_ohm).reshape(loads, -1) - 1
+        most = np.sqrt(test.resistance_ohm / self.rest_ohm).reshape(loads, -1) - 1
         self.strain = share[:, None, None] * most  #: (time, loads, pillars)
 
     def log_ratio(self, memory: Memory) -> FloatArray:
@@ -153,7 +153,7 @@ def judge(
     own = [*by(OWN, rubbers[OWN], OWN)]
     wrong = [row for name in RUBBERS if name != OWN for row in by(name, rubbers[OWN], OWN)]
     turned = [row for name, rubber in rubbers.items() if name != OWN for row in by(OWN, rubber, name)]
-    costs = []
+    costs: list[dict[str, Any]] = []
     y = np.repeat(pressed.log_ratio(RUBBERS[OWN])[40:640, 0], 5, axis=0)  # the press and half its hold
     for direction in ("loading", "unknown"):
         ours = SensorFilter.of_rubber(_stated(rubbers[OWN], direction))
@@ -168,11 +168,12 @@ def _stated(rubber: Rubber, direction: str) -> Rubber:
     return replace(rubber, memory=replace(rubber.memory, direction=direction, g2=0.0))
 
 
-def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[dict[str, object]]:
+def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[dict[str, Any]]:
     """Rows of an array of one rubber, read with the file of this one or of another."""
-    y, named = pressed.log_ratio(RUBBERS[truth]), {"rubber": truth, "file of": file}
+    y = pressed.log_ratio(RUBBERS[truth])
+    named: dict[str, Any] = {"rubber": truth, "file of": file}
     ignored = pressed.errors(static_strain(y, replace(rubber.memory, g2=0.0)))
-    rows: list[dict[str, object]] = [named | {"by": "ignored"} | ignored]
+    rows: list[dict[str, Any]] = [named | {"by": "ignored"} | ignored]
     for direction in ("loading", "unknown"):
         ours = SensorFilter.of_rubber(_stated(rubber, direction))
         rows.append(named | {"by": f"followed, {direction}"} | pressed.row(ours, y))
