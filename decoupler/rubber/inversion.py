@@ -48,7 +48,8 @@ class LawInverse:
         self._all = self.a[0] + self.a[1]
         self._by_size = _column([each.direction == "loading" for each in memories]) > 0
         self._decay = 0.0, np.ones_like(self.tau_s)
-        self.settle(np.zeros(shape), np.zeros((2, *shape)))
+        self.strain, self.broken = np.zeros(shape), np.zeros((2, *shape))
+        self._static, self.slopes = self._unbroken(self.strain), self._slope(self.strain)
 
     def step(self, log_ratio: FloatArray, seconds: float) -> FloatArray:
         """Strains (k, n) by readings ln R/R₀ (n,) so many seconds after the last ones."""
