@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from decoupler.rubber.causal_training import of_rubber
+from decoupler.rubber.belief import SensorFilter
 from decoupler.rubber.check import checked, of_range, resistance_from_strain
 from decoupler.rubber.fit import fit_elastic, identified
 from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of, settled_stress
@@ -144,7 +144,7 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     assert design.pillar_material.young_mpa == pytest.approx(found.young_mpa, rel=1e-5)
     loading = replace(found, memory=replace(found.memory, direction="loading"))
     write_rubber(loading, tmp_path / "loading.toml")
-    assert of_rubber(read_rubber(tmp_path / "loading.toml")).by_size == 1.0
+    assert SensorFilter.of_rubber(read_rubber(tmp_path / "loading.toml")).memory.direction == "loading"
     (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
     with pytest.raises(DesignError, match="lacks 'tau2_s'"):
         read_rubber(tmp_path / "cut.toml")
