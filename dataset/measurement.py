@@ -85,6 +85,12 @@ class ReadingError(Drifts):
         shared = self.shared(resistance_ohm, rows, cols)
         return np.sqrt(self.deviation(resistance_ohm) ** 2 + (shared**2).sum(axis=2))
 
+    def scattered(self, resistance_ohm: FloatArray, rows: int, cols: int, generator: np.random.Generator) -> FloatArray:
+        """Readings (n, P) [Ω] of P pillars as these errors leave them to first order, converter's steps as noise."""
+        own, shared = self.deviation(resistance_ohm), self.shared(resistance_ohm, rows, cols)
+        found = resistance_ohm + own * generator.standard_normal(resistance_ohm.shape)
+        return found + np.einsum("npm,nm->np", shared, generator.standard_normal((len(found), shared.shape[2])))
+
     def _patterns(self, rows: int, cols: int) -> FloatArray:
         """Relative change at each unit by a deviation of the drift, of its tilt along x and along y, (k, 3)."""
         along_y, along_x = (np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1) for size in (rows, cols))

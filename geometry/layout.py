@@ -121,9 +121,10 @@ class Layout:
         """Refuse two pillars that are read at one crossing of wires."""
         for (one, at), (other, place) in combinations(zip(self.pillars, self.pillar_crossings, strict=True), 2):
             if at == place:
+                ends = [pair for pair in ((one.foot, other.foot), (one.top, other.top)) if pair[0] != pair[1]]
                 raise DesignError(
-                    f"pillars {one.name} and {other.name} want one crossing of wires: give {one.foot} and {other.foot} "
-                    f"or {one.top} and {other.top} wires of their own."
+                    f"pillars {one.name} and {other.name} want one crossing of wires: give "
+                    f"{' or '.join(' and '.join(pair) for pair in ends)} wires of their own."
                 )
 
     @cached_property
@@ -209,9 +210,6 @@ LAYOUTS = {
     "eight-pillar": _on_corners("z1 L1 U1, x1 L2 U1, z2 L3 U2, y2 L1 U2, z3 L4 U3, x3 L3 U3, z4 L2 U4, y4 L4 U4"),
     "upright-four": _on_corners("z1 L1 U1, z2 L3 U2, z3 L4 U3, z4 L2 U4"),
 }
-ELECTRODES = SONG2018.upper_names  #: upper electrodes of the paper's unit
-PILLARS = SONG2018.pillar_names  #: its pillars
-PILLAR_TOP = SONG2018.pillar_top  #: number of the upper electrode at the top of each
 
 
 def unit_centres(design: "SensorDesign") -> FloatArray:

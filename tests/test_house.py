@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = ["geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies"]  #: each imports only leftwards
 HEAVY = ["build123d", "torch", "pyvista", "skfem", "xarray", "scipy", "trimesh"]
 MAX_LINES = 450  #: of a file of the product or the laboratory
+OTHERS = (".js", ".html", ".msg", ".c", ".h")  #: of files that are not in Python
 HELP_S = 1.0  #: of processor time to print a help text
 #: rooms of each floor, in the order of the data: none imports one to its right
 ROOMS = {
@@ -88,6 +89,17 @@ def test_pages_that_are_pointed_to_are_there():
     }
     assert named
     assert not {(name, page) for name, page in named if not (ROOT / page).is_file()}
+
+
+def test_no_other_file_knows_a_layout_by_heart():
+    """Electrodes have their names in `geometry/layout.py`, and in what `wiring.py` says of the paper's."""
+    knowing = [ROOT / "geometry/layout.py", ROOT / "geometry/wiring.py"]
+    python = [path for path in sources(*FLOORS) if path not in knowing]
+    texts = [(path, node.value) for path in python for node in nodes(path) if isinstance(node, ast.Constant)]
+    others = [path for folder in FLOORS for path in (ROOT / folder).rglob("*.*") if path.suffix in OTHERS]
+    texts += [(path, path.read_text(encoding="utf-8")) for path in others]
+    named = re.compile(r"\b[UL][1-9]\b")
+    assert not [f"{path}: {text}" for path, text in texts if isinstance(text, str) and named.search(text)]
 
 
 def test_files_are_short():

@@ -23,7 +23,7 @@ LAST_DAMPING = 1e3  #: at which a sample comes no nearer
 BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are beyond them
 N_AXES = 3  #: forces of a pad
 CHUNK = 64  #: samples whose derivatives are in memory together
-OWN = 9  #: of a pad: its three states, and the linear displacements of its two electrodes
+OWN = 9  #: of a pad: its three states, and the linear displacements of its first and its last electrode
 _PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
 N_PAIRS = len(_PAIRS[0])
 #: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do
@@ -66,7 +66,7 @@ class StrainMaps:
     linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
     """
 
-    influence: FloatArray  #: B of the linear array, (3 k, 6 k) as in `SensorModel`, on its electrodes [mm/N]
+    influence: FloatArray  #: B of the linear array, (3 k, 3 k n_upper) as in `SensorModel`, on its electrodes [mm/N]
     near: NDArray[np.int64]  #: neighbours of each pad, (k, 8); k where there is none
     sizes: FloatArray  #: of o, by which it is divided, (9,) [N, mm]
     weights: FloatArray  #: of the features, (N_FEATURES, m) [N, mm²]
@@ -129,10 +129,10 @@ class StrainMaps:
     def own(self, state_n: FloatArray) -> FloatArray:
         """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
         n, k = len(state_n), len(self.near)
-        moved = rowwise(state_n, self.influence).reshape(n, N_AXES, k, 2)
+        moved = rowwise(state_n, self.influence).reshape(n, N_AXES, k, -1)
         o = np.empty((n, k, OWN))
         o[..., :3] = state_n.reshape(n, k, N_AXES)
-        o[..., 3:] = moved.transpose(0, 2, 3, 1).reshape(n, k, 6)
+        o[..., 3:6], o[..., 6:] = moved[..., 0].swapaxes(1, 2), moved[..., -1].swapaxes(1, 2)
         o /= self.sizes
         return o
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dataset.imperfections import PAPERS
 from decoupler.data.columns import Columns, Component, pillar_columns
 from geometry.design import SensorDesign
-from geometry.layout import AXES, FloatArray, Layout, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import AXES, FloatArray, Layout, pillar_areas, pillar_ends, pillar_volumes, rest_lengths
 
 HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: names of the two baselines in tables
 
@@ -23,7 +23,7 @@ def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Co
     3. Here with a sign: a positive Fz (compression) shortens its pillars; Fx and Fy lengthen those that lean their way.
     Several that sense an axis tell their mean; upright ones tell nothing of shear, 0 N.
     """
-    S = design.unit.pillar_width_mm**2
+    S = pillar_areas(design.unit)
     E, rest_mm, V = design.pillar_material.young_mpa, rest_lengths(design.unit), pillar_volumes(design.unit)
     pillar_columns(resistance_ohm, component, design.unit.layout)  # refuses what is no resistance
     lengthens = np.sign(np.diff(pillar_ends(design.unit), axis=1)[:, 0]) * [1.0, 1.0, -1.0]
@@ -33,7 +33,7 @@ def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Co
         bulk_ohm = resistance_ohm[..., pillars] - design.electrics.contacts_ohm
         length_mm = np.sqrt(bulk_ohm.clip(0.0) * V[pillars] / design.resistivity_ohm_mm)
         sign = lengthens[pillars, AXES.index(axis)]
-        forces.append((sign * E * S * (length_mm - rest_mm[pillars]) / rest_mm[pillars]).mean(axis=-1))
+        forces.append((sign * E * S[pillars] * (length_mm - rest_mm[pillars]) / rest_mm[pillars]).mean(axis=-1))
     return np.stack(forces, axis=-1)
 
 

@@ -21,7 +21,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, Layout
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -44,9 +44,9 @@ ROUNDS, MIN_GROWTH = 5, 0.1  #: of fits of the misfit's growth, and its least va
 
 
 def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> FloatArray:
-    """Forces (n, 3 k) [N] that would move the linear array's electrodes nearest to displacements (n, k, 2, 3) [mm].
+    """Forces (n, 3 k) [N] that would move the linear array's electrodes nearest to displacements (n, k, e, 3) [mm].
 
-    `electrodes_mm_per_n` (3 k, 6 k) is the influence of forces on them, as in `SensorModel` by eq. 1.
+    `electrodes_mm_per_n` (3 k, 3 k e) is the influence of forces on them, as in `SensorModel` by eq. 1.
     """
     moved = displacement_mm.reshape(len(displacement_mm), -1, 3).swapaxes(1, 2)
     return moved.reshape(len(moved), -1) @ np.linalg.pinv(electrodes_mm_per_n)
@@ -61,7 +61,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     -----
     Every unit of every sample is one equation for each of its forces and pillars, by ridge regression, each feature
     scaled to `SCALES`; the ridge is the one with the least errors had each equation been left out. Where the array is
-    its own image in a mirror at y = 0, which swaps U1 and U2, so are the forces that deform it, and few samples count
+    its own image in a mirror at y = 0, electrodes included, so are the forces that deform it, and few samples count
     twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
     if data.displacement_mm is None:
@@ -78,7 +78,9 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     empty = StrainMaps(
         influence=electrodes,
         near=neighbours(rows, cols),
-        sizes=np.concatenate([state_n.reshape(-1, 3).std(axis=0), moved.reshape(-1, 6).std(axis=0)]),
+        sizes=np.concatenate(
+            [each.reshape(-1, N_AXES).std(axis=0) for each in (state_n, moved[..., 0, :], moved[..., -1, :])]
+        ),
         weights=np.zeros((N_FEATURES, n_values)),
         misfit=np.zeros(n_values),
         growth=np.array([1.0, 0.0]),
@@ -89,13 +91,12 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]
-    unit, few = np.eye(len(electrodes)), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
-    seen = _moved(_image(unit, rows, cols), electrodes, rows, cols)
-    if few and np.allclose(seen, _moved_image(_moved(unit, electrodes, rows, cols)), atol=ALIKE * np.abs(seen).max()):
+    images, few = _images(response.design.unit.layout), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
+    if few and images is not None and _is_mirrored(electrodes, images, rows, cols):
         states.append(_image(state_n, rows, cols))
         forces.append(_image(force_n, rows, cols))
         if response.conducted is None and data.length_mm is not None:
-            seen_mm = pillar_lengths(_moved_image(data.displacement_mm), response.design.unit)
+            seen_mm = pillar_lengths(_moved_image(data.displacement_mm, images), response.design.unit)
             lengths2.append(seen_mm.reshape(len(data), -1) ** 2)
     A = np.concatenate([empty.features(part).reshape(-1, N_FEATURES)[:, :N_CURVED] for part in states])
     scale = SCALES / np.maximum(np.sqrt((A**2).mean(axis=0)), TINY)
@@ -116,8 +117,23 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
 
 
 def _moved(force_n: FloatArray, electrodes_mm_per_n: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Displacements (n, rows, cols, 2, 3) [mm] of the linear array's electrodes under forces (n, 3 k) [N]."""
-    return (force_n @ electrodes_mm_per_n).reshape(-1, 3, rows, cols, 2).transpose(0, 2, 3, 4, 1)
+    """Displacements (n, rows, cols, e, 3) [mm] of the linear array's electrodes under forces (n, 3 k) [N]."""
+    return (force_n @ electrodes_mm_per_n).reshape(len(force_n), 3, rows, cols, -1).transpose(0, 2, 3, 4, 1)
+
+
+def _images(layout: Layout) -> list[int] | None:
+    """Number of each upper electrode's image in a mirror at y = 0; None if one of them has none."""
+    places = [one.place for one in layout.upper]
+    images = [(x, -y) for x, y in places]
+    return [places.index(image) for image in images] if set(images) <= set(places) else None
+
+
+def _is_mirrored(electrodes_mm_per_n: FloatArray, images: list[int], rows: int, cols: int) -> bool:
+    """Whether mirrored forces move the linear array's electrodes as the mirror shows."""
+    unit = np.eye(len(electrodes_mm_per_n))
+    seen = _moved(_image(unit, rows, cols), electrodes_mm_per_n, rows, cols)
+    image = _moved_image(_moved(unit, electrodes_mm_per_n, rows, cols), images)
+    return np.allclose(seen, image, atol=ALIKE * np.abs(seen).max())
 
 
 def _image(force_n: FloatArray, rows: int, cols: int) -> FloatArray:
@@ -125,9 +141,9 @@ def _image(force_n: FloatArray, rows: int, cols: int) -> FloatArray:
     return (force_n.reshape(-1, rows, cols, N_AXES)[:, ::-1] * FLIPPED).reshape(force_n.shape)
 
 
-def _moved_image(displacement_mm: FloatArray) -> FloatArray:
-    """Displacements (n, rows, cols, 2, 3) [mm] as a mirror at y = 0 shows them, where U1 is U2."""
-    return displacement_mm[:, ::-1, :, ::-1] * FLIPPED
+def _moved_image(displacement_mm: FloatArray, images: list[int]) -> FloatArray:
+    """Displacements (n, rows, cols, e, 3) [mm] as a mirror at y = 0 shows them, where electrodes are their images."""
+    return displacement_mm[:, ::-1, :, images] * FLIPPED
 
 
 def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
@@ -227,11 +243,12 @@ def drawn_samples(
         force_n=forces,
         load=np.arange(len(forces)),
         errors=errors,
+        layout=design.unit.layout,
     )
 
 
 def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> FloatArray:
-    """Strains of all pillars in states, (n, 3 k) [N] -> (n, 3 k)."""
+    """Strains of all pillars in states, (n, 3 k) [N] -> (n, k·n_pillars)."""
     moved = _moved(state_n, maps.influence, design.array.rows, design.array.cols)
     return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
 

@@ -169,8 +169,7 @@ def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], Floa
     generator = np.random.default_rng(0)
 
     def read(force_n: FloatArray) -> FloatArray:
-        ohms = forward.resistances(force_n)
-        return forward.lengths_of(ohms + data.errors.total(ohms, *data.shape) * generator.standard_normal(ohms.shape))
+        return forward.lengths_of(data.errors.scattered(forward.resistances(force_n), *data.shape, generator))
 
     return read
 

@@ -47,10 +47,7 @@ def decoder_of(
 
     def read(force_n: FloatArray) -> FloatArray:
         drawn = found.ensemble.readings(forward, force_n)
-        own, shared = errors.deviation(drawn), errors.shared(drawn, *size)
-        drawn += own * generator.standard_normal(drawn.shape)
-        drawn += np.einsum("npm,nm->np", shared, generator.standard_normal((len(drawn), shared.shape[2])))
-        return np.maximum(drawn, MIN_WHOLE_OHM)
+        return np.maximum(errors.scattered(drawn, *size, generator), MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])

@@ -16,7 +16,7 @@ from dataset import (
 from dataset.imperfections import place_of
 from dataset.measurement import SENSE_OHM, ReadingError, reading_deviation
 from geometry import DesignError
-from geometry.layout import PILLARS
+from geometry.layout import SONG2018
 
 RESISTANCES = np.geomspace(3e3, 30e3, 5000)
 ROWS, COLS = 6, 6
@@ -138,7 +138,7 @@ def test_dead_wires_kill_the_pillars_between_their_electrodes(wire, place, pilla
     """From the design's table: z from L1 to U1, x from L2 to U1, y from L1 to U2. What is dead adds up."""
     expected = np.zeros((ROWS, COLS, 3), dtype=bool)
     for pillar in pillars:
-        expected[(*place, PILLARS.index(pillar))] = True
+        expected[(*place, SONG2018.pillar_names.index(pillar))] = True
     expected[5, 5, 0] = True
     corner = ((5, 5, "z"), *wire.get("dead_pillars", ()))
     assert np.array_equal(Imperfections(**wire | {"dead_pillars": corner}).dead_mask(ROWS, COLS), expected)

@@ -98,8 +98,8 @@ def identified(layout: str = "song2018") -> Case:
     return Case(identify(Pairs.of(data[:20]), response(design)).decoder, data[20:])
 
 
-def at_finite_strain() -> Case:
-    return Case(finite.learned(), finite.samples(finite.law(1.0), noise=1e-3)[1000:])
+def at_finite_strain(layout: str = "song2018") -> Case:
+    return Case(*finite.learned(layout))
 
 
 #: by what is particular about each; noise-free ones learn nothing but what the response leaves
@@ -118,6 +118,7 @@ CASES: dict[str, Callable[[], Case]] = {
     **{f"fx-{layout}": lambda layout=layout: linear("fx", "skip", "root", layout, noise=1e-3) for layout in OTHERS},
     "identified-six-pillar": lambda: identified("six-pillar"),
     "finite-strain": at_finite_strain,
+    "finite-strain-six-pillar": lambda: at_finite_strain("six-pillar"),
 }
 made = cache(lambda name: CASES[name]())
 

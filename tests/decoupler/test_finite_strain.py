@@ -38,50 +38,55 @@ STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
 
 
-def law(strength: float) -> SensorModel:
+def law(strength: float, linear: SensorModel = LINEAR) -> SensorModel:
     """An array whose forces and squared lengths differ from its linear ones by some percent at strength 1."""
-    weights = np.zeros((N_FEATURES, 6))
-    weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, 6))
-    weights *= strength * 2e-4 * np.repeat([np.std(STATES), 100.0], 3)
+    sizes = 3, linear.n_pillars // 2
+    weights = np.zeros((N_FEATURES, sum(sizes)))
+    weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, sum(sizes)))
+    weights *= strength * 2e-4 * np.repeat([np.std(STATES), 100.0], sizes)
     maps = StrainMaps(
-        influence=LINEAR.influence,
+        influence=linear.influence,
         near=neighbours(1, 2),
         sizes=SIZES,
         weights=weights,
-        misfit=np.repeat([0.1, 1e-3], 3),
+        misfit=np.repeat([0.1, 1e-3], sizes),
         growth=np.array([1.0, 0.0]),
     )
-    return replace(LINEAR, maps=maps)
+    return replace(linear, maps=maps)
 
 
-def samples(model: SensorModel, noise: float = 0.0) -> Samples:
+def samples(model: SensorModel, noise: float = 0.0, design: SensorDesign = SENSOR) -> Samples:
     """Samples at finite strain whose states are `STATES`."""
     squares, _, force_n, _ = model.at_states(STATES)
-    shape = (len(STATES), 1, 2, 3)
-    moved = (STATES @ model.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+    shape = (len(STATES), 1, 2, -1)
+    moved = (STATES @ model.influence).reshape(len(STATES), 3, 2, -1).transpose(0, 2, 3, 1)
     ohms = (model.ohm_per_mm2 * squares).reshape(shape)
     return Samples(
         force_n=force_n.reshape(shape),
         resistance_ohm=measured(ohms, noise, None, np.random.default_rng(0)),
-        displacement_mm=moved.reshape(len(STATES), 1, 2, 2, 3),
+        displacement_mm=moved[:, None],
         length_mm=np.sqrt(squares).reshape(shape),
         strain_model=np.ones(len(STATES)),
-        design=SENSOR,
+        design=design,
         noise=noise,
     )
 
 
 @cache
-def learned():
-    """Trained on samples of the made-up law, linear ones among them."""
-    linear = replace(samples(law(0.0), noise=1e-3), strain_model=np.zeros(1200))[:20]
+def learned(layout: str = "song2018"):
+    """Trained on samples of the made-up law, linear ones among them; and samples that it has not seen."""
+    design = sensor(1, 2, layout)
+    known = response(design)
+    linear = LINEAR if design == SENSOR else SensorModel.of(known, ALL)
+    weak, whole = (samples(law(strength, linear), 1e-3, design) for strength in (0.0, 1.0))
     with mock.patch.multiple(finite_strain, DRAWS=3000, HIDDEN=15):  # enough for two units
-        return train(joined([linear, samples(law(1.0), noise=1e-3)[:300]]), response=response(SENSOR))
+        trained = train(joined([replace(weak, strain_model=np.zeros(1200))[:20], whole[:300]]), response=known)
+    return trained, whole[1000:]
 
 
 @pytest.fixture(scope="module")
 def decoder():
-    return learned()
+    return learned()[0]
 
 
 def test_maps_are_learned_from_samples():

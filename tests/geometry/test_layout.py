@@ -114,7 +114,7 @@ WRONG = {
     "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
     "no pillar joins electrodes": ((), (), ()),
     "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
-    "pillars z and x want one crossing of wires: give L1 and L1 or U1 and U2 wires of their own": (
+    "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
         tuple(replace(one, wire="a") for one in UPPER),
         LOWER,
         (Z, X),

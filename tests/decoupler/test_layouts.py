@@ -1,0 +1,138 @@
+"""Decoders of any layout meet what its readings allow; where its pillars hardly tell a force, deviations say so."""
+
+from dataclasses import replace
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from dataset import DatasetSettings, pillar_lengths, simulate
+from dataset.measurement import ReadingError
+from decoupler import assess, component_named, read_model, train, write_model
+from decoupler.data.columns import Columns, force_columns
+from decoupler.data.pairs import Pairs
+from decoupler.evaluation.plausibility import doubt
+from decoupler.inverse.limits import cramer_rao, exact_inverse
+from decoupler.inverse.sensor_model import SensorModel
+from decoupler.touch.morph import Pillars, Sensing
+from decoupler.twin import identify
+from decoupler.twin.expectation import Expectation
+from decoupler.twin.next_load import Knowledge
+from fem.array.closed_forms import layer_response
+from fem.array.solving import array_response
+from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.layout import LAYOUTS
+from tests.decoupler.synthetic_sensor import labelled, response, sensor
+
+ALL = component_named("all")
+BITS = 12
+TELLING = ("song2018", "six-pillar", "eight-pillar")  #: layouts whose pillars tell three forces apart
+
+
+def design_of(layout, rows=2, cols=3):
+    return SensorDesign(unit=Unit(layout=LAYOUTS[layout]), array=Array(rows=rows, cols=cols))
+
+
+def sampled(given, n, seed, **read):
+    return simulate(given, DatasetSettings(protocol="three-axis", samples=n, seed=seed, **read))
+
+
+def back_again(given, n, **read):
+    """Errors of forces on 200 samples behind a converter, by a network that learned from n."""
+    model = train(sampled(given, n, 1, **read), response=given)
+    return assess(model, sampled(given, 200, 2, **read), given)
+
+
+@pytest.mark.parametrize("layout", TELLING)
+def test_forces_come_back_within_the_converters_own_error(layout):
+    """Times 1.1: the converter's own is what its steps, each even in its width, make of the best unbiased estimate."""
+    for one in back_again(layer_response(design_of(layout)), 1500, bits=BITS).values():
+        assert one.ratio < 1.1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["soft", "stiff"])
+@pytest.mark.parametrize("layout", TELLING)
+def test_forces_of_a_whole_array_come_back_within_the_converters_own_error(layout, kind, shared_cache):
+    design = replace(design_of(layout, 6, 6), pad=Pad(kind=kind))
+    for one in back_again(array_response(design)[0], 5000, bits=BITS).values():
+        print(layout, kind, one.errors.rmse_n, one.limits.cramer_rao_n, one.ratio, one.coverage)
+        assert one.ratio < 1.1
+
+
+def test_four_uprights_tell_shear_by_tilt_alone_and_their_deviations_say_how_badly():
+    found = back_again(layer_response(design_of("upright-four")), 1500, noise=1e-3, bits=BITS)
+    for one in found.values():
+        assert 0.6 < one.coverage[0] < 0.8
+        assert one.coverage[1] > 0.92
+    assert found["fx"].baselines["eq. 8, each pillar alone"].rmse_n > 5 * found["fx"].errors.rmse_n
+
+
+def test_more_pillars_than_forces_tell_a_drift_of_all_readings_from_loads():
+    """A drift of 1 % of all resistances passes for pressure with three pillars, and is divided out with six."""
+    three, six = (
+        back_again(layer_response(design_of(layout)), 1500, noise=1e-3, bits=BITS, drift=0.01)["fz"]
+        for layout in ("song2018", "six-pillar")
+    )
+    assert six.errors.rmse_n < 0.15 * three.errors.rmse_n
+    for one in (three, six):
+        assert 0.6 < one.coverage[0] < 0.8
+        assert one.coverage[1] > 0.92
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_tell(layout):
+    """(Jᵀ Σ⁻¹ J)⁻¹; of shared errors, too. Exact for exact readings."""
+    design = sensor(2, 3, layout)
+    forward, data = SensorModel.of(response(design), ALL), labelled(design, "xyz", 10, seed=0)
+    force_n, errors = force_columns(data.force_n, ALL), ReadingError(noise=1e-3, bits=BITS, drift=0.01)
+    if layout in TELLING:
+        again = exact_inverse(forward, Columns.of(data, ALL).resistance_ohm, force_n.mean(axis=0))
+        assert again == pytest.approx(force_n, rel=1e-7)
+    shared = {"shared": lambda ohm: errors.shared(ohm, 2, 3)}
+    found = cramer_rao(forward, force_n[:2], errors.noise, BITS, **shared)
+    lengths, J = forward.jacobian(force_n[:2])
+    ohm = forward.ohm_per_mm2 * lengths**2
+    S = errors.shared(ohm, 2, 3) @ errors.shared(ohm, 2, 3).swapaxes(1, 2)
+    S += errors.deviation(ohm)[..., None] ** 2 * np.eye(ohm.shape[1])
+    J = J * (2 * forward.ohm_per_mm2 * lengths)[..., None]
+    bound = np.linalg.inv(J.swapaxes(1, 2) @ np.linalg.solve(S, J))
+    assert found == pytest.approx(np.sqrt(np.einsum("nii->ni", bound)), rel=1e-6)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_wrong_order_of_pillars_is_named(layout):
+    design = sensor(3, 3, layout)
+    forward, names = SensorModel.of(response(design), ALL), design.unit.layout.pillar_names
+    data = labelled(design, "xyz", 30, seed=1)
+    noise = np.random.default_rng(0).standard_normal(data.resistance_ohm.shape)
+    data = replace(data, resistance_ohm=data.resistance_ohm * (1 + 1e-3 * noise), noise=1e-3)
+    assert doubt(data, ALL, forward) is None
+    order = [1, *range(2, len(names)), 0]
+    said = doubt(replace(data, resistance_ohm=data.resistance_ohm[..., order]), ALL, forward)
+    assert f"in the order {', '.join(names[k] for k in order)}: a file's are {', '.join(names)}" in said
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_touch_reads_squared_lengths_by_every_electrode(layout):
+    design = design_of(layout)
+    sensing = Sensing(grid=mock.Mock(), design=design, pillars=Pillars.designed(design))
+    moved = np.random.default_rng(0).uniform(-1.0, 1.0, (4, design.n_units, len(design.unit.layout.upper), 3))
+    squares = pillar_lengths(moved, design.unit).reshape(4, -1) ** 2
+    assert sensing.reading(moved.reshape(4, -1)) == pytest.approx(squares - sensing.rest_mm2, abs=1e-12)
+
+
+def test_a_model_without_a_design_keeps_its_layout_and_a_load_tells_of_every_pillar(tmp_path):
+    design = sensor(1, 2, "six-pillar")
+    data = labelled(design, "xyz", 60, seed=0)
+    twin = identify(replace(Pairs.of(data), noise=1e-3))
+    write_model(twin.decoder, tmp_path / "a.safetensors")
+    again = read_model(tmp_path / "a.safetensors")
+    assert (again.design, again.layout) == (None, design.unit.layout)
+    assert np.array_equal(again.forces(data.resistance_ohm), twin.decoder.forces(data.resistance_ohm))
+    expected = Expectation.of(response(design), None, ALL)
+    before = Knowledge.before(expected, expected.mean(), ReadingError(noise=1e-3))
+    force_n = force_columns(data.force_n, ALL)
+    T = before.error_matrix(force_n)
+    after = before.after(force_n[0], np.zeros((0, 6)))
+    assert 0 < np.sum(T * after.covariance) < np.sum(T * before.covariance)
