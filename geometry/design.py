@@ -143,6 +143,22 @@ class Array:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Plate:
+    """The plate of a stiff pad, for shapes that press on it; its underside does not bend."""
+
+    thickness_mm: float = quantity(1.0, "how far its face stands above the rubber", within=(0.2, 10.0))
+    young_mpa: float = quantity(2000.0, "Young's modulus, by which its face gives; a plastic's", within=(10.0, 5e3))
+
+    def __post_init__(self) -> None:
+        require_sound(self)
+
+    @property
+    def face_mm_per_mpa(self) -> float:
+        """How far its face gives under a pressure on it."""
+        return self.thickness_mm / self.young_mpa
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pad:
     """The square on a unit's top through which it is loaded."""
 
@@ -152,6 +168,7 @@ class Pad:
     kind: str = quantity(
         "soft", "soft: uniform traction; stiff: a rigid plate bonded to the rubber", True, of=PAD_KINDS
     )
+    plate: Plate = quantity(Plate(), "the plate of a stiff pad, for shapes that press on it", True)
 
     def __post_init__(self) -> None:
         require_sound(self)

@@ -70,6 +70,8 @@ class Touched:
     fits: tuple[Fit, ...] = ()
     wait: int = 0  #: scans until fits may be sought among all presses again
     sought_cost: float = -np.inf  #: of the best fit when they were sought last; it has not been since rest
+    #: of plates: torque about z through each unit's middle, and its standard deviation, (units, 2) [N mm]
+    torque_nmm: FloatArray | None = None
 
     @property
     def force_n(self) -> FloatArray:

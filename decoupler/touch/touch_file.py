@@ -7,6 +7,7 @@ from decoupler.model import model_file
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import built_of, opened_file, save_file
 from decoupler.touch.decoder import TouchDecoder
+from decoupler.touch.plates import PlateDecoder
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.errors import FileFormatError
 from geometry.storage.files import stated
@@ -42,13 +43,15 @@ def read_model(path: Path) -> AnyDecoder:
     try:
         if header["format"] != FORMAT:
             raise ValueError(f"format is {header['format']}, not {FORMAT}")
+        design = design_from_toml(header["design"])
         said = {
-            "design": design_from_toml(header["design"]),
+            "design": design,
             "errors": ReadingError(noise=float(header["noise"]), bits=header["bits"]),
             "made_from": dict(header["made_from"]),
             "library.cache_key": str(header["library"]),
         }
-        found: TouchDecoder = built_of(TouchDecoder, arrays, said)
+        kind = PlateDecoder if design.pad.kind == "stiff" else TouchDecoder
+        found: TouchDecoder = built_of(kind, arrays, said)
         found.touches(0.99 * found.rest_resistances()[None])  # no decoder is given out that cannot
         return found
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

@@ -193,3 +193,33 @@ def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64]
         corner = across_x[i, j + (sign > 0)] if axis == 0 else across_y[i + (sign > 0), j]
         starts.append(corner[..., None] + np.arange(face_size))
     return np.concatenate(starts, axis=-1).reshape(rows * cols, -1), first + across_y.size * face_size
+
+
+def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
+    """Influence of every functional of a cell on those of the others, in an endless array that repeats itself.
+
+    Returns shape (wide, wide, k, k) [mm/N]: steps along y and along x from the loaded cell to the observed one, both
+    modulo `wide`; observed first.
+
+    Bloch's theorem: loads of phase exp(i θ·n) move ports alike, so that each θ is a problem of one cell, whose far
+    sides follow its near ones.
+    """
+    ports = cell.ports
+    edge, face = 3 * ports.per_edge, 3 * ports.per_face
+    follows = [*np.tile(np.arange(edge), len(EDGES))]
+    far = [(sx > 0, sy > 0) for sx, sy in EDGES for _ in range(edge)]
+    for axis, sign in FACES:
+        follows += [*(edge + axis * face + np.arange(face))]
+        far += [(sign > 0 and axis == 0, sign > 0 and axis == 1)] * face
+    n, far_x, far_y = len(follows), *np.array(far).T
+    spectrum = np.empty((wide, wide // 2 + 1, cell.transfer.shape[1], cell.transfer.shape[1]), dtype=complex)
+    for b, a in np.ndindex(*spectrum.shape[:2]):
+        phase = np.exp(2j * np.pi / wide * (a * far_x + b * far_y))
+        tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, edge + 2 * face))
+        adjoint = tied.conj().T.tocsr()
+        S = (tied.T @ (adjoint @ cell.stiffness).T).T
+        L = adjoint @ cell.transfer
+        spectrum[b, a] = L.conj().T @ np.linalg.solve(S, L)
+    influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
+    influence[0, 0] += cell.compliance
+    return influence

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fem.contact.balance import State
 from fem.contact.shapes import Shape
 from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
-from fem.contact.tiles import plated_grid
+from fem.contact.tiles import plated_grid, rubber_below_mm
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.errors import TriPillarError, require_type
@@ -72,9 +72,10 @@ class Indentation:
             raise ContactError(f"slide_mm={x:g},{y:g} leaves the sensor: at most {most_mm:g} mm along x and y.")
 
     def heights_mm(self, patch: Patch, past_mm: FloatArray) -> FloatArray:
-        """Height above the undeformed top of the shape at its depth, moved past the rubber by (2,) [mm]."""
+        """Height above rubber or plates at rest of the shape at its depth, moved past the rubber by (2,) [mm]."""
         x, y = np.array(self.at_mm) + past_mm
-        return self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+        above = self.shape.heights_mm(patch.x_mm - x, patch.y_mm[:, None] - y) - self.depth_mm
+        return above + rubber_below_mm(self.design, patch.x_mm, patch.y_mm)
 
     def solved(self, compliance: PatchCompliance, increments: int) -> tuple["Contact", NDArray[np.bool_]]:
         """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""

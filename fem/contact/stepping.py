@@ -11,6 +11,7 @@ from fem.contact.balance import State
 from fem.contact.indentation import MAX_FRICTION, PILE_UP, Contact, ContactError
 from fem.contact.shapes import Shape
 from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance
+from fem.contact.tiles import rubber_below_mm
 from geometry.layout import FloatArray
 
 ACROSS = 10  #: cells along the shorter side of the first window
@@ -214,6 +215,7 @@ class _Window:
             step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
         drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
         above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm
+        above = above + rubber_below_mm(self.surface.design, self.patch.x_mm, self.patch.y_mm)
         return before.carried(step).balanced(self.give, above, friction, TOLERANCE, ahead), above
 
     def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":

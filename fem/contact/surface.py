@@ -21,9 +21,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy import fft
 
-from fem.array.cell import EDGES, FACES, CellSides, CondensedCell
+from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
-from fem.array.coupled_cells import CoupledArray
+from fem.array.coupled_cells import CoupledArray, endless_influence
 from fem.array.meshed import (
     GRID_DEGREE,
     GRID_LEVEL,
@@ -35,9 +35,19 @@ from fem.array.meshed import (
     pad_plate,
 )
 from fem.array.substructured import COMPARED_DEGREE
-from fem.contact.tiles import MIN_TILES, Strip, cell_strips, edges, on_plates, shares, slab_strips, tiles_per_pitch
+from fem.contact.tiles import (
+    MIN_TILES,
+    Strip,
+    cell_strips,
+    edges,
+    levers,
+    on_plates,
+    shares,
+    slab_strips,
+    tiles_per_pitch,
+)
 from fem.tetrahedra.mixed import taylor_hood
-from geometry.design import Array, Material, Pad, SensorDesign, bent
+from geometry.design import Array, Material, Pad, Plate, SensorDesign, bent
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -48,9 +58,6 @@ MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
-#: how far the face of a plate gives: 1 mm of a plastic of 2 GPa. It shares out pressure inside a plate, and adds to how
-#: deep a shape must go: a tenth of it raises forces by 3 to 7 %
-PLATE_FACE_MM_PER_MPA = 5e-4
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
@@ -108,9 +115,10 @@ def surface_compliance(
     `GeometryError` or `SolverError` if the mesh or an answer cannot be trusted.
     """
     require_pressable(design)
-    plain = bent(design)
-    if design.pad.kind == "soft":
-        plain = replace(plain, pad=Pad(size_mm=PAD * design.array.pitch_mm))
+    own, plain = Pad(size_mm=PAD * design.array.pitch_mm), bent(design)
+    if design.pad.kind == "stiff":
+        own = replace(design.pad, plate=Plate())
+    plain = replace(plain, pad=own)
     cache_key = digest("surface", VERSION, plain)
 
     def make() -> SurfaceCompliance:
@@ -202,36 +210,6 @@ def _extrapolated(source: DesignCell) -> CondensedCell:
     one, two = source.condensed(PLATE_LEVELS[0], COMPARED_DEGREE), source.condensed(PLATE_LEVELS[1], PLATE_DEGREE)
     better = two.extrapolated(one, source.error_factor(*PLATE_LEVELS))
     return better if better.is_definite else two
-
-
-def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
-    """Influence of every functional of a cell on those of the others, in an endless array that repeats itself.
-
-    Returns shape (wide, wide, k, k) [mm/N]: steps along y and along x from the loaded cell to the observed one, both
-    modulo `wide`; observed first.
-
-    Bloch's theorem: loads of phase exp(i θ·n) move ports alike, so that each θ is a problem of one cell, whose far
-    sides follow its near ones.
-    """
-    ports = cell.ports
-    edge, face = 3 * ports.per_edge, 3 * ports.per_face
-    follows = [*np.tile(np.arange(edge), len(EDGES))]
-    far = [(sx > 0, sy > 0) for sx, sy in EDGES for _ in range(edge)]
-    for axis, sign in FACES:
-        follows += [*(edge + axis * face + np.arange(face))]
-        far += [(sign > 0 and axis == 0, sign > 0 and axis == 1)] * face
-    n, far_x, far_y = len(follows), *np.array(far).T
-    spectrum = np.empty((wide, wide // 2 + 1, cell.transfer.shape[1], cell.transfer.shape[1]), dtype=complex)
-    for b, a in np.ndindex(*spectrum.shape[:2]):
-        phase = np.exp(2j * np.pi / wide * (a * far_x + b * far_y))
-        tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, edge + 2 * face))
-        adjoint = tied.conj().T.tocsr()
-        S = (tied.T @ (adjoint @ cell.stiffness).T).T
-        L = adjoint @ cell.transfer
-        spectrum[b, a] = L.conj().T @ np.linalg.solve(S, L)
-    influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
-    influence[0, 0] += cell.compliance
-    return influence
 
 
 def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatArray) -> SurfaceCompliance:
@@ -327,7 +305,9 @@ class PatchCompliance:
         moved = (spectrum[-k:, -k:] * fft.rfft2(on_rubber, size)).sum(axis=1)  # faster than einsum
         layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
         if self._plates is not None:
-            layer = np.where(self._plates, PLATE_FACE_MM_PER_MPA / patch.cell_mm2 * force_n, layer)
+            layer = np.where(
+                self._plates, self.surface.design.pad.plate.face_mm_per_mpa / patch.cell_mm2 * force_n, layer
+            )
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
         layer += self._rows[0] @ tiles @ self._columns[0].T
@@ -340,7 +320,10 @@ class PatchCompliance:
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
         near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
-        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._on_tiles(force_n).ravel()
+        given = self._on_tiles(force_n).ravel()
+        if self._faces is not None:
+            given = self._faces.T @ given
+        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ given
         if self._plates is not None:
             return np.asarray(rest.reshape(near.shape[:4]), np.float64)
         kernels = self.electrode_kernels()
@@ -376,10 +359,26 @@ class PatchCompliance:
     @cached_property
     def _plates(self) -> NDArray[np.bool_] | None:
         """Cells on plates, (ny, nx); None on bare rubber."""
+        return on_plates(self.surface.design, self.patch.x_mm, self.patch.y_mm) if self.surface.has_plates else None
+
+    @cached_property
+    def _faces(self) -> sp.csr_matrix | None:
+        """From displacements of tiles (3·ny·nx,) to those of the faces of plates above them; None on bare rubber.
+
+        A face stands its thickness t above the underside: it moves by −t ∂u_z/∂x along x as that turns, and likewise
+        along y. The transpose takes forces on faces to the underside, with their moments.
+        """
         if not self.surface.has_plates:
             return None
-        x, y = (on_plates(at, self.surface.strips(axis)) for axis, at in enumerate((self.patch.x_mm, self.patch.y_mm)))
-        return y[:, None] & x
+        (sx, nx), (sy, ny) = (
+            (levers(self.surface.strips(axis), own[1]), own[0].shape[1])
+            for axis, own in enumerate((self._columns, self._rows))
+        )
+        on_x, on_y = (sp.diags_array((slopes != 0).any(axis=1).astype(float)) for slopes in (sx, sy))
+        t, one = self.surface.design.pad.plate.thickness_mm, sp.eye(nx * ny)
+        return sp.block_array(
+            [[one, None, -t * sp.kron(on_y, sx)], [None, one, -t * sp.kron(sy, on_x)], [None, None, one]], format="csr"
+        )
 
     @cached_property
     def _layer(self) -> tuple[FloatArray, tuple[int, int]]:
@@ -393,7 +392,8 @@ class PatchCompliance:
         """What is added to the layer on these tiles, (3 n, 3 n) [mm/N]."""
         tiles = slice(None), self._rows[1], self._columns[1]
         part = self.surface.on_tiles[*tiles, *tiles]
-        return part.reshape(int(np.prod(part.shape[:3])), -1)
+        near = part.reshape(int(np.prod(part.shape[:3])), -1)
+        return near if self._faces is None else (self._faces @ (self._faces @ near).T).T.astype(np.float32)
 
 
 def _spread(shares_of_parts: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -80,15 +81,38 @@ def plated_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, 
     return float(first * step - half), float(last * step - half), int(last - first)
 
 
+def on_plates(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
+    """Which places (ny, nx) lie on plates, of lines x (nx,) and y (ny,)."""
+    if design.pad.kind == "soft":
+        return np.zeros((len(y_mm), len(x_mm)), dtype=bool)
+    x, y = (_plated(places, slab_strips(design, axis, 0)) for axis, places in enumerate((x_mm, y_mm)))
+    return np.asarray(y[:, None] & x)
+
+
+def rubber_below_mm(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray | float:
+    """How far places (ny, nx) lie below the top: 0 on plates and of bare rubber."""
+    if design.pad.kind == "soft":
+        return 0.0
+    return np.where(on_plates(design, x_mm, y_mm), 0.0, design.pad.plate.thickness_mm)
+
+
+def levers(strips: list[Strip], tiles: slice) -> FloatArray:
+    """Slope along the axis on each of some tiles, by the displacement up of all of them, (n, n) [1/mm].
+
+    Of a plate, which has one; 0 on rubber.
+    """
+    lines = edges(strips)
+    middles = ((lines[:-1] + lines[1:]) / 2)[tiles]
+    own, plate = _own(middles, strips), _plated(middles, strips)
+    same = (own[:, None] == own) & plate
+    off = same * (middles - (same @ middles / np.maximum(same.sum(axis=1), 1))[:, None])
+    return off / np.maximum((off**2).sum(axis=1), 1e-12)[:, None]
+
+
 def edges(strips: list[Strip]) -> FloatArray:
     """Edges of all tiles."""
     lows = [np.linspace(strip.low_mm, strip.high_mm, strip.tiles + 1)[:-1] for strip in strips]
     return np.concatenate([*lows, [strips[-1].high_mm]])
-
-
-def on_plates(places_mm: FloatArray, strips: list[Strip]) -> np.ndarray:
-    """Which places (n,) lie on strips of plates."""
-    return np.array([strip.is_plate for strip in strips])[_own(places_mm, strips)]
 
 
 def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[FloatArray, slice]:
@@ -108,7 +132,12 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     return found[:, used[0] : used[-1] + 1], slice(int(start + used[0]), int(start + used[-1] + 1))
 
 
-def _own(places_mm: FloatArray, strips: list[Strip]) -> np.ndarray:
+def _plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
+    """Which places (n,) lie on strips of plates."""
+    return np.array([strip.is_plate for strip in strips])[_own(places_mm, strips)]
+
+
+def _own(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.int64]:
     """Number of the strip of each place; of those outside the nearest."""
     return np.searchsorted([strip.low_mm for strip in strips[1:]], places_mm, side="right")
 

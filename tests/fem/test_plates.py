@@ -8,9 +8,9 @@ import pytest
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Sphere, SurfaceCompliance, press
 from fem.contact import surface as surface_module
-from fem.contact.surface import PLATE_FACE_MM_PER_MPA, Patch, PatchCompliance
+from fem.contact.surface import Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
-from geometry.design import Array, Pad, SensorDesign
+from geometry.design import Array, Pad, Plate, SensorDesign
 
 PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 
@@ -25,10 +25,13 @@ def plated() -> SurfaceCompliance:
 
 
 def on_right_plate(axis: int) -> tuple[Patch, np.ndarray]:
-    """A force of 1 N along an axis, spread over the right plate."""
-    force = np.zeros((3, 24, 24))
+    """A force of 1 N along an axis, spread over the right plate, with no moment about its underside's middle."""
+    patch, force = Patch((1.5, -6.0), (13.5, 6.0), 24, 24), np.zeros((3, 24, 24))
     force[axis] = 1 / 24**2
-    return Patch((1.5, -6.0), (13.5, 6.0), 24, 24), force
+    if axis < 2:
+        arm = np.broadcast_to((patch.x_mm - 7.5, patch.y_mm[:, None])[axis], (24, 24))
+        force[2] = PLATED.pad.plate.thickness_mm * arm / (arm**2).sum()
+    return patch, force
 
 
 def test_forces_on_plates_move_electrodes_as_in_the_array_s_response(plated: SurfaceCompliance):
@@ -49,7 +52,7 @@ def test_a_plate_s_cells_move_as_a_rigid_body_by_any_forces(plated: SurfaceCompl
     moved = compliance.moved_mm(f)
     assert (f * compliance.moved_mm(g)).sum() == pytest.approx((g * moved).sum(), rel=2e-5)
     on_left = np.ix_(range(3), np.abs(patch.y_mm) < 6.0, np.abs(patch.x_mm + 7.5) < 6.0)
-    own = moved[on_left] - PLATE_FACE_MM_PER_MPA / patch.cell_mm2 * f[on_left]
+    own = moved[on_left] - PLATED.pad.plate.face_mm_per_mpa / patch.cell_mm2 * f[on_left]
     x, y = np.meshgrid(patch.x_mm[np.abs(patch.x_mm + 7.5) < 6.0] + 7.5, patch.y_mm[np.abs(patch.y_mm) < 6.0])
     zero, one = 0 * x, 1 + 0 * x
     motions = [(one, zero, zero), (zero, one, zero), (zero, zero, one), (-y, x, zero), (zero, zero, x), (zero, zero, y)]
@@ -58,18 +61,35 @@ def test_a_plate_s_cells_move_as_a_rigid_body_by_any_forces(plated: SurfaceCompl
     assert np.abs(left).max() < 1e-5 * np.abs(own).max()
 
 
+def test_a_shear_on_a_plate_s_face_turns_it_by_the_plate_s_thickness(plated: SurfaceCompliance):
+    """As pressure moved along x by t F_x / F_z does: F_x a height t above has the moment t F_x about y."""
+    thick = replace(PLATED, pad=replace(PLATED.pad, plate=Plate(thickness_mm=3.0)))
+    patch, shear = on_right_plate(0)
+    _, pressure = on_right_plate(2)
+    off = -pressure * 3.0 * (patch.x_mm - 7.5) / ((patch.x_mm - 7.5) ** 2).mean()  # moment of 3 N mm
+    low, high = (
+        PatchCompliance(replace(plated, design=design), patch).electrodes_mm(force)
+        for design, force in ((PLATED, shear), (thick, shear))
+    )
+    one, turned = 3.0 / 2.0, PatchCompliance(plated, patch).electrodes_mm(off)
+    assert (high - low) * one == pytest.approx(turned, abs=1e-4 * np.abs(turned).max())
+
+
 def test_a_ball_on_a_plate_s_middle_is_two_springs_in_series(plated: SurfaceCompliance):
     """δ = F c + √(F k / π R): the plate on the rubber, and its face of compliance k per area under a ball."""
     contact = press(plated, Sphere(10.0), 0.5, at_mm=(7.5, 0.0))
     force_n = contact.net_force_n[2]
     patch, even = on_right_plate(2)
     compliance = PatchCompliance(plated, patch)
-    c = compliance.moved_mm(even)[2].mean() - PLATE_FACE_MM_PER_MPA / 144
-    expected_mm = force_n * c + np.sqrt(force_n * PLATE_FACE_MM_PER_MPA / np.pi / 10.0)
+    face = PLATED.pad.plate.face_mm_per_mpa
+    c = compliance.moved_mm(even)[2].mean() - face / 144
+    expected_mm = force_n * c + np.sqrt(force_n * face / np.pi / 10.0)
     assert expected_mm == pytest.approx(0.5, rel=5e-3)  # some ten cells touch
     assert contact.force_n[0, 0, 2] == 0.0
     expected = -force_n * compliance.electrodes_mm(even)
-    assert np.abs(contact.electrode_mm - expected).max() < 1e-2 * np.abs(expected).max()  # it turns a little
+    assert (
+        np.abs(contact.electrode_mm - expected).max() < 0.05 * np.abs(expected).max()
+    )  # the plate turns a little, and the ball then rests beside its middle
 
 
 def test_a_punch_over_the_gap_presses_both_plates_and_turns_them(plated: SurfaceCompliance):

@@ -18,7 +18,8 @@ from dataset import DatasetSettings, simulate
 from dataset.imperfections import Imperfections
 from decoupler.data.load_table import read_pairs
 from fem.array.closed_forms import layer_response
-from geometry.design import Array, SensorDesign
+from geometry.design import Array, SensorDesign, Unit
+from geometry.layout import LAYOUTS, rest_lengths
 from hardware.boards.simavr_board import find_tools
 from hardware.boards.simulated import suited_kind
 from hardware.link.frames import Info, ScanMode
@@ -225,6 +226,29 @@ def test_typed_weights_calibrate_and_nonsense_is_asked_again(house, drifted, mon
     kept = read_pairs(house.folder / "pairs.csv", SensorDesign(array=Array(rows=1, cols=2)))
     assert kept.names == ("nothing", "0 0 9000")
     assert kept.force_n[1, 0, 0, 2] == pytest.approx(9 * 9.80665)
+
+
+def test_a_board_of_another_layout_is_named_and_its_recording_is_none_of_the_models(house):
+    """Six pillars a unit, a model of the paper's: one line, whether it is played, replayed or recorded for."""
+    layout = LAYOUTS["six-pillar"]
+    info = Info(rows=1, cols=2, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, layout=layout)
+    ohms = np.tile(1e3 * rest_lengths(Unit(layout=layout)), (20, 1, 2, 1))
+    (house.folder / "six.bin").write_bytes(recording_from_resistances(ohms, info))
+    assert house.result("info", "six.bin")["layout"] == "six-pillar"
+    for words in (
+        ("replay", "six.bin", *MODEL),
+        ("live", "six.bin", *MODEL),
+        ("record", "six.bin", "--out", "six.frames", *MODEL),
+    ):
+        said = house.refusal(*words, "-q")
+        assert (
+            "the board's units are of layout six-pillar, the model's of song2018: take a model of that layout" in said
+        )
+    assert not (house.folder / "six.frames").exists()
+    house.result("tare", "six.bin", "-o", "six.json", "--force")
+    calibration = read_calibration(house.folder / "six.json")
+    assert (calibration.layout, calibration.rest_ohm.shape) == (layout, (1, 2, 6))
+    assert calibration.rest_ohm == pytest.approx(ohms[0], rel=1e-3)
 
 
 def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):

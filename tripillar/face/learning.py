@@ -77,7 +77,7 @@ def train(
     force: bool = False,
     **settings: Any,
 ) -> "stages.Decoupler | stages.TouchDecoder":
-    """Train a network that turns resistances into forces; or make a decoder of touches on bare rubber.
+    """Train a network that turns resistances into forces; or make a decoder of whatever presses.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ def train(
     component : str, optional
         Forces that the network tells, along one axis or all; default: those that act.
     touch : bool
-        Make a decoder of whatever presses on bare rubber, from presses that are solved for the design, or for a twin's
-        own sensor: 4 minutes, once.
+        Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
+        solved, 4 minutes, once; on stiff pads from forces and moments of the plates, a minute.
     shape : list of path, optional
         STL files of tools that press: a decoder of touches knows them as well.
     out : path, optional
@@ -291,20 +291,39 @@ def _cross_validated(
 def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
-    stages.require_bare(design)
+    is_plated = design.pad.kind == "stiff"
+    (stages.require_pressable if is_plated else stages.require_bare)(design)
+    if is_plated and shapes:
+        raise DesignError(
+            "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
+        )
     solids = [stages.read_solid(Path(shape)) for shape in shapes]
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
+    of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
+    of_sensor |= {"pillars": pillars, "made_from": made_from}
+    if is_plated:
+        advance = caller.bars.begin("compliance of the top", total=1)
+        surface, _, reused = stages.surface_compliance(design, lambda step: advance(0, step))
+        plates = stages.PlateDecoder(library=stages.PlateResponse.of(surface), **of_sensor)
+        result = {"file": str(out), "plates": design.n_units, "reused": reused}
+        return _kept_touch(plates, out, result, f"{design.n_units} plates")
     advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
     library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
-    errors = stages.ReadingError(**READ)
-    decoder = stages.TouchDecoder(design=design, errors=errors, library=library, pillars=pillars, made_from=made_from)
-    if out is not None:
-        stages.write_touch(decoder, out)
     result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
     text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
-    caller.answer(lambda: result | {"seconds": caller.bars.seconds()}, text, out)
+    return _kept_touch(stages.TouchDecoder(library=library, **of_sensor), out, result, text)
+
+
+def _kept_touch(
+    decoder: "stages.TouchDecoder", out: Path | None, result: dict[str, Any], text: str
+) -> "stages.TouchDecoder":
+    """Write a decoder of touches, and answer."""
+    if out is not None:
+        stages.write_touch(decoder, out)
+    bars = current().bars
+    current().answer(lambda: result | {"seconds": bars.seconds()}, text, out)
     return decoder
 
 

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
     from decoupler.touch.morph import Pillars
+    from decoupler.touch.plates import PlateDecoder, PlateResponse
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
     from decoupler.training.suited import suited_component, suited_feature, without_stuck
@@ -58,7 +59,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
-    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid
+    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid, surface_compliance
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow

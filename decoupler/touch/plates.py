@@ -1,0 +1,147 @@
+"""Loads of whatever presses an array of rigid plates: the six components of each by sparse Bayes, no press solved.
+
+A plate tells of what touches it by its six motions, so that its loads are six numbers, whatever the shape. Readings
+follow from these by the array's response and eq. 1. Plates have a prior each: wrenches of contacts somewhere on a pad,
+their size unknown and found by the largest evidence, which takes most plates for untouched.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri, ndtri, stdtrit
+
+from decoupler.data.columns import Scaling
+from decoupler.touch.decoder import AT_REST, TouchDecoder, Touched
+from decoupler.touch.morph import Sensing
+from fem.contact.surface import SurfaceCompliance
+from fem.contact.tiles import cell_strips, edges, tiles_per_pitch
+from geometry.layout import FloatArray
+
+N_LOADS = 6  #: of a plate: see `Touched.load`
+FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
+ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
+TWIST = 0.1  #: of its torque over the pressing force times the pad's side
+OF_MODEL = 1e-3  #: of the largest reading: what touches the rubber between plates
+FIRST_N, LEAST_N = 10.0, 0.02  #: sizes of wrenches: at first, and of untouched plates
+OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
+STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at which they end
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlateResponse:
+    """Displacements of the electrodes by wrenches on plates."""
+
+    moved_mm: FloatArray  #: (units, 6, e) [mm/N, 1/N]: by each load of `Touched.load`; e = rows·cols·n_upper·3
+    cache_key: str = ""
+
+    @classmethod
+    def of(cls, surface: SurfaceCompliance) -> "PlateResponse":
+        """Of an array with stiff pads: forces on the tiles of a plate that add up to each load."""
+        design, tiles, own = surface.design, tiles_per_pitch(surface.design), []
+        for axis in (0, 1):
+            strips = cell_strips(design, axis)
+            lines = edges(strips)
+            plate = np.repeat([strip.is_plate for strip in strips], [strip.tiles for strip in strips])
+            own.append((np.flatnonzero(plate), ((lines[:-1] + lines[1:]) / 2)[plate]))
+        (columns, x), (rows, y) = own
+        x, y = (each.ravel() for each in np.meshgrid(x, y))
+        loads = np.zeros((N_LOADS, 3, len(x)))
+        loads[0, 0] = loads[1, 1] = 1.0
+        loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
+        loads[5, :2] = -y, x
+        spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
+        shape = design.array.rows, tiles, design.array.cols, tiles
+        cells = surface.on_electrodes.reshape(*surface.on_electrodes.shape[:5], *shape)
+        plates = cells[:, :, :, :, :, :, rows][..., columns]
+        moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
+        moved = moved.reshape(design.n_units, N_LOADS, -1)
+        moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
+        return cls(moved_mm=moved, cache_key=surface.cache_key)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateDecoder(TouchDecoder):
+    """A decoder of whatever presses rigid plates; each scan by itself."""
+
+    library: PlateResponse  # type: ignore[assignment]
+
+    @cached_property
+    def sensing(self) -> Sensing:
+        return Sensing(grid=None, design=self.design, pillars=self.pillars)  # type: ignore[arg-type]
+
+    @property
+    def output_scaling(self) -> Scaling:
+        """Centre 0 and the forces that strain a pillar by some 10 %."""
+        return Scaling(np.zeros(3 * self.rows * self.cols), np.full(3 * self.rows * self.cols, FIRST_N))
+
+    def follower(self) -> "PlateDecoder":
+        """Itself: a scan tells all."""
+        return self
+
+    @cached_property
+    def _scale(self) -> FloatArray:
+        """Sizes of a wrench's six loads over its pressing force."""
+        side = self.design.pad.size_mm
+        return np.array([FRICTION, FRICTION, 1.0, ARM * side, ARM * side, TWIST * side])
+
+    def touched(self, reading: FloatArray, last: Any = None) -> Touched:
+        """Loads by one reading (m,) [mm²].
+
+        Notes
+        -----
+        Sparse Bayes (Tipping, J. Mach. Learn. Res. 1 (2001) 211): loads x of a plate have the prior N(0, vₖ A), A of
+        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Eq. 1 is linearised about the
+        last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
+        """
+        own, n = self.sensing.deviation(reading, self.errors), self.rows * self.cols
+        at_rest = float((reading / own) @ (reading / own))
+        if at_rest < chdtri(len(reading), AT_REST):
+            hidden = np.diag(np.tile(LEAST_N * self._scale, n))
+            return _touched(np.zeros(n * N_LOADS), hidden, at_rest / len(reading))
+        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
+        size2, x = np.full(n, FIRST_N**2), np.zeros(n * N_LOADS)
+        by_load = self.library.moved_mm.reshape(n * N_LOADS, -1)
+        for _ in range(STEPS):
+            moved = x @ by_load
+            J = self._slopes(moved)
+            J = J / deviation[:, None]
+            missed = (reading - self.sensing.reading(moved[None])[0]) / deviation
+            prior = (size2[:, None] * self._scale**2).ravel()
+            JV = J * prior
+            root = np.linalg.cholesky(JV @ J.T + np.eye(len(J)))
+            half = np.linalg.solve(root, JV)
+            x = half.T @ np.linalg.solve(root, missed + J @ x)
+            told = ((half**2).sum(axis=0) / prior).reshape(n, N_LOADS).sum(axis=1)
+            before = size2
+            size2 = np.maximum(
+                ((x.reshape(n, N_LOADS) / self._scale) ** 2).sum(axis=1) / np.maximum(told, 1e-9), LEAST_N**2
+            )
+            if np.abs(np.log(size2 / before)).max() < CONVERGED:
+                break
+        # a size is known by as many numbers as the reading tells of its plate: Student's t has wider tails
+        wider = stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE)
+        prior = (np.where(size2 > LEAST_N**2, wider**2 * size2, size2)[:, None] * self._scale**2).ravel()
+        JV = J * prior
+        half = np.linalg.solve(np.linalg.cholesky(JV @ J.T + np.eye(len(J))), JV)
+        left = np.diag(prior) - half.T @ half
+        values, vectors = np.linalg.eigh((left + left.T) / 2)
+        factors = vectors * np.sqrt(np.maximum(values, 0.0))
+        return _touched(x, factors, float(missed @ missed) / len(reading))
+
+    def _slopes(self, moved_mm: FloatArray) -> FloatArray:
+        """Derivatives (m, units·6) of a reading by loads where electrodes are displaced so, (e,)."""
+        linear, square = self.sensing.by_electrode
+        tops = moved_mm.reshape(-1, len(linear))
+        slopes = linear + 2 * tops[:, :, None] * square  # (units, e of a unit, pillars)
+        by_load = self.library.moved_mm.reshape(-1, len(tops), len(linear))
+        return np.asarray(np.einsum("lue,uep->upl", by_load, slopes).reshape(-1, len(by_load)))
+
+
+def _touched(load: FloatArray, factors: FloatArray, chi2: float) -> Touched:
+    """Six loads of each plate (units·6,) and factors of their errors as a touch, which has five and a torque."""
+    each, of_each = load.reshape(-1, N_LOADS), factors.reshape(-1, N_LOADS, factors.shape[1])
+    torque = np.stack([each[:, 5], np.sqrt((of_each[:, 5] ** 2).sum(axis=1))], axis=1)
+    kept = of_each[:, :5].reshape(-1, factors.shape[1])
+    return Touched(load=each[:, :5], factors=kept, chi2=chi2, torque_nmm=torque)
