@@ -174,10 +174,16 @@ class Layout:
         >>> LAYOUTS["six-pillar"].sensing("x")
         (1, 5)
         """
+        return self._sensing[AXES.index(axis)]
+
+    @cached_property
+    def _sensing(self) -> list[tuple[int, ...]]:
+        """By axis; each scan that is decoded asks for it."""
         places = {one.name: one.place for one in (*self.upper, *self.lower)}
         leans = [tuple(a != b for a, b in zip(places[one.foot], places[one.top], strict=True)) for one in self.pillars]
-        found = [not any(lean) if axis == "z" else lean[AXES.index(axis)] for lean in leans]
-        return tuple(number for number, answers in enumerate(found) if answers or not any(found))
+        answers = [[*lean, not any(lean)] for lean in leans]
+        found = [tuple(k for k, each in enumerate(answers) if each[axis]) for axis in range(len(AXES))]
+        return [some or tuple(range(len(answers))) for some in found]
 
 
 def _wires(level: tuple[Electrode, ...]) -> tuple[int, ...]:

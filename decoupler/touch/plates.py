@@ -101,42 +101,49 @@ class PlateDecoder(TouchDecoder):
             hidden = np.diag(np.tile(LEAST_N * self._scale, n))
             return _touched(np.zeros(n * N_LOADS), hidden, at_rest / len(reading))
         deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
-        size2, x = np.full(n, FIRST_N**2), np.zeros(n * N_LOADS)
-        by_load = self.library.moved_mm.reshape(n * N_LOADS, -1)
+        size2, told, x = np.full(n, FIRST_N**2), np.zeros(n), np.zeros((n, N_LOADS))
+        on = np.ones(n, dtype=bool)  # plates that are not taken for untouched
         for _ in range(STEPS):
-            moved = x @ by_load
-            J = self._slopes(moved)
-            J = J / deviation[:, None]
-            missed = (reading - self.sensing.reading(moved[None])[0]) / deviation
-            prior = (size2[:, None] * self._scale**2).ravel()
-            JV = J * prior
-            root = np.linalg.cholesky(JV @ J.T + np.eye(len(J)))
-            half = np.linalg.solve(root, JV)
-            x = half.T @ np.linalg.solve(root, missed + J @ x)
-            told = ((half**2).sum(axis=0) / prior).reshape(n, N_LOADS).sum(axis=1)
-            before = size2
-            size2 = np.maximum(
-                ((x.reshape(n, N_LOADS) / self._scale) ** 2).sum(axis=1) / np.maximum(told, 1e-9), LEAST_N**2
-            )
-            if np.abs(np.log(size2 / before)).max() < CONVERGED:
+            J, missed = self._about(x, reading, deviation)
+            J = J[:, np.repeat(on, N_LOADS)]
+            prior = np.outer(size2[on], self._scale**2)
+            covariance = np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel()))
+            x_on = covariance @ (J.T @ (missed + J @ x[on].ravel()))
+            x = np.zeros((n, N_LOADS))
+            x[on] = x_on.reshape(-1, N_LOADS)
+            told[on] = (1 - np.diagonal(covariance).reshape(-1, N_LOADS) / prior).sum(axis=1)
+            before = size2[on]
+            size2[on] = ((x[on] / self._scale) ** 2).sum(axis=1) / np.maximum(told[on], 1e-9)
+            steady = np.abs(np.log(size2[on] / before)).max() < CONVERGED
+            size2 = np.maximum(size2, LEAST_N**2)
+            on = size2 > LEAST_N**2
+            if steady or not on.any():
                 break
         # a size is known by as many numbers as the reading tells of its plate: Student's t has wider tails
-        wider = stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE)
-        prior = (np.where(size2 > LEAST_N**2, wider**2 * size2, size2)[:, None] * self._scale**2).ravel()
-        JV = J * prior
-        half = np.linalg.solve(np.linalg.cholesky(JV @ J.T + np.eye(len(J))), JV)
-        left = np.diag(prior) - half.T @ half
-        values, vectors = np.linalg.eigh((left + left.T) / 2)
-        factors = vectors * np.sqrt(np.maximum(values, 0.0))
+        wider = np.where(on, stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE), 1.0)
+        prior = np.outer(wider**2 * size2, self._scale**2)
+        J, missed = self._about(x, reading, deviation)
+        factors = np.linalg.cholesky(np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel())))
         return _touched(x, factors, float(missed @ missed) / len(reading))
+
+    def _about(self, load: FloatArray, reading: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (m, units·6) of a reading at loads (units, 6), and what it has beyond theirs, over deviations."""
+        moved = load.ravel() @ self.library.moved_mm.reshape(load.size, -1)
+        missed = reading - self.sensing.reading(moved[None])[0]
+        return self._slopes(moved) / deviation[:, None], missed / deviation
 
     def _slopes(self, moved_mm: FloatArray) -> FloatArray:
         """Derivatives (m, units·6) of a reading by loads where electrodes are displaced so, (e,)."""
         linear, square = self.sensing.by_electrode
         tops = moved_mm.reshape(-1, len(linear))
         slopes = linear + 2 * tops[:, :, None] * square  # (units, e of a unit, pillars)
-        by_load = self.library.moved_mm.reshape(-1, len(tops), len(linear))
-        return np.asarray(np.einsum("lue,uep->upl", by_load, slopes).reshape(-1, len(by_load)))
+        return np.asarray((self._by_unit @ slopes).swapaxes(1, 2).reshape(-1, self._by_unit.shape[1]))
+
+    @cached_property
+    def _by_unit(self) -> FloatArray:
+        """Displacements of each unit's electrodes by loads, (units, units·6, e of a unit)."""
+        moved = self.library.moved_mm
+        return np.ascontiguousarray(moved.reshape(moved.shape[0] * N_LOADS, self.rows * self.cols, -1).swapaxes(0, 1))
 
 
 def _touched(load: FloatArray, factors: FloatArray, chi2: float) -> Touched:

@@ -23,6 +23,7 @@ from fem.array.solving import array_response
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.test_finite_strain import SIZES, law
 
 ALL = component_named("all")
 BITS = 12
@@ -120,6 +121,16 @@ def test_touch_reads_squared_lengths_by_every_electrode(layout):
     moved = np.random.default_rng(0).uniform(-1.0, 1.0, (4, design.n_units, len(design.unit.layout.upper), 3))
     squares = pillar_lengths(moved, design.unit).reshape(4, -1) ** 2
     assert sensing.reading(moved.reshape(4, -1)) == pytest.approx(squares - sensing.rest_mm2, abs=1e-12)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_states_at_finite_strain_see_how_the_first_and_the_last_electrode_move(layout):
+    design = sensor(1, 2, layout)
+    linear, state_n = SensorModel.of(response(design), ALL), labelled(design, "xyz", 4, seed=0).force_n.reshape(4, -1)
+    moved = (state_n @ linear.influence).reshape(4, 3, 2, -1)
+    expected = [state_n.reshape(4, 2, 3), *(moved[..., electrode].swapaxes(1, 2) for electrode in (0, -1))]
+    found = law(0.0, linear).maps.own(state_n) * SIZES
+    assert found == pytest.approx(np.concatenate(expected, axis=2))
 
 
 def test_a_model_without_a_design_keeps_its_layout_and_a_load_tells_of_every_pillar(tmp_path):

@@ -210,7 +210,7 @@ dataset --protocol contact --samples 5 -o x.nc --workers 2 -> belong to --strain
 dataset --protocol contact --samples 1000000000 -o x.nc -> end the file's name in .zarr, or keep less of them by --only
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,9,q -> --dead-pillar 9,9,q names no pillar
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
-train --touch --design stiff.toml --shape tool.stl -o m.safetensors -> --shape is of bare rubber
+train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape is of bare rubber
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points

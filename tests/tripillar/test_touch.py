@@ -128,3 +128,17 @@ def test_a_sensor_as_made_is_felt_by_its_twin(house, monkeypatch, presses):
         designed = house.result(*EVALUATE, "designed.safetensors", "--data", "indent.nc")
         assert found["fz"]["rmse_n"] < 1.3 * designed["fz"]["rmse_n"]
         assert found["net"]["centre_mm"] < 1.3 * designed["net"]["centre_mm"]
+
+
+@pytest.mark.long
+def test_stiff_pads_have_a_decoder_of_whatever_presses_them_too(house, monkeypatch):
+    """Six pillars a unit: presses made and read by commands, without a library of presses."""
+    monkeypatch.setattr("fem.contact.surface._extrapolated", lambda source: source.condensed(1, 3))
+    stiff = 'layout = "six-pillar"\n' + SMALL + '[pad]\nkind = "stiff"\n'
+    (house.folder / "stiff.toml").write_text(stiff)
+    made = house.result(*TRAIN, "stiff.toml", "-o", "plates.safetensors")
+    assert made["plates"] == 2
+    house.result(*INDENT, "--design", "stiff.toml", *READ, "stiff.nc")
+    found = house.result(*EVALUATE, "plates.safetensors", "--data", "stiff.nc")
+    assert found["fz"]["rmse_n"] < 2.0  # noise leaves 0.8 N on a loaded plate
+    assert found["net"]["fz_median_pct"] < 3

@@ -1,0 +1,48 @@
+"""A layout from its name to decoded forces on the command line, and what is refused of another one's files."""
+
+from pathlib import Path
+
+import pytest
+
+from dataset import read_samples
+from decoupler import read_model
+from geometry.layout import LAYOUTS
+from tests.house import SMALL, House
+
+READ = ("--noise", "0.001", "--bits", "12")
+
+
+@pytest.mark.long  # its parts are in tests/decoupler/test_layouts.py
+@pytest.mark.parametrize("layout", ["six-pillar", "eight-pillar"])
+def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
+    """Components are forces, whatever the pillars; models, exports and twins are of that layout."""
+    house = House(tmp_path)
+    (tmp_path / "small.toml").write_text(f'extends = "paper"\nlayout = "{layout}"\n[array]\nrows = 1\ncols = 2\n')
+
+    def made(protocol: str, samples: int, out: str) -> Path:
+        asked = ("--protocol", protocol, "--samples", str(samples), "--out", out, *READ)
+        house.result("dataset", "--design", "small.toml", *asked)
+        return tmp_path / out
+
+    data = read_samples(made("three-axis", 300, "a.nc"))
+    names = LAYOUTS[layout].pillar_names
+    assert list(data.to_xarray().pillar) == list(names)
+    assert data.displacement_mm.shape[-2] == len(LAYOUTS[layout].upper)
+    house.result("train", "--data", "a.nc", "--component", "all", "--out", "all.safetensors")
+    made("independent-fx", 100, "fx.nc")
+    house.result("train", "--data", "fx.nc", "--component", "fx", "--out", "fx.safetensors")
+    taken = read_model(tmp_path / "fx.safetensors").pillars
+    assert {names[pillar][0] for pillar in taken} == {"x"}
+    found = house.result("evaluate", "--model", "all.safetensors", "--data", str(made("three-axis", 100, "b.nc")))
+    assert max(found[force]["ratio"] for force in ("fx", "fy", "fz")) < 1.2  # of 300 samples
+    house.result("export", "b.nc", "-o", "b.csv")
+    again = house.result("evaluate", "--model", "all.safetensors", "--data", "b.csv")
+    assert again["fx"]["rmse_n"] == pytest.approx(found["fx"]["rmse_n"], rel=1e-12)
+    house.result("export", "--model", "all.safetensors", "--out", "all.h")
+    assert f"pillars {', '.join(names)}" in (tmp_path / "all.h").read_text()
+    house.result("identify", "--data", "b.nc", "--out", "own.safetensors", "--twin", "twin.toml")
+    assert "\nz3 = [" in (tmp_path / "twin.toml").read_text()
+    (tmp_path / "paper.toml").write_text(SMALL)
+    house.result("dataset", "--samples", "10", "--protocol", "contact", "--design", "paper.toml", "--out", "paper.nc")
+    said = house.refusal("evaluate", "--model", "all.safetensors", "--data", "paper.nc")
+    assert f"layout: model {layout}, data song2018" in said
