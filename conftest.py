@@ -3,11 +3,13 @@
 import gc
 import itertools
 import os
+import pickle
 import re
 import signal
 import sys
 import tempfile
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import filelock
@@ -116,6 +118,21 @@ def made_once() -> Callable[[str, Callable[[Path], object]], Path]:
         return folder
 
     return made_once
+
+
+@pytest.fixture(scope="session")
+def pair_field(made_once: Callable[[str, Callable[[Path], object]], Path]) -> object:
+    """The field of the paper's unit twice, 1 × 2, ready to be loaded: an `ArrayField`, its cell solved once."""
+    from fem.array.coupled_cells import CoupledArray
+    from fem.pictures.arrays import solve_array_field
+    from geometry.design import Array, SensorDesign
+
+    def solve(folder: Path) -> None:  # without its factor, which holds memory of this process's solver
+        field = replace(solve_array_field(SensorDesign(array=Array(rows=1, cols=2))), coupled=None)
+        (folder / "field.pickle").write_bytes(pickle.dumps(field))
+
+    field = pickle.loads((made_once("pair-field", solve) / "field.pickle").read_bytes())
+    return replace(field, coupled=CoupledArray(field.interior.cell, 1, 2))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -28,7 +28,7 @@ from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
-    from decoupler.rubber.causal import CausalFilter
+    from decoupler.rubber.belief import SensorFilter
     from decoupler.touch.touch_file import AnyDecoder
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
@@ -128,16 +128,15 @@ def live(
         yield LiveSensor(scanner, decoder, known, causal)
 
 
-def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "CausalFilter | None":
+def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "SensorFilter | None":
     """What follows the memory of a rubber file, or of the model's design; None if there is none to follow."""
-    from decoupler.rubber.causal_training import of_memory, of_rubber, trained
+    from decoupler.rubber.belief import SensorFilter
     from decoupler.rubber.rubber_file import read_rubber
 
     if rubber is not None:
-        found = read_rubber(Path(rubber))
-        return trained(of_rubber(found), found.memory)
+        return SensorFilter.of_rubber(read_rubber(Path(rubber)))
     memory = Memory() if model.design is None else model.design.pillar_material.memory
-    return None if memory == Memory() else trained(of_memory(memory), memory)
+    return None if memory == Memory() else SensorFilter(memory=memory)
 
 
 def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:

@@ -1,10 +1,11 @@
-"""Strain from the resistance of a rubber that remembers, from past and present readings alone.
+"""Strain of a strip in a bench from the resistance of a rubber that remembers, from past and present readings alone.
 
-Each pillar has filters of its ln R, and the rubber's law turned round (`inversion`). A small net, trained on histories
-that the rubber may have (`causal_training`), judges how far each is to be believed, and what it would say itself.
+A strip has filters of its ln R, and the rubber's law turned round (`inversion`). A small net, trained on histories that
+the rubber may have (`causal_training`), judges how far each is to be believed, and what it would say itself. Pillars
+of a sensor tell more together, and need no net: `belief`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +25,7 @@ MIN_STEP_S = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CausalFilter:
-    """What follows the strains of a rubber's pillars; never changed, only used."""
+    """What follows the strain of a rubber's strip, or of many; never changed, only used."""
 
     memory: Memory
     strains: tuple[float, float]  #: least and largest that it was trained for
@@ -32,7 +33,7 @@ class CausalFilter:
     width: FloatArray  #: (k,): their deviations
     hidden: FloatArray  #: (h, k + 1) weights, bias last; ReLU
     second: FloatArray  #: (h, h + 1)
-    output: FloatArray  #: (7, h + 1): beliefs in three answers, logarithms of their deviations, and the net's own
+    output: FloatArray  #: (5, h + 1): beliefs in both answers, logarithms of their deviations, and the net's own
     skip: FloatArray  #: (1, k): the net's own answer by its inputs
     unit: float  #: deviation of the strains that it was trained on
     widening: float = 1.0  #: of its deviations, so that they hold what they say
@@ -49,16 +50,16 @@ class CausalFilter:
         return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
 
     def judged(self, inputs: FloatArray, by_law: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and deviation (n,) of strains by inputs (k, n) and what the law says by either rule, (2, n)."""
+        """Mean and deviation (n,) of strains by inputs (k, n) and what the law says, (1, n)."""
         x = (inputs - self.centre[:, None]) / self.width[:, None]
         x = np.clip(x, -FARTHEST, FARTHEST).astype(np.float32)
         h = np.maximum(self.hidden[:, :-1] @ x + self.hidden[:, -1:], 0)
         h = np.maximum(self.second[:, :-1] @ h + self.second[:, -1:], 0)
         out = (self.output[:, :-1] @ h + self.output[:, -1:]).astype(float)
-        belief = np.exp(out[:3] - out[:3].max(axis=0))
+        belief = np.exp(out[:2] - out[:2].max(axis=0))
         belief /= belief.sum(axis=0)
-        deviation = self.unit * np.exp(np.clip(out[3:6], *LOG_SPREADS))
-        answers = np.concatenate([by_law, self.unit * (out[6:] + self.skip @ x)])
+        deviation = self.unit * np.exp(np.clip(out[2:4], *LOG_SPREADS))
+        answers = np.concatenate([by_law, self.unit * (out[4:] + self.skip @ x)])
         mean = (belief * answers).sum(axis=0)
         variance = (belief * (deviation**2 + (answers - mean) ** 2)).sum(axis=0)
         return mean, self.widening * np.sqrt(variance)
@@ -74,14 +75,16 @@ class Follower:
     def restart(self) -> None:
         """Forget all."""
         self._age_s = -1.0
-        self._law = LawInverse(self._filter.memory, self._n, self._filter.strains)
+        memory = replace(self._filter.memory, direction="lengthening")
+        self._law = LawInverse([memory], self._n, self._filter.strains)
+        self._lifted = np.zeros((1, self._n))
 
     def step(self, log_ratio: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
         """Strains (n,) and their standard deviations by readings ln R/R₀ (n,) so many seconds after the last ones."""
         return self._filter.judged(*self.seen(log_ratio, seconds))
 
     def seen(self, y: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-        """Inputs of the net (k, n), and strains by the law (2, n), after readings (n,)."""
+        """Inputs of the net (k, n), and strains by the law (1, n), after readings (n,)."""
         if self._age_s < 0:
             self._age_s, self._before = 0.0, y
             self._lagging = np.tile(y, (len(LAG_S), 1))
@@ -91,10 +94,16 @@ class Follower:
         else:
             seconds = min(max(seconds, MIN_STEP_S), MAX_STEP_S)
             self._filtered(y, seconds)
-        by_law = self._law.step(y, seconds)
+        law = self._law
+        by_law = law.step((y + self._lifted)[0], seconds)
+        beyond = law.strain + law.missing / law.slopes
+        if law.strains[0] >= 0.0:
+            self._lifted = self._lifted - np.minimum(beyond, 0.0) * law.slopes * min(1.0, seconds)
+        missing, way = np.clip(law.missing, -0.3, 0.3), law.way * np.exp(-law.still_s)
+        evidence = [beyond, law.strain - beyond, *law.broken, missing, way]
         age = np.broadcast_to(np.exp(-self._age_s / AGE_S)[:, None], (len(AGE_S), self._n))
         kept = [y[None], y - self._lagging, self._moved, self._high - y, self._low - y, age]
-        return np.concatenate([*kept, *self._law.evidence(by_law)]), by_law
+        return np.concatenate([*kept, *evidence]), by_law
 
     def _filtered(self, y: FloatArray, seconds: float) -> None:
         self._age_s = 0.0 if seconds > GAP_S else self._age_s + seconds

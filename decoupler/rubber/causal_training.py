@@ -1,7 +1,7 @@
 """Training of a causal filter on histories that a rubber may have: its numbers as well as they are known, and errors.
 
-Pillars differ from their rubber, and may be of another one; a law of direction that holds in tension may hold by the
-strain's size instead; gains and slow errors are drawn; some histories begin in the middle, and some have gaps.
+Strips differ from their rubber, and may be of another one; gains and slow errors are drawn; some histories begin in the
+middle, and some have gaps.
 """
 
 import logging
@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.causal import FARTHEST, LOG_SPREADS, CausalFilter
-from decoupler.rubber.law import NAMES, Rubber, numbers_of
+from decoupler.rubber.law import NAMES, Rubber
 from geometry.design import Memory
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -23,7 +23,8 @@ from geometry.storage.files import digest
 
 SESSIONS = 0.12  #: deviation of a strip's ln R between two mountings of it, relative
 SLOW = 0.03  #: slow error of its ln R, at least
-VERSION = 1  #: of what training does; filters of others are trained anew
+ONE_SIDED = 0.1  #: of a specimen's largest strain: less the other way is none
+VERSION = 2  #: of what training does; filters of others are trained anew
 RATES_S = (0.05, 0.3)  #: between readings
 SPEEDS = (0.004, 0.3)  #: of strain [1/s]
 HOLDS_S = (1.0, 300.0)
@@ -33,7 +34,6 @@ GAPS = 0.4  #: share of groups with a gap
 GAP_S = (1.5, 40.0)
 OTHER = 0.6  #: deviation of the logarithms of another rubber's numbers
 OTHER_SLOPES = (0.8, 1.0)  #: of its g₁ and g₂
-BY_SIZE = {"unknown": 0.5, "lengthening": 0.0, "loading": 1.0}  #: shares, by what a rubber states
 CUT = 2.0  #: deviations beyond which nothing is drawn
 
 
@@ -49,7 +49,6 @@ class Histories:
     spread: float = 0.15  #: of pillars' numbers about their rubber's, relative
     gain: float = 0.03  #: of ln R, relative
     other: float = 0.2  #: share of pillars of another rubber
-    by_size: float = 0.5  #: share of pillars whose direction is that of their strain's size
     strains: tuple[float, float] = (-0.3, 0.3)
     groups: int = 16  #: of histories that are read at the same times
     pillars: int = 32  #: of a group
@@ -65,19 +64,14 @@ def of_rubber(rubber: Rubber, **others: Any) -> Histories:
     numbers = tuple(float(f"{value:.6g}") for value in rubber.numbers)
     largest = max(0.3, min(0.6, 1.05 * rubber.max_strain))
     known: dict[str, Any] = {"noise": rubber.noise, "correlation_s": rubber.correlation_s, "strains": (-0.3, largest)}
-    known["by_size"] = BY_SIZE[rubber.memory.direction]
     return Histories(numbers=numbers, covariance=rows, **(known | others))
 
 
 def of_strip(rubber: Rubber) -> Histories:
-    """Histories of a strip like the one of a bench series: only stretched, and of a gain that differs by session."""
-    strains = (0.0, max(0.05, 1.05 * rubber.max_strain))
-    return of_rubber(rubber, strains=strains, by_size=0.0, gain=SESSIONS, noise=max(SLOW, rubber.noise))
-
-
-def of_memory(memory: Memory, **others: Any) -> Histories:
-    """Histories of the rubber that a design states."""
-    return Histories(numbers=tuple(numbers_of(memory).tolist()), **({"by_size": BY_SIZE[memory.direction]} | others))
+    """Histories of a specimen like that of a bench series: strained as it was, of a gain that differs by session."""
+    sides = 1.05 * min(rubber.min_strain, 0.0), 1.05 * max(rubber.max_strain, 0.0)
+    strains = tuple(each * (abs(each) > ONE_SIDED * max(map(abs, sides))) for each in sides)
+    return of_rubber(rubber, strains=strains, gain=SESSIONS, noise=max(SLOW, rubber.noise))
 
 
 def trained(histories: Histories, memory: Memory) -> CausalFilter:
@@ -151,8 +145,7 @@ def _group(
     moved = [_motion(generator, n if each else past + n, apart_s, histories.strains, each) for each in rested]
     strain = np.stack([np.r_[np.zeros(past + n - len(each)), each] for each in moved], axis=1)
     memory = _memories(histories, numbers, spread, generator)
-    by_size = generator.random(m) < histories.by_size
-    broken = broken_contacts(np.where(by_size, np.abs(strain), strain), apart_s, memory)
+    broken = broken_contacts(strain, apart_s, memory)
     y = 2 * np.log1p(strain) + np.asarray(log_rise(strain, broken, memory))
     y *= np.exp(histories.gain * generator.standard_normal(m))
     keep = np.exp(-apart_s / histories.correlation_s)
@@ -239,7 +232,7 @@ def _between(generator: Generator, limits: tuple[float, float]) -> float:
 
 
 def _fitted(blank: CausalFilter, x: FloatArray, laws: FloatArray, strain: FloatArray, asked: Histories) -> CausalFilter:
-    """The net that gives what happened the greatest likelihood, of a mixture of three answers."""
+    """The net that gives what happened the greatest likelihood, of a mixture of both answers."""
     import torch
 
     centre, width, unit = x.mean(axis=0), x.std(axis=0) + 1e-6, float(strain.std())
@@ -249,7 +242,7 @@ def _fitted(blank: CausalFilter, x: FloatArray, laws: FloatArray, strain: FloatA
     n, h = x.shape[1], asked.hidden
     with torch.random.fork_rng():
         torch.manual_seed(asked.seed)
-        layers = [torch.nn.Linear(n, h), torch.nn.Linear(h, h), torch.nn.Linear(h, 7)]
+        layers = [torch.nn.Linear(n, h), torch.nn.Linear(h, h), torch.nn.Linear(h, 5)]
         skip = torch.nn.Linear(n, 1, bias=False)
         torch.nn.init.zeros_(skip.weight)
         parameters = [p for each in (*layers, skip) for p in each.parameters()]
@@ -257,8 +250,8 @@ def _fitted(blank: CausalFilter, x: FloatArray, laws: FloatArray, strain: FloatA
         for step in range(asked.steps):
             batch = torch.randint(0, len(scaled), (2048,))
             out = layers[2](torch.relu(layers[1](torch.relu(layers[0](scaled[batch])))))
-            log_belief, log_spread = torch.log_softmax(out[:, :3], 1), out[:, 3:6].clamp(*LOG_SPREADS)
-            answers = torch.cat([by_law[batch], out[:, 6:] + skip(scaled[batch])], dim=1)
+            log_belief, log_spread = torch.log_softmax(out[:, :2], 1), out[:, 2:4].clamp(*LOG_SPREADS)
+            answers = torch.cat([by_law[batch], out[:, 4:] + skip(scaled[batch])], dim=1)
             miss = (answers - wanted[batch, None]) / torch.exp(log_spread)
             loss = -torch.logsumexp(log_belief - log_spread - 0.5 * miss**2, dim=1).mean()
             for group in optimizer.param_groups:

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from fem.contact.balance import State
 from fem.contact.indentation import MAX_FRICTION, PILE_UP, Contact, ContactError
 from fem.contact.shapes import Shape
-from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance
-from fem.contact.tiles import rubber_below_mm
+from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance, require_bare
 from geometry.layout import FloatArray
 
 ACROSS = 10  #: cells along the shorter side of the first window
@@ -32,7 +31,8 @@ TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 class Stepper:
     """A shape in contact with an array's top, moved step by step; it remembers what sticks.
 
-    Coulomb's coefficient is from 0 to 2, or a `ContactError`.
+    Coulomb's coefficient is from 0 to 2, or a `ContactError`; plates, of which a shape may touch several at once, are a
+    `DesignError`.
 
     Each step is an increment of `press`, from the forces of the step before, on a window of a grid that is fixed to the
     top: cells that stick stay where they are however the shape moves. As the contact grows or shrinks the grid's cells
@@ -42,6 +42,7 @@ class Stepper:
     def __init__(self, surface: SurfaceCompliance, *, friction: float = 0.5) -> None:
         if not 0 <= friction <= MAX_FRICTION:
             raise ContactError(f"friction={friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
+        require_bare(surface.design)
         self.surface, self.friction = surface, friction
         self.lift()
 
@@ -215,7 +216,6 @@ class _Window:
             step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
         drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
         above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm
-        above = above + rubber_below_mm(self.surface.design, self.patch.x_mm, self.patch.y_mm)
         return before.carried(step).balanced(self.give, above, friction, TOLERANCE, ahead), above
 
     def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
-    from decoupler.rubber.causal import CausalFilter
+    from decoupler.rubber.belief import SensorFilter
     from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
@@ -175,7 +175,7 @@ class ForceReader:
         model: "AnyDecoder",
         calibration: SensorCalibration | None = None,
         crosstalk: bool = True,
-        causal: "CausalFilter | None" = None,
+        causal: "SensorFilter | None" = None,
     ) -> None:
         if (model.rows, model.cols) != (info.rows, info.cols):
             raise FileFormatError(
@@ -297,7 +297,7 @@ class LiveSensor:
         scanner: Scanner,
         model: "AnyDecoder",
         calibration: SensorCalibration,
-        causal: "CausalFilter | None" = None,
+        causal: "SensorFilter | None" = None,
     ) -> None:
         self.scanner, self.model = scanner, model
         # scans come one after another
@@ -356,7 +356,7 @@ def replay(
     model: "AnyDecoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
-    causal: "CausalFilter | None" = None,
+    causal: "SensorFilter | None" = None,
 ) -> Forces:
     """Forces of every frame of a recording.
 

@@ -8,7 +8,7 @@ import numpy as np
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
-    from decoupler.rubber.causal import CausalFilter
+    from decoupler.rubber.belief import SensorFilter
 
 RATIOS = (0.02, 50.0)  #: of a resistance to that at rest, beyond which it tells no strain
 
@@ -28,7 +28,7 @@ class MemoryReader:
     `contacts_ohm` are in every reading, and remember nothing.
     """
 
-    def __init__(self, causal: "CausalFilter", rest_ohm: FloatArray, contacts_ohm: float = 0.0) -> None:
+    def __init__(self, causal: "SensorFilter", rest_ohm: FloatArray, contacts_ohm: float = 0.0) -> None:
         self._rest_ohm, self._contacts_ohm = rest_ohm.ravel() - contacts_ohm, contacts_ohm
         self._follower = causal.start(self._rest_ohm.size)
 

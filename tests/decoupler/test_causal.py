@@ -1,4 +1,4 @@
-"""What follows a rubber's memory: the law turned round, the filter's answers and deviations, its state in time."""
+"""What follows a strip's memory: the law turned round, the filter's answers and deviations, its state in time."""
 
 from dataclasses import replace
 
@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from dataset.memory import broken_contacts
-from decoupler.rubber.causal_training import Histories, drawn, of_memory, read_filter, train, write_filter
-from decoupler.rubber.inversion import LawInverse, settled_strain
-from decoupler.rubber.law import log_ratio
+from decoupler.rubber.causal_training import Histories, drawn, read_filter, train, write_filter
+from decoupler.rubber.inversion import LawInverse
+from decoupler.rubber.law import log_ratio, numbers_of
 from geometry.design import Memory
 from geometry.errors import FileFormatError
 
 MEMORY = Memory(a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0, g2=0.0)
 #: small, to be quick: a tenth of the histories, a fifth of the steps of the product
-ASKED = of_memory(MEMORY, groups=8, readings=400, pillars=24, steps=600, strains=(-0.3, 0.2))
+ASKED = Histories(
+    numbers=tuple(numbers_of(MEMORY)), groups=8, readings=400, pillars=24, steps=600, strains=(0.0, 0.3), other=0.0
+)
 APART_S = 0.1
 
 
@@ -41,20 +43,27 @@ def read(strain, apart_s=APART_S, by_size=False):
     return 2 * np.log1p(strain) + risen
 
 
-@pytest.mark.parametrize("rule", [0, 1], ids=["lengthen", "load"])
-def test_the_law_turned_round_gives_back_the_strains_of_a_press(rule):
+def ignoring(y):
+    """Strains by a law whose contacts never break."""
+    law = LawInverse([replace(MEMORY, a=(0.0, 0.0))], y.shape[1])
+    return np.stack([law.step(each, APART_S)[0] for each in y])
+
+
+@pytest.mark.parametrize("direction", ["lengthening", "loading"])
+def test_the_law_turned_round_gives_back_the_strains_of_a_press(direction):
     """Held pillars by either rule, where one way explains each reading; let go as well where size decides.
 
     The band of 0.01 in ln R that is no motion is 0.25 % of strain by a slope of 4.
     """
-    size = np.array([-0.2, -0.1, -0.05, 0.03, 0.05, 0.1, 0.2])[0 if rule else 3 :]
+    by_size = direction == "loading"
+    size = np.array([-0.2, -0.1, -0.05, 0.03, 0.05, 0.1, 0.2])[0 if by_size else 3 :]
     _, strain = press(size)
-    y = read(strain, by_size=bool(rule))
-    assert np.abs(settled_strain(y, MEMORY) - strain).max() > 0.05  # what ignoring memory costs
-    law = LawInverse(MEMORY, len(size))
-    found = np.stack([law.step(each, APART_S)[rule] for each in y])
+    y = read(strain, by_size=by_size)
+    assert np.abs(ignoring(y) - strain).max() > 0.05
+    law = LawInverse([replace(MEMORY, direction=direction)], len(size))
+    found = np.stack([law.step(each, APART_S)[0] for each in y])
     assert np.abs(found - strain)[75:360].max() < 0.0025
-    if rule:
+    if by_size:
         assert np.abs(found - strain)[490:].max() < 0.0025
 
 
@@ -64,13 +73,13 @@ def test_law_and_its_inverse_share_one_sign_convention():
 
 
 def test_the_filter_errs_less_than_who_ignores_memory_and_says_by_how_much(causal, unseen):
-    misses, ignoring, held = [], [], []
+    misses, ignored, held = [], [], []
     for y, strain, seconds in unseen:
         mean, deviation = causal.followed(np.cumsum(seconds), y)
         misses.append((mean - strain).ravel())
-        ignoring.append((settled_strain(y, MEMORY) - strain).ravel())
+        ignored.append((ignoring(y) - strain).ravel())
         held.append(np.abs(misses[-1]) < 1.96 * deviation.ravel())
-    assert np.std(np.concatenate(misses)) < 0.6 * np.std(np.concatenate(ignoring))
+    assert np.std(np.concatenate(misses)) < 0.6 * np.std(np.concatenate(ignored))
     assert np.concatenate(held).mean() > 0.9
 
 
@@ -87,17 +96,16 @@ def test_deviations_are_wide_after_a_start_in_the_middle_and_hold(causal, unseen
     assert np.median(widths) > 1.0
 
 
-def test_an_hour_leaves_the_state_bounded_and_rest_at_rest(causal):
-    """A press, then an hour at rest, read every 2 s: what is kept is finite, rest is known, and it does not drift."""
+def test_an_hour_leaves_the_state_bounded(causal):
+    """A stretch, then an hour at rest, read every 2 s: what is kept is finite, and it does not drift."""
     time_s = np.r_[np.arange(0.0, 40.0, APART_S), np.arange(40.0, 3640.0, 2.0)]
-    strain = np.interp(time_s, [5.0, 7.0, 37.0, 39.0], [0.0, 1.0, 1.0, 0.0])[:, None] * np.array([-0.1, 0.1])
+    strain = np.interp(time_s, [5.0, 7.0, 37.0, 39.0], [0.0, 1.0, 1.0, 0.0])[:, None] * np.array([0.05, 0.1])
     follower, found = causal.start(2), []
     for y, seconds in zip(read(strain, np.diff(time_s)), np.diff(time_s, prepend=0.0), strict=True):
         found.append(follower.step(y, seconds))
     kept = [value for value in {**vars(follower), **vars(follower._law)}.values() if isinstance(value, np.ndarray)]
     assert all(np.isfinite(each).all() and np.abs(each).max() < 1e5 for each in kept)
     mean, deviation = (np.stack(each) for each in zip(*found, strict=True))
-    assert (np.abs(mean[-900:]) < 2 * deviation[-900:]).mean() > 0.95
     assert (np.abs(mean[-100:].mean(axis=0) - mean[-900:-800].mean(axis=0)) < deviation[-1]).all()
 
 
@@ -123,18 +131,13 @@ def test_readings_that_come_at_once_or_never_leave_numbers(causal):
 def test_a_filter_comes_back_from_its_file(causal, tmp_path):
     write_filter(causal, tmp_path / "a.npz")
     found = read_filter(tmp_path / "a.npz", MEMORY, ASKED.strains)
-    y = read(press([-0.1, 0.1])[1][:100])
+    y = read(press([0.05, 0.1])[1][:100])
     for mine, its in zip(
         causal.followed(np.arange(100) * 0.1, y), found.followed(np.arange(100) * 0.1, y), strict=True
     ):
         assert (mine == its).all()
     with pytest.raises(FileFormatError):
         read_filter(tmp_path / "none.npz", MEMORY, ASKED.strains)
-
-
-def test_histories_follow_the_rule_that_a_rubber_states():
-    shares = [of_memory(replace(MEMORY, direction=each)).by_size for each in ("unknown", "lengthening", "loading")]
-    assert shares == [0.5, 0.0, 1.0]
 
 
 def test_histories_are_those_of_their_seed():

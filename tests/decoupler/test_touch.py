@@ -92,6 +92,10 @@ def test_a_changed_press_is_found_again(decoder):
     deviation = decoder.sensing.deviation(reading, READ) / 10
     (fit,) = fitted(reading, deviation, [([part], np.zeros((1, len(PRIOR))))], 20)
     assert fit.cost < ((true / PRIOR) ** 2).sum()  # which is the cost of the truth: of exact readings, by its prior
+    (again,) = fitted(reading, deviation, [(fit.parts, fit.q)], 0)
+    assert (fit.chi2, fit.cost) == pytest.approx(
+        (again.chi2, again.chi2 + ((fit.q / PRIOR) ** 2).sum())
+    )  # of each step, too
     found, root = fit.loads()
     expected = part.units(true)[0]
     sure = np.sqrt((root.reshape(-1, 5, len(PRIOR))[:, :3] ** 2).sum(axis=-1))

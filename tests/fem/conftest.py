@@ -8,7 +8,7 @@ from skfem import MeshTet
 
 from fem.array.coupled_cells import CoupledArray
 from fem.contact import SurfaceCompliance, surface_compliance
-from fem.pictures.arrays import ArrayField, solve_array_field
+from fem.pictures.arrays import ArrayField
 from geometry.design import Array, SensorDesign
 from tests.fem.scenes import box_mesh
 
@@ -23,12 +23,6 @@ def disordered_cube() -> MeshTet:
 def pair() -> SurfaceCompliance:
     """The top of the paper's unit twice, 1 × 2."""
     return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
-
-
-@pytest.fixture(scope="session")
-def pair_field() -> ArrayField:
-    """The paper's unit twice, 1 × 2, ready to be loaded."""
-    return solve_array_field(SensorDesign(array=Array(rows=1, cols=2)))
 
 
 @pytest.fixture(scope="session")

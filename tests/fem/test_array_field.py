@@ -11,10 +11,14 @@ from fem.array.solving import array_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import upper_electrodes
+from geometry.layout import Electrode, Layout, Pillar, upper_electrodes
 
 DESIGN = SensorDesign()
 TRACTION = np.random.default_rng(0).uniform([-0.5, -0.5, -3.0], [0.5, 0.5, -1.0], (36, 3))
+#: one upright pillar: the mesher takes a tenth of the time where none cut each other
+UPRIGHT = Layout(
+    upper=(Electrode("U1", (-1.0, -1.0)),), lower=(Electrode("L1", (-1.0, -1.0)),), pillars=(Pillar("z", "L1", "U1"),)
+)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -72,12 +76,12 @@ def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)
     monkeypatch.setattr("fem.array.meshed.MESH_DEGREE", 2)
     alone, hard = Array(rows=1, cols=1), Material(young_mpa=12.0, poisson=0.45)
-    design = replace(DESIGN, array=alone, unit=Unit(pillar_width_mm=3.0), pillar_material=hard)
+    design = replace(DESIGN, array=alone, unit=Unit(pillar_width_mm=3.0, layout=UPRIGHT), pillar_material=hard)
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
     cell = DesignCell(design, functionals(design)).condensed(0, 2)
-    influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 9))
-    expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(2, 3)
+    influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 6))
+    expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(1, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):
         points, weights = square(centre, design.unit.electrode_mm, design.unit.height_mm)
         found = weights @ field.observe(points).displacement_mm(state)[0]

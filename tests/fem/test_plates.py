@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
-from fem.contact import Flat, Sphere, SurfaceCompliance, press
+from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press
 from fem.contact import surface as surface_module
 from fem.contact.surface import Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
 from geometry.design import Array, Pad, Plate, SensorDesign
+from geometry.errors import DesignError
 
 PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 
@@ -132,3 +133,8 @@ def test_polynomials_between_tiles_end_at_plates_and_keep_moments():
     inside = (places > on[0].low_mm) & (places < on[0].high_mm)
     assert not found[np.ix_(inside, beside)].any()
     assert sum(strip.tiles for strip in cell_strips(PLATED, 1)) == 7
+
+
+def test_shapes_that_move_step_by_step_need_bare_rubber(plated: SurfaceCompliance):
+    with pytest.raises(DesignError, match="bare rubber"):
+        Stepper(plated)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset.memory import broken_contacts, log_rise
-from decoupler.rubber.causal import CausalFilter
+from decoupler.rubber.belief import READ_S, SensorFilter
 from geometry.design import Memory
 from geometry.errors import FileFormatError
 from hardware.readout.calibration import SensorCalibration
@@ -18,19 +18,10 @@ from tests.hardware.boards import recording_from_resistances
 from tests.hardware.models import INFO, Unknown
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
-MEMORY = Memory(a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0)
+MEMORY = Memory(direction="loading", a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0)
 
 
-def believing_the_law(inputs=44):
-    """A filter that believes the law by size, to 1 %: a net of zeros but for its beliefs."""
-    output = np.zeros((7, 3), np.float32)
-    output[1, -1] = 30.0  # logit
-    output[3:6, -1] = np.log(0.01)
-    return CausalFilter(
-        memory=MEMORY, strains=(-0.3, 0.3), centre=np.zeros(inputs), width=np.ones(inputs),
-        hidden=np.zeros((2, inputs + 1), np.float32), second=np.zeros((2, 3), np.float32), output=output,
-        skip=np.zeros((1, inputs), np.float32), unit=1.0,
-    )  # fmt: skip
+FOLLOWED = SensorFilter(memory=MEMORY)
 
 
 class Shares(Unknown):
@@ -67,19 +58,24 @@ def sensor_of(causal):
 
 
 def test_memory_is_taken_out_of_readings_and_said(held):
-    """Forces are those of the strain alone, (1 + ε)² − 1, to what the law's band of 0.01 leaves of it, 0.5 %."""
+    """Forces are those of the strain alone, (1 + ε)² − 1: while all move but for the doubt in the law, a fifth of what
+    ignoring memory costs, and for what a press by 0.2/s goes on between two readings of the law; held for
+    1.4 s to the doubt that is left, 12 %, and the band of 0.003.
+    """
     wanted = ((1 + held.strain) ** 2 - 1).reshape(-1, 1, 1, 1)
-    plain, found = replay(held.recording, Shares()), replay(held.recording, Shares(), causal=believing_the_law())
-    assert np.abs(plain.force_n - wanted).max() > 0.05
-    assert np.abs(found.force_n - wanted).max() < 0.006
+    plain, found = replay(held.recording, Shares()), replay(held.recording, Shares(), causal=FOLLOWED)
+    ignoring = np.abs(plain.force_n - wanted).max()
+    assert ignoring > 0.05
+    assert np.abs(found.force_n - wanted).max() < 0.2 * ignoring + 0.2 * READ_S
+    assert np.abs(found.force_n - wanted)[-100:].max() < 0.12 * ignoring + 0.003
     assert plain.memory_rise is None
     read = np.log(plain.resistance_ohm / found.resistance_ohm)
     assert found.memory_rise == pytest.approx(read, abs=1e-12)
-    assert found.memory_deviation == pytest.approx(2 * 0.01 / np.sqrt(found.resistance_ohm / REST_OHM), rel=1e-6)
+    assert (np.abs(np.log(found.resistance_ohm / REST_OHM / (wanted + 1))) < 2 * found.memory_deviation).all()
 
 
 def test_live_follows_as_a_replay_does(held):
-    sensor, found = sensor_of(believing_the_law()), replay(held.recording, Shares(), causal=believing_the_law())
+    sensor, found = sensor_of(FOLLOWED), replay(held.recording, Shares(), causal=FOLLOWED)
     live = [sensor.forces(scan) for scan in scans(held.recording)]
     assert np.stack([each.force_n for each in live]) == pytest.approx(found.force_n, abs=1e-4)
     assert np.stack([each.memory_rise for each in live]) == pytest.approx(found.memory_rise, abs=1e-4)
@@ -92,7 +88,7 @@ def test_memory_heals_by_the_clock_over_gaps_and_restarts(held):
     The board's clock starts again at 0 after a restart: the host's tells how long it was away.
     """
     for run in (0, 1):
-        sensor = sensor_of(believing_the_law())
+        sensor = sensor_of(FOLLOWED)
         for scan in scans(held.recording):
             sensor.forces(scan)
         settled = np.exp(2 * np.log1p(-0.1) + log_rise(np.array(-0.1), healed(held.strain, 100.0), MEMORY))
@@ -114,16 +110,16 @@ def test_a_model_without_a_design_knows_no_rest_and_no_memory():
         rest_ohm = None
 
     with pytest.raises(FileFormatError, match="leave the rubber out"):
-        ForceReader(INFO, Unrested(), causal=believing_the_law())
+        ForceReader(INFO, Unrested(), causal=FOLLOWED)
 
 
 def test_contacts_remember_nothing_and_open_pillars_stay_open():
     ohms = np.full((1, 2, 3, 3), 1.2e4)
     ohms[0, 0, 0, 0] = np.inf
-    reader = MemoryReader(believing_the_law(), REST_OHM + 600.0, 600.0)
+    reader = MemoryReader(FOLLOWED, REST_OHM + 600.0, 600.0)
     found = reader.settled(ohms, np.zeros(1))
     assert np.isinf(found.resistance_ohm[0, 0, 0, 0])
-    resting = MemoryReader(believing_the_law(), REST_OHM + 600.0, 600.0).settled(REST_OHM[None] + 600.0, np.zeros(1))
+    resting = MemoryReader(FOLLOWED, REST_OHM + 600.0, 600.0).settled(REST_OHM[None] + 600.0, np.zeros(1))
     assert resting.resistance_ohm[0] == pytest.approx(REST_OHM + 600.0)
 
 

@@ -18,9 +18,9 @@ from decoupler.twin.twin_file import read_twin
 from fem.array.closed_forms import layer_response
 from fem.array.sensitivities import ResponseSensitivities
 from fem.contact import Capsule, press, surface_compliance
-from geometry.design import Array, SensorDesign
+from geometry.design import Array, SensorDesign, Unit
 from geometry.errors import ArgumentError, DesignError
-from geometry.layout import pillar_volumes, rest_lengths
+from geometry.layout import LAYOUTS, SONG2018, pillar_volumes, rest_lengths
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.virtual import VirtualSensor
@@ -46,6 +46,25 @@ def model(samples, response):
 
 def sensor(response, **settings):
     return VirtualSensor(DESIGN, response=response, environments=40, **settings)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_sensors_of_any_layout_are_those_of_a_dataset_through_their_crossbar(layout):
+    """Exact readings through wires come back; forces are told by the posterior's start, whatever the pillars."""
+    response = layer_response(SensorDesign(unit=Unit(layout=layout), array=Array(rows=2, cols=2)))
+    made = simulate(response, DatasetSettings(protocol="three-axis", samples=60, seed=1))
+    wired = Crossbar.suited(ScanMode.ZERO_POTENTIAL, rows=2, cols=2, bits=None, layout=layout)
+    model = train(made, "all", NetworkConfig(hidden=4), TrainingConfig(), response=response)
+    virtual = VirtualSensor(response.design, model, response=response, environments=60, crossbar=wired)
+    exact = virtual.resistances(torch.from_numpy(made.force_n))
+    np.testing.assert_allclose(exact.numpy(), made.resistance_ohm, rtol=1e-12)
+    read = virtual.read(exact)
+    np.testing.assert_allclose(read.numpy(), made.resistance_ohm, rtol=1e-6)
+    expected = model.forces(read.numpy())
+    assert virtual.forces(read).numpy() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    if layout != SONG2018:
+        with pytest.raises(ArgumentError, match="the crossbar is of another layout than the design"):
+            VirtualSensor(response.design, response=response, crossbar=replace(wired, layout=SONG2018))
 
 
 def crossbar(mode, bits=None):

@@ -77,5 +77,5 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     if share is not None and share < MIN_EXPLAINED:
         current().say(
             f"warning: {name}: loads on pads explain {max(share, 0.0):.0%} of these readings, so errors of {model} are "
-            "large; contacts on bare rubber want a decoder of 'tripillar train --touch'"
+            "large; contacts want a decoder of 'tripillar train --touch'"
         )

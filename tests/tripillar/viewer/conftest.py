@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
-from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, SensorDesign
 from tripillar.viewer import sights
 from tripillar.viewer.page.page import Subject
@@ -34,11 +33,11 @@ def browser():
 
 
 @pytest.fixture(scope="session")
-def subject():
+def subject(pair_field):
     """An array of two units with the response's own inverse."""
     response = solve_response(DESIGN, ResponseSettings(method="layer"))  # a closed form: any response will do
     sensor = PressedSensor(response, inverse_forces(response))
-    return Subject(field=solve_array_field(DESIGN).prepared(), sensor=sensor, decoupler="the response's inverse")
+    return Subject(field=pair_field.prepared(), sensor=sensor, decoupler="the response's inverse")
 
 
 @pytest.fixture(scope="session")

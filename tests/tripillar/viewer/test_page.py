@@ -14,8 +14,8 @@ from decoupler import train
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.closed_forms import layer_response
 from fem.pictures.parts import APART_MM, COARSE, pillar_surface
-from geometry.design import Array, Material, SensorDesign
-from geometry.layout import unit_centres
+from geometry.design import Array, Material, SensorDesign, Unit
+from geometry.layout import LAYOUTS, rest_lengths, unit_centres
 from hardware.link.frames import Info, ScanMode
 from tests.decoupler.synthetic_sensor import labelled, sensor
 from tests.hardware.boards import recording_from_resistances
@@ -58,17 +58,18 @@ def test_the_inverse_finds_the_forces(design, error):
         assert np.abs(found.force_n - force_n).max() < error * np.abs(force_n).max()
 
 
-def test_readings_are_those_of_a_dataset_and_noise_is_on_the_readings_alone():
-    response = layer_response(SQUARE)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_readings_are_those_of_a_dataset_and_noise_is_on_the_readings_alone(layout):
+    response = layer_response(replace(SQUARE, unit=Unit(layout=layout)))
     pressed, draw = PressedSensor(response, np.copy), np.random.default_rng(0)
     samples = simulate(response, DatasetSettings(protocol="three-axis", samples=2, seed=3))
     exact = pressed.read(samples.traction_mpa[1].reshape(-1, 3), 0.0, draw)
     np.testing.assert_allclose(exact.resistance_ohm, samples.resistance_ohm[1], rtol=1e-12)  # another order of sums
-    rest = np.array([10.0, np.sqrt(200.0), np.sqrt(200.0)])
+    rest = rest_lengths(response.design.unit)
     np.testing.assert_allclose(exact.strain, np.abs(samples.length_mm[1] / rest - 1.0), atol=1e-12)
     noisy = [pressed.read(samples.traction_mpa[1].reshape(-1, 3), 0.01, draw) for _ in range(200)]
     scatter = np.std([reading.resistance_ohm / exact.resistance_ohm for reading in noisy])
-    assert scatter == pytest.approx(0.01, rel=0.1)  # 2400 draws: 1.4 %
+    assert scatter == pytest.approx(0.01, rel=0.1)  # 2400 draws or more: 1.4 %
     assert all((reading.strain == exact.strain).all() for reading in noisy)
 
 
