@@ -31,6 +31,7 @@ picture: $(READY)  ## draw the pictures of the README and of docs/ again
 	$(BIN)/python -m studies.pictures.arrays docs
 	$(BIN)/python -m studies.pictures.live docs/live.svg
 	$(BIN)/python -m studies.pictures.drawings docs
+	$(BIN)/python -m studies.pictures.rubber docs
 	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
 	$(BIN)/python -m studies.pictures.page docs/page.png
 	$(BIN)/python -m studies.pictures.gallery docs

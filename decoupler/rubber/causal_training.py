@@ -23,6 +23,7 @@ from geometry.storage.files import digest
 
 SESSIONS = 0.12  #: deviation of a strip's ln R between two mountings of it, relative
 SLOW = 0.03  #: slow error of its ln R, at least
+ONE_SIDED = 0.1  #: of a specimen's largest strain: less the other way is none
 VERSION = 2  #: of what training does; filters of others are trained anew
 RATES_S = (0.05, 0.3)  #: between readings
 SPEEDS = (0.004, 0.3)  #: of strain [1/s]
@@ -67,8 +68,9 @@ def of_rubber(rubber: Rubber, **others: Any) -> Histories:
 
 
 def of_strip(rubber: Rubber) -> Histories:
-    """Histories of a strip like the one of a bench series: only stretched, and of a gain that differs by session."""
-    strains = (0.0, max(0.05, 1.05 * rubber.max_strain))
+    """Histories of a specimen like that of a bench series: strained as it was, of a gain that differs by session."""
+    sides = 1.05 * min(rubber.min_strain, 0.0), 1.05 * max(rubber.max_strain, 0.0)
+    strains = tuple(each * (abs(each) > ONE_SIDED * max(map(abs, sides))) for each in sides)
     return of_rubber(rubber, strains=strains, gain=SESSIONS, noise=max(SLOW, rubber.noise))
 
 

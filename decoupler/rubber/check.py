@@ -34,15 +34,17 @@ def checked(rubber: Rubber, series: Series, followed: tuple[FloatArray, FloatArr
 def forces_from_resistance(rubber: Rubber, series: Series) -> tuple[FloatArray, FloatArray]:
     """Forces and standard deviations (n,) [N] of a series by its resistance alone, at each time from those before.
 
-    Its first 2 s are taken for rest. The filter is trained at first, half a minute, and kept in the cache.
+    Its first 2 s are taken for rest; what the specimen seems to move in them, it may have moved before. The filter is
+    trained at first, half a minute, and kept in the cache.
     """
     causal = trained(of_strip(rubber), rubber.memory)
-    log_ohm = np.log(series.resistance_ohm)
-    log_ratio = log_ohm - log_ohm[series.time_s <= series.time_s[0] + ZEROED_S].mean()
-    found = causal.followed(series.time_s, log_ratio[:, None])
-    strain, deviation = (each[:, 0] for each in found)
-    ahead, behind = (rubber.elastic.settled(strain + sign * deviation) for sign in (1, -1))
-    return rubber.force(strain, series.seconds), np.hypot((ahead - behind) / 2, rubber.force_noise_n)
+    log_ohm, early = np.log(series.resistance_ohm), series.time_s <= series.time_s[0] + ZEROED_S
+    log_ratio = log_ohm - log_ohm[early].mean()
+    strain, deviation = (each[:, 0] for each in causal.followed(series.time_s, log_ratio[:, None]))
+    ends = np.clip([strain - deviation, strain + deviation], *causal.strains)
+    force_n, (least_n, most_n) = rubber.force(strain, series.seconds), rubber.elastic.settled(ends)
+    parts_n = (most_n - least_n) / 2, rubber.force_noise_n, np.ptp(force_n[early])
+    return force_n, np.sqrt(sum(np.square(part) for part in parts_n))
 
 
 def resistance_from_strain(rubber: Rubber, series: Series) -> FloatArray:

@@ -2,45 +2,24 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from decoupler.rubber.belief import SensorFilter
-from decoupler.rubber.check import checked, of_range, resistance_from_strain
+from decoupler.rubber.causal_training import of_strip
+from decoupler.rubber.check import checked, forces_from_resistance, of_range, resistance_from_strain
 from decoupler.rubber.fit import fit_elastic, identified
-from decoupler.rubber.law import NAMES, Elastic, log_ratio, numbers_of, settled_stress
+from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
-from decoupler.rubber.series import Series, read_series
+from decoupler.rubber.series import read_series
 from decoupler.rubber.silicones import SILICONES, surrounded
-from decoupler.rubber.unknown import next_test
 from fem.rubber.law import LAWS
-from geometry.design import Material, Memory, Prony, SensorDesign, with_model
+from geometry.design import Material, Memory, SensorDesign, with_model
 from geometry.design_file import read_design
 from geometry.errors import DesignError, FileFormatError
-
-MEMORY = Memory(a=(0.3, 0.2), b_lengthen=1.2, b_shorten=8.0, tau_s=(7.0, 150.0), g1=2.0, g2=-5.0)
-ELASTIC = Elastic(model="yeoh", stiffness_n=5.0, stiffening=0.3, prony=Prony(share=(0.06, 0.08), tau_s=(2.0, 120.0)))
-NOISE, CORRELATION_S = 0.01, 20.0  #: of ln R: what no law tells
-
-
-def bench(seed=0, noise=NOISE, memory=MEMORY, elastic=ELASTIC, rate_hz=4.0, programme=None):
-    """A series of the test that is proposed, with errors that stay alike for a while, and white ones of a tenth."""
-    corners, levels = next_test() if programme is None else programme
-    time_s = np.arange(0.0, corners[-1], 1 / rate_hz)
-    strain, generator = np.interp(time_s, corners, levels), np.random.default_rng(seed)
-    keep, shocks = np.exp(-1 / rate_hz / CORRELATION_S), generator.standard_normal((2, len(time_s)))
-    shocks[0, 1:] *= np.sqrt(1 - keep**2)
-    drift = lfilter([1.0], [1.0, -keep], shocks[0])
-    error = noise * (drift + 0.1 * shocks[1])
-    force_n = elastic.force(strain, 1 / rate_hz)
-    return Series(
-        time_s=time_s,
-        strain=strain,
-        force_n=force_n + noise * generator.standard_normal(len(time_s)) * np.ptp(force_n),
-        resistance_ohm=1200.0 * np.exp(log_ratio(strain, 1 / rate_hz, memory) + error),
-    )
+from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench
 
 
 def written(path, series, **changes):
@@ -276,6 +255,37 @@ def test_a_series_with_gaps_in_motion_throughout_is_refused(series, tmp_path):
     holes = series.part(series.time_s % 60 < 30)
     with pytest.raises(FileFormatError, match="record it again without gaps"):
         read_series(written(tmp_path / "s.csv", holes))
+
+
+@pytest.mark.parametrize(
+    ("strained", "judged"),
+    [
+        ((-0.002, 0.3), (0.0, 0.315)),
+        ((-0.2, 0.01), (-0.21, 0.0)),
+        ((-0.1, 0.2), (-0.105, 0.21)),
+        ((0.1, 0.2), (0.0, 0.21)),
+    ],
+    ids=["stretched", "pressed", "both", "kept stretched"],
+)
+def test_a_specimen_is_judged_as_it_was_strained(found, strained, judged):
+    """What is less than a tenth of the other way is an error of the position."""
+    least, most = strained
+    assert of_strip(replace(found, min_strain=least, max_strain=most)).strains == pytest.approx(judged)
+
+
+def test_forces_are_as_uncertain_as_what_the_specimen_moves_while_they_are_zeroed(found, series, monkeypatch):
+    """Their deviations hold that, the strain's within the strains that can be, and the force law's."""
+    causal = SimpleNamespace(strains=(0.0, 0.2), followed=lambda time_s, y: (y / 4, 0.0 * y + 0.1))
+    monkeypatch.setattr("decoupler.rubber.check.trained", lambda histories, memory: causal)
+    at_rest, moving = series.part(slice(0, 400)), series.part(slice(480, 880))
+    for part, moves in ((at_rest, False), (moving, True)):
+        force_n, deviation_n = forces_from_resistance(found, part)
+        early = part.time_s <= part.time_s[0] + 2.0
+        moved_n = np.ptp(force_n[early])
+        assert (moved_n > 0.1 * np.ptp(series.force_n)) == moves
+        assert deviation_n.min() >= np.hypot(moved_n, found.force_noise_n)
+        most_n = float(np.ptp(found.elastic.settled(np.array([0.0, 0.2])))) / 2
+        assert deviation_n.max() <= np.sqrt(moved_n**2 + found.force_noise_n**2 + most_n**2)
 
 
 def test_names_are_those_of_the_memory():

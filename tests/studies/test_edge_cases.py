@@ -43,6 +43,7 @@ def test_cheap_trials_come_out_as_they_should():
 def test_a_wrong_answer_is_the_exit_status(tmp_path, monkeypatch, capsys, error, status):
     monkeypatch.setattr(command, "scene_trials", lambda: [Trial(name="one", value="1", run=lambda: judged(error))])
     monkeypatch.setattr(sys, "argv", ["studies.edge_cases", "--out", str(tmp_path), "--only", "one"])
+    monkeypatch.setattr("tripillar.terminal.interrupts.install", lambda: None)  # which is for a program of its own
     with pytest.raises(SystemExit) as ended:
         run_alone(command.judge_all)
     assert ended.value.code == status

@@ -8,7 +8,8 @@ import pytest
 from decoupler.rubber.causal_training import Histories
 from decoupler.rubber.unknown import next_test
 from geometry.design_file import read_design
-from tests.decoupler.test_rubber import MEMORY, bench, written
+from studies.pictures.rubber import MEMORY, bench
+from tests.decoupler.test_rubber import written
 from tests.house import House
 
 SHORT = next_test()[0][:8], next_test()[1][:8]  #: rest and a hold
