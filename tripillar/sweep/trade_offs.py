@@ -113,8 +113,8 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     if ticks is not None:
         bar.ax.set_yticklabels([str(text) for text in variable.values], rotation=90, va="center")
     failed = sum(row.failed for row in rows)
-    more = {"failed": failed, "do not tell it": len(rows) - len(sound) - failed}
-    said = "".join(f"; {count} more {what}" for what, count in more.items() if count)
+    others = {"failed": failed, "do not tell it": len(rows) - len(sound) - failed}
+    said = "".join(f"; {count} more {what}" for what, count in others.items() if count)
     figure.suptitle(f"{len(sound)} designs{said}", fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
