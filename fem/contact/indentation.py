@@ -305,7 +305,7 @@ def press(
     if wide is not None:
         surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
         coarse, touched = path.solved(PatchCompliance(surface, wide), 1)
-    if touched.any():
+    if wide is not None and touched.any():
         fine = _patch(design, *_around(wide, touched), cells)
         assert fine is not None  # it is part of the wide one
         contact, touched = path.solved(PatchCompliance(surface, fine), INCREMENTS)
