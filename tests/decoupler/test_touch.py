@@ -226,6 +226,6 @@ def test_three_pillars_take_a_plate_s_moment_for_a_force_and_six_do_not(monkeypa
     three, six = (replace(DESIGN, unit=Unit(layout=LAYOUTS[name]), pad=PLATE) for name in ("song2018", "six-pillar"))
     assert touch_limits(three, 20.0, ReadingError(noise=1e-3, bits=None))[0] > 20.0
     once, twice = (np.array(touch_limits(six, 20.0, ReadingError(noise=noise, bits=None))) for noise in (2e-4, 4e-4))
-    assert ((1.4 * once < twice) & (twice < 2 * once)).all()  # 0.1 % of the largest reading, the model's, stays
-    assert once[0] < 1.0
+    assert ((once < twice) & (twice < 2 * once)).all()  # what rubber between plates may bear stays
+    assert once[0] < 2.0
     assert touch_limits(six, 0.2, ReadingError(noise=1e-2, bits=None))[0] > 90.0
