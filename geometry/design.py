@@ -149,9 +149,9 @@ class Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Plate:
-    """The plate of a stiff pad, for shapes that press on it; its underside does not bend."""
+    """The plate of a stiff pad, for shapes that press on it; taken for rigid, as plastic of 1 mm would not be."""
 
-    thickness_mm: float = quantity(1.0, "how far its face stands above the rubber", within=(0.2, 10.0))
+    thickness_mm: float = quantity(2.0, "how far its face stands above the rubber", within=(0.2, 10.0))
     young_mpa: float = quantity(2000.0, "Young's modulus, by which its face gives; a plastic's", within=(10.0, 5e3))
 
     def __post_init__(self) -> None:

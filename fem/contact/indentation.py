@@ -305,15 +305,17 @@ def press(
     if wide is not None:
         surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
         coarse, touched = path.solved(PatchCompliance(surface, wide), 1)
-    if wide is None or not touched.any():
+    if wide is not None and touched.any():
+        fine = _patch(design, *_around(wide, touched), cells)
+        assert fine is not None  # it is part of the wide one
+        contact, touched = path.solved(PatchCompliance(surface, fine), INCREMENTS)
+    if not touched.any():
         x, y, _ = design.slab_mm
         raise ContactError(
             f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
             f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
         )
-    fine = _patch(design, *_around(wide, touched), cells)
-    assert fine is not None  # it is part of the wide one
-    return replace(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse=lambda: coarse)
+    return replace(contact, coarse=lambda: coarse)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:

@@ -72,7 +72,7 @@ def test_a_shear_on_a_plate_s_face_turns_it_by_the_plate_s_thickness(plated: Sur
         PatchCompliance(replace(plated, design=design), patch).electrodes_mm(force)
         for design, force in ((PLATED, shear), (thick, shear))
     )
-    one, turned = 3.0 / 2.0, PatchCompliance(plated, patch).electrodes_mm(off)
+    one, turned = 3.0, PatchCompliance(plated, patch).electrodes_mm(off)
     assert (high - low) * one == pytest.approx(turned, abs=1e-4 * np.abs(turned).max())
 
 
