@@ -66,9 +66,10 @@ class SensorModel:
             rest_mm, sign = _by_component(held.rest_mm, pillars), _by_component(held.sign, pillars)
         else:
             influence = response.influence_mm_per_n.reshape(n_units, -1, 3, n_units, 3)[:, electrodes]
-            tops = [layout.pillar_top[pillar] if pillar in layout.loaded else None for pillar in pillars]
-            if None in tops:  # of references: one more that does not move
-                electrodes = [*electrodes, None]
+            still = len(layout.upper)  # number of one more that does not move, of references
+            tops = [layout.pillar_top[pillar] if pillar in layout.loaded else still for pillar in pillars]
+            if still in tops:
+                electrodes.append(still)
                 influence = np.pad(influence, [(0, 0), (0, 1), *[(0, 0)] * 3])
             place = [electrodes.index(top) for top in tops]
             places = np.arange(n_units)[:, None] * len(electrodes) + place

@@ -161,7 +161,9 @@ class SampleSolver:
             smooth, both = self._reader.ratios(finer, uncorrected)
             rough = rough + self._ratio_changes(self.coarse, alone[on])
             smooth = smooth + self._ratio_changes(self.fine, uncorrected)
-            ratio[np.ix_(on, range(ratio.shape[1]), self._loaded)] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
+            of_settled = ratio[on]
+            of_settled[..., self._loaded] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
+            ratio[on] = of_settled
             ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
             change[on[~(sound & both)]] = np.inf
         return FiniteSamples(
