@@ -24,7 +24,7 @@ DESIGN = SensorDesign(array=Array(rows=2, cols=2), pad=Pad(kind="stiff", plate=P
 BOX = Convex.hull(np.array([(x, y, z) for x in (-9.0, 9.0) for y in (-6.0, 6.0) for z in (0.0, 10.0)]))
 TILTED = replace(BOX, turn=Rotation.from_euler("xyz", [4.0, 6.0, 20.0], degrees=True).as_matrix())
 #: shape, depth, place, and the rectangle that it touches [mm]
-CASES = {
+CASES: dict[str, tuple[Shape, float, tuple[float, float], tuple[float, float, float, float]]] = {
     "ball over a crossing": (Sphere(6.0), 1.5, (0.5, 1.0), (-4.5, -4.5, 4.5, 5.25)),
     "tilted box": (TILTED, 1.2, (1.0, 2.0), (-1.5, -7.5, 12.0, 7.5)),
 }
