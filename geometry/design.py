@@ -120,6 +120,11 @@ class Unit:
             )
 
     @property
+    def body(self) -> "Unit":
+        """The same without reference pillars, which stand beside the slab: what is cast and bends."""
+        return self if self.layout.body is self.layout else replace(self, layout=self.layout.body)
+
+    @property
     def footprint_mm(self) -> float:
         """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
         return footprint(self)
@@ -410,10 +415,10 @@ class SensorDesign:
 
 
 def bent(design: SensorDesign) -> SensorDesign:
-    """What bends of a sensor: the same of no resistivity or contacts of its own, of rubber that remembers nothing."""
+    """What bends of a sensor: no references, resistivity or contacts of its own, rubber that remembers nothing."""
     electrics = replace(design.electrics.by_four_wires, temperature_coefficient=0.0)
     settled = design.pillar_material.settled
-    return replace(design, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
+    return replace(design, unit=design.unit.body, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
 
 
 def with_model(design: SensorDesign, model: str) -> SensorDesign:
