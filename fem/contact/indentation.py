@@ -165,7 +165,7 @@ class Contact(Indentation):
         finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
         left = SAFETY * richardson_factor(1.0, finer, RATE)
         between = PatchCompliance(surface, patch, FINER_DEGREE)
-        pressing = self.cell_force_n[2] / self.cell_force_n[2].sum()
+        pressing = self.cell_force_n[2] / max(self.cell_force_n[2].sum(), np.finfo(float).tiny)  # it may have slid off
         off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
         half = np.array(self.design.slab_mm[:2]) / 2
         to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
