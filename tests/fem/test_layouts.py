@@ -11,9 +11,13 @@ from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.potentials import unit_conductances
 from fem.contact.surface import endless_surface
 from fem.finite.samples import SampleSolver
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Scene, Sensor
 from geometry.design import Array, Electrics, SensorDesign, Unit
-from geometry.layout import LAYOUTS, pillar_volumes, rest_lengths
-from tests.fem.scenes import FOUR, round_of
+from geometry.layout import LAYOUTS, electrode_squares, pillar_volumes, rest_lengths, unit_centres
+from tests.fem.scenes import FOUR, mean, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -41,6 +45,28 @@ def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path, mo
         write_response(response, tmp_path / "response.nc")
         read = read_response(tmp_path / "response.nc")
         assert (read.content_hash, read.design) == (response.content_hash, response.design)
+
+
+@pytest.mark.parametrize("name", ["six-pillar", "eight-pillar"])
+def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, shared_cache):
+    """Both pads of two units at once, on boxes of the whole body: as near as both estimates say."""
+    design = replace(PAPERS, unit=Unit(layout=LAYOUTS[name]))
+    force_n = np.array([[0.3, -0.2, -1.0], [-0.5, 0.4, -0.6]])
+    loads = [
+        DeadLoad(center_mm=(x, y), size_mm=(12.0, 12.0), traction_mpa=tuple(force / 144.0))
+        for (x, y), force in zip(unit_centres(design), force_n, strict=True)
+    ]
+    squares = electrode_squares(design)
+    probes = [mean(str(k), ((a + c) / 2, (b + d) / 2), (c - a, d - b)) for k, (a, b, c, d) in enumerate(squares)]
+    scene = Scene(
+        body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes, tolerance=2e-2
+    )
+    direct = follow(make_plan(scene, field=True), scene)
+    response, _, _ = array_response(design, ResponseSettings(tolerance=2e-2))
+    superposed = np.tensordot(response.influence_mm_per_n[0, ..., 0, :, :], force_n, axes=2).reshape(-1, 3)
+    off = np.linalg.norm(np.array(list(direct.probes.values())) - superposed, axis=1)
+    assert len(off) == 2 * len(design.unit.layout.upper)
+    assert off.max() < (direct.error_estimate + response.error_estimate) * np.linalg.norm(superposed, axis=1).min()
 
 
 def test_derivatives_and_bare_surfaces_have_every_electrode(monkeypatch):
