@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.array.meshed import DesignCell, functionals
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
@@ -15,7 +16,7 @@ from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Scene, Sensor
-from geometry.design import Array, Electrics, SensorDesign, Unit
+from geometry.design import Array, Electrics, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS, electrode_squares, pillar_volumes, rest_lengths, unit_centres
 from tests.fem.scenes import FOUR, mean, round_of
 
@@ -59,7 +60,7 @@ def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, sha
     squares = electrode_squares(design)
     probes = [mean(str(k), ((a + c) / 2, (b + d) / 2), (c - a, d - b)) for k, (a, b, c, d) in enumerate(squares)]
     scene = Scene(
-        body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes, tolerance=2e-2
+        body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes, tolerance=4e-2
     )
     direct = follow(make_plan(scene, field=True), scene)
     response, _, _ = array_response(design, ResponseSettings(tolerance=2e-2))
@@ -83,6 +84,17 @@ def test_conduction_of_four_pillars():
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
+
+
+@pytest.mark.long
+def test_round_pillars_that_cross_make_few_cells_more_than_square_ones():
+    """Six of each in a unit. By 24 sides they make nine times as many, and a response takes ten minutes and more."""
+    square, round_one = (
+        replace(PAPERS, unit=Unit(layout=layout), pillar_material=Material(young_mpa=0.5))
+        for layout in (LAYOUTS["six-pillar"], round_of(LAYOUTS["six-pillar"]))
+    )
+    bodies = [DesignCell(design, functionals(design)).tetrahedra(0) for design in (square, round_one)]
+    assert bodies[1].n_unknowns < 2.5 * bodies[0].n_unknowns
 
 
 @pytest.mark.parametrize("electrics", [Electrics(), pytest.param(CONDUCTION, marks=pytest.mark.long)])
