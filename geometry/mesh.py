@@ -202,7 +202,8 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     for each, along in zip(task.prisms, own, strict=True):
         points = snap_to_prism(points, along, each, 2 * envelope_mm)
         if each.is_round:
-            points = snap_to_side(points, along, each, 2 * envelope_mm)
+            off_mm = float(each.distance(each.corners(MESHED_SIDES)).max())  # of the polygon's corners
+            points = snap_to_side(points, along, each, 2 * envelope_mm + off_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
     volumes = np.abs(cell_volumes(points, cells))
     points, cells = _used(points, cells[volumes > 1e-9 * volumes.max()])  # without those now flat on a face
