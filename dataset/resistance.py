@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import FloatArray, pillar_areas, pillar_ends, pillar_volumes, rest_lengths
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, ConductedPillars
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     """Length of the pillars (..., n_pillars) [mm] when electrodes have moved by (..., n_upper, 3) [mm] along x, y, z.
 
-    The distance between the electrode centroids, not linearised; the lower electrodes are clamped.
+    The distance between the electrode centroids, not linearised; lower electrodes are clamped, references keep theirs.
 
     Examples
     --------
     >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
     np.float64(9.0)
     """
-    along = _at_rest(unit) + displacement_mm[..., unit.layout.pillar_top, :]
+    along = _at_rest(unit) + _tops(displacement_mm, unit)
     return np.sqrt(np.einsum("...k,...k->...", along, along))
 
 
@@ -30,6 +30,15 @@ def _at_rest(unit: Unit) -> FloatArray:
     """From the lower end of each pillar to the upper one, (n_pillars, 3) [mm]."""
     bottom, top = pillar_ends(unit).transpose(1, 0, 2)
     return top - bottom
+
+
+def _tops(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
+    """How far the upper end of each pillar has moved, (..., n_pillars, 3) [mm]; that of a reference stays."""
+    layout = unit.layout
+    moved = displacement_mm[..., layout.pillar_top, :]
+    if layout.body is not layout:
+        moved *= np.array([[not one.reference] for one in layout.pillars])
+    return moved
 
 
 def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -43,7 +52,7 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     farthest_mm = max(displacement_mm.max(initial=0.0), -displacement_mm.min(initial=0.0))
     if farthest_mm * np.sqrt(3.0) < rest_mm.min():
         return strain  # no electrode has moved as far as a pillar is long, so none has turned over
-    along_rest = np.einsum("...k,...k->...", rest + displacement_mm[..., unit.layout.pillar_top, :], rest)
+    along_rest = np.einsum("...k,...k->...", rest + _tops(displacement_mm, unit), rest)
     return np.where(along_rest > 0, strain, np.inf)
 
 
@@ -58,7 +67,7 @@ def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> Floa
     |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
     sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
     """
-    rest, u = _at_rest(unit), displacement_mm[..., unit.layout.pillar_top, :]
+    rest, u = _at_rest(unit), _tops(displacement_mm, unit)
     uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
     dd = rest_lengths(unit) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -140,4 +149,6 @@ def _conducted_at_rest(unit: Unit) -> FloatArray:
     """Resistances at rest by conduction over the resistivity, (n_pillars,) [1/mm]; solved when first asked for."""
     from fem.conduction.potentials import unit_conductances
 
-    return unit_conductances(unit).pillars_per_mm
+    found = rest_lengths(unit) / pillar_areas(unit)  # of references
+    found[[*unit.layout.loaded]] = unit_conductances(unit).pillars_per_mm
+    return found

@@ -78,7 +78,7 @@ def matrix_solid(design: SensorDesign) -> Solid:
 
 def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
     """Everything that makes up the sensor, by the name of its files."""
-    pillars = zip(design.unit.layout.pillar_names, pillar_solids(design.unit), strict=True)
+    pillars = zip(design.unit.layout.body.pillar_names, pillar_solids(design.unit), strict=True)
     return {f"pillar_{name}": pillar for name, pillar in pillars} | {
         "unit": unit_solid(design.unit),
         "array": array_solid(design),

@@ -35,7 +35,7 @@ def castability(design: SensorDesign) -> Castability:
     >>> castability(SensorDesign())
     Castability(wall_mm=1.08..., undercut_mm=0.41..., demould_deg=45.0)
     """
-    unit, pitch_mm = design.unit, design.array.pitch_mm
+    unit, pitch_mm = design.unit.body, design.array.pitch_mm
     outlines, names = _outlines(unit), unit.layout.pillar_names
     walls = [pitch_mm / 2 - float(np.abs(outlines).max())]
     for one, other in combinations(range(len(names)), 2):

@@ -120,6 +120,11 @@ class Unit:
             )
 
     @property
+    def body(self) -> "Unit":
+        """The same without reference pillars, which stand beside the slab: what is cast and bends."""
+        return self if self.layout.body is self.layout else replace(self, layout=self.layout.body)
+
+    @property
     def footprint_mm(self) -> float:
         """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
         return footprint(self)
@@ -144,9 +149,9 @@ class Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Plate:
-    """The plate of a stiff pad, for shapes that press on it; its underside does not bend."""
+    """The plate of a stiff pad, for shapes that press on it; taken for rigid, as plastic of 1 mm would not be."""
 
-    thickness_mm: float = quantity(1.0, "how far its face stands above the rubber", within=(0.2, 10.0))
+    thickness_mm: float = quantity(2.0, "how far its face stands above the rubber", within=(0.2, 10.0))
     young_mpa: float = quantity(2000.0, "Young's modulus, by which its face gives; a plastic's", within=(10.0, 5e3))
 
     def __post_init__(self) -> None:
@@ -410,10 +415,10 @@ class SensorDesign:
 
 
 def bent(design: SensorDesign) -> SensorDesign:
-    """What bends of a sensor: the same of no resistivity or contacts of its own, of rubber that remembers nothing."""
+    """What bends of a sensor: no references, resistivity or contacts of its own, rubber that remembers nothing."""
     electrics = replace(design.electrics.by_four_wires, temperature_coefficient=0.0)
     settled = design.pillar_material.settled
-    return replace(design, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
+    return replace(design, unit=design.unit.body, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
 
 
 def with_model(design: SensorDesign, model: str) -> SensorDesign:

@@ -8,7 +8,7 @@ import math
 import re
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -64,8 +64,12 @@ class Pillar:
     top: str  #: name of the upper one
     section: str = field(default="square", metadata=OPTIONAL)  #: one of `SECTIONS`
     width_mm: float | None = field(default=None, metadata=OPTIONAL)  #: side or diameter; by default the unit's
+    #: beside the slab on these electrodes' wires, as long as the line between them: no load reaches it, drifts do
+    reference: bool = field(default=False, metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.reference, bool):
+            raise DesignError(f"reference={reprlib.repr(self.reference)} must be true or false.")
         if self.section not in SECTIONS:
             raise DesignError(f"section={reprlib.repr(self.section)} must be one of {', '.join(SECTIONS)}.")
         if self.width_mm is not None:
@@ -110,11 +114,14 @@ class Layout:
                     f"pillar {one.name} joins {one.foot} and {one.top}: it must stand on one of {', '.join(feet)} and "
                     f"end at one of {', '.join(tops)}."
                 )
-            if all(a != b for a, b in zip(feet[one.foot], tops[one.top], strict=True)):
+            leans = [a != b for a, b in zip(feet[one.foot], tops[one.top], strict=True)]
+            if all(leans) and not one.reference:
                 raise DesignError(f"pillar {one.name} leans along x and along y: it may lean along one of them.")
-        idle = {*self.terminals} - {name for one in self.pillars for name in (one.foot, one.top)}
+        idle = {*self.terminals} - {name for one in self.pillars if not one.reference for name in (one.foot, one.top)}
         if idle or not self.pillars:
-            raise DesignError(f"no pillar joins {', '.join(sorted(idle)) or 'electrodes'}: each needs one.")
+            raise DesignError(
+                f"no pillar joins {', '.join(sorted(idle)) or 'electrodes'}: each needs one that is no reference."
+            )
         self._require_crossings()
 
     def _require_crossings(self) -> None:
@@ -126,6 +133,18 @@ class Layout:
                     f"pillars {one.name} and {other.name} want one crossing of wires: give "
                     f"{' or '.join(' and '.join(pair) for pair in ends)} wires of their own."
                 )
+
+    @cached_property
+    def loaded(self) -> tuple[int, ...]:
+        """Numbers of the pillars that loads reach: all but references."""
+        return tuple(number for number, one in enumerate(self.pillars) if not one.reference)
+
+    @cached_property
+    def body(self) -> "Layout":
+        """The same without references: what is cast and bends."""
+        if len(self.loaded) == len(self.pillars):
+            return self
+        return replace(self, pillars=tuple(self.pillars[number] for number in self.loaded))
 
     @cached_property
     def row_wires(self) -> tuple[int, ...]:
@@ -169,7 +188,7 @@ class Layout:
     def sensing(self, axis: str) -> tuple[int, ...]:
         """Numbers of the pillars that answer a force along x, y or z: those that lean along it, upright ones for z.
 
-        All pillars where none does.
+        All that loads reach where none does.
 
         >>> LAYOUTS["six-pillar"].sensing("x")
         (1, 5)
@@ -182,8 +201,8 @@ class Layout:
         places = {one.name: one.place for one in (*self.upper, *self.lower)}
         leans = [tuple(a != b for a, b in zip(places[one.foot], places[one.top], strict=True)) for one in self.pillars]
         answers = [[*lean, not any(lean)] for lean in leans]
-        found = [tuple(k for k, each in enumerate(answers) if each[axis]) for axis in range(len(AXES))]
-        return [some or tuple(range(len(answers))) for some in found]
+        found = [tuple(k for k in self.loaded if answers[k][axis]) for axis in range(len(AXES))]
+        return [some or self.loaded for some in found]
 
 
 def _wires(level: tuple[Electrode, ...]) -> tuple[int, ...]:
@@ -285,7 +304,8 @@ def require_told(unit: "Unit", axes: Sequence[str] = AXES) -> None:
     A force along x or y moves a pad along and turns it, as far as `TURNS` say; one along z presses it down. Lengths of
     pillars must change in ways of their own by each of the axes that are asked.
     """
-    (along, tops), h = (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0], pillar_ends(unit)[:, 1, :2]), unit.height_mm
+    feet, tops = pillar_ends(unit.body).transpose(1, 0, 2)
+    (along, tops), h = (tops - feet, tops[:, :2]), unit.height_mm
     columns = [AXES.index(axis) for axis in axes]
 
     def rank(some: list[int]) -> int:
@@ -302,6 +322,7 @@ def require_told(unit: "Unit", axes: Sequence[str] = AXES) -> None:
 
 def footprint(unit: "Unit") -> float:
     """Side of the smallest centred square that holds the unit's pillars and electrodes [mm]."""
+    unit = unit.body
     pillars = np.abs(pillar_ends(unit)[..., :2]) + pillar_sections(unit)[:, None] / 2
     electrodes = np.abs(pillar_ends(unit)[..., :2]) + unit.electrode_mm / 2
     return 2 * float(max(pillars.max(), electrodes.max()))
@@ -309,6 +330,7 @@ def footprint(unit: "Unit") -> float:
 
 def min_span(unit: "Unit") -> float:
     """Span at which ends of two pillars, or two electrodes, meet, for sections as they are now [mm]."""
+    unit = unit.body
     ends, sections, found = pillar_ends(unit)[..., :2] / unit.span_mm, pillar_sections(unit), [0.0]
     for one, other in combinations(range(len(ends)), 2):
         for apart in np.abs(ends[one] - ends[other]):
@@ -322,6 +344,7 @@ def crossing_pillars(unit: "Unit", samples: int = 65) -> tuple[str, str] | None:
 
     Of round pillars the rectangles around their sections count: some that nearly meet are refused.
     """
+    unit = unit.body
     ends, sections, pairs = pillar_ends(unit)[..., :2], pillar_sections(unit), unit.layout.pillar_terminals
     share = np.linspace(0.0, 1.0, samples)[:, None]
     middle = ends[:, None, 0] + share * (ends[:, None, 1] - ends[:, None, 0])  # (n_pillars, samples, 2)

@@ -30,6 +30,7 @@ def layout_tables(layout: Layout) -> dict[str, Any]:
     pillars = [
         {"name": one.name, "from": one.foot, "to": one.top, "section": one.section}
         | ({"width_mm": one.width_mm} if one.width_mm else {})
+        | ({"reference": True} if one.reference else {})
         for one in layout.pillars
     ]
     return {"electrode": electrodes, "pillar": pillars}
@@ -61,7 +62,7 @@ def layout_from_tables(table: dict[str, Any]) -> Layout:
     pillars = []
     for where, entry in STRICT.entries(table, "pillar"):
         needed = ("name", "from", "to")
-        STRICT.require_keys(entry, (*needed, "section", "width_mm"), f" in {where}", needed)
+        STRICT.require_keys(entry, (*needed, "section", "width_mm", "reference"), f" in {where}", needed)
         own = {{"from": "foot", "to": "top"}.get(key, key): value for key, value in entry.items()}
         pillars.append(STRICT.made(where, partial(Pillar, **own)))
     return Layout(upper=tuple(levels["upper"]), lower=tuple(levels["lower"]), pillars=tuple(pillars))

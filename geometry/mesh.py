@@ -136,7 +136,7 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
 
     thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
     sizes = (
-        ("pillar_width_mm", min(pillar_widths(design.unit)), "; or give pillars and matrix one material"),
+        ("pillar_width_mm", min(pillar_widths(design.unit.body)), "; or give pillars and matrix one material"),
         ("height_mm", design.unit.height_mm, ""),
     )
     for name, size_mm, mend in sizes:

@@ -42,7 +42,7 @@ def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
     The lid has wedges below and, for every unit, a vent over each upper electrode and a window, centred and half as
     wide as the room beside the pillars, so that it meets no wedge.
     """
-    unit, plate_mm, rim_mm = design.unit, mould.plate_mm, 2 * mould.wall_mm
+    unit, plate_mm, rim_mm = design.unit.body, mould.plate_mm, 2 * mould.wall_mm
     widths = pillar_widths(unit)
     if mould.clearance_mm >= min(widths) / 2:
         raise DesignError(

@@ -123,7 +123,8 @@ def pillar_prisms(design: "SensorDesign") -> list[Prism]:
 
 
 def unit_prisms(unit: "Unit", centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
-    """The pillars of one unit."""
+    """The pillars of one unit, without references."""
+    unit = unit.body
     return [
         Prism(
             base_mm=tuple((centre_mm + base).tolist()),

@@ -20,6 +20,7 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
     >>> round(float(pillar_shares(Unit(), *around_z, np.array([4.0, 6.0]))[0, 0, 0]), 9)
     1.0
     """
+    unit = unit.body
     points, weights = np.polynomial.legendre.leggauss(8)
     z = (z_mm[:-1] + z_mm[1:])[:, None] / 2 + np.diff(z_mm)[:, None] / 2 * points
     ends = pillar_ends(unit)[:, :, :2]

@@ -57,10 +57,14 @@ def cramer_rao(
                 own, common = inverse * deviation[:, None], inverse @ U
                 found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
             else:
-                half = np.linalg.cholesky(_covariance(forward, deviation, U))
-                _, size, directions = np.linalg.svd(np.linalg.solve(half, J), full_matrices=False)
-                size = np.maximum(size, LEAST * size[:, :1])
-                found[part] = np.sqrt(((directions / size[..., None]) ** 2).sum(axis=1))
+                covariance = _covariance(forward, deviation, U)
+                if U.shape[2]:
+                    told = np.linalg.solve(np.linalg.cholesky(covariance), J)
+                else:  # a diagonal one
+                    told = J / np.sqrt(covariance.diagonal(axis1=1, axis2=2))[..., None]
+                held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
+                root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
+                found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
     return found
 
 

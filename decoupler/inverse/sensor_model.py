@@ -56,7 +56,7 @@ class SensorModel:
         """The model of a component from the response of the whole array."""
         design, layout = response.design, response.design.unit.layout
         axes, pillars = [AXES.index(axis) for axis in component.axes], component.pillars(layout)
-        electrodes = sorted({layout.pillar_top[pillar] for pillar in pillars})
+        electrodes = sorted({layout.pillar_top[pillar] for pillar in pillars if pillar in layout.loaded})
         n_units = design.n_units
         into = np.where(np.array(component.axes) == "z", -1.0, 1.0)  # a positive Fz pushes along −z
         c = design.resistivity_ohm_mm / pillar_volumes(design.unit)
@@ -66,7 +66,12 @@ class SensorModel:
             rest_mm, sign = _by_component(held.rest_mm, pillars), _by_component(held.sign, pillars)
         else:
             influence = response.influence_mm_per_n.reshape(n_units, -1, 3, n_units, 3)[:, electrodes]
-            place = [electrodes.index(layout.pillar_top[pillar]) for pillar in pillars]
+            still = len(layout.upper)  # number of one more that does not move, of references
+            tops = [layout.pillar_top[pillar] if pillar in layout.loaded else still for pillar in pillars]
+            if still in tops:
+                electrodes.append(still)
+                influence = np.pad(influence, [(0, 0), (0, 1), *[(0, 0)] * 3])
+            place = [electrodes.index(top) for top in tops]
             places = np.arange(n_units)[:, None] * len(electrodes) + place
             bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
             rest_mm, sign = np.tile((top - bottom).T, n_units), None

@@ -31,6 +31,7 @@ PRESSED = 0.06  #: deviation of strains of a sensor that is not at rest
 AT_REST = 0.3  #: how often a sensor is at rest
 WEIGHT = 0.1  #: of each pillar's word whether all rest: they are not independent
 RESTING_S = 0.5  #: without motion, before a pillar can be at rest; and in which its numbers then follow
+MOST_BY_REST = 6.0  #: logarithm of belief that pillars all at rest by one law add to it, at most
 SURE = 0.9  #: belief in rest from which they do
 PATH_S = 100.0  #: over which ways that strains went count for what a rubber unknown may remember
 GAP_S = 1.0  #: between readings, from which anything may have happened in between
@@ -78,6 +79,7 @@ class SensorFollower:
         memories = [*(replace(memory, direction=way) for way in ways), replace(memory, a=(0.0, 0.0))]
         self._law = LawInverse(memories, n)
         self._log_belief = np.log([*((1 - DOUBT) / len(ways) for _ in ways), DOUBT])
+        self._resting = np.zeros(len(memories))  #: of beliefs by which all pillars are at rest
         self._told = np.zeros(len(memories))  #: of beliefs by the hold that lasts
         self._unseen = np.ones((2, 1, 1))  #: how much of a past unseen is left
         self._path = np.zeros(n)
@@ -134,11 +136,11 @@ class SensorFollower:
         law, broken = self._law, self._law.broken**2
         variance = self._of_broken * broken + self._of_unseen * self._unseen**2
         own = (variance[0] + variance[1] + SLOW**2) / law.slopes**2 + LEAST**2
-        wide, square = own + PRESSED**2, 0.5 * strain**2
-        word = 0.5 * np.log(wide / own) - square * (1.0 / own - 1.0 / wide)
-        quiet = law.still_s > RESTING_S
-        word[-1], quiet[-1] = 0.0, False
-        together = np.log(AT_REST / (1 - AT_REST)) + WEIGHT * np.where(quiet, word, -1.0).sum(axis=1, keepdims=True)
+        quiet, square = law.still_s > RESTING_S, 0.5 * strain**2
+        least = own.max(axis=0)  # one deviation for all laws, or the one that promises most would win
+        self._resting = np.clip(_all_rest(_word(least, square), quiet)[:, 0], 0.0, MOST_BY_REST)
+        word, quiet[-1] = _word(own, square), False
+        together = _all_rest(word, quiet)
         rest = quiet / (1.0 + np.exp(-np.clip(np.clip(together, -6.0, 4.0) + word, -30.0, 30.0)))
         if (settles := rest > SURE).any():
             part = settles * min(1.0, seconds / RESTING_S)
@@ -179,7 +181,7 @@ class SensorFollower:
         self._look, self._since_s = look, 0.0
 
     def _believe(self) -> None:
-        log = self._log_belief + self._told
+        log = self._log_belief + self._told + self._resting
         belief = np.exp(log - log.max())
         #: beliefs (k,) in the law in each direction that it may have, and, last, in no memory
         self.belief: FloatArray = belief / belief.sum()
@@ -200,3 +202,15 @@ class SensorFollower:
         told = 0.5 * np.log(wide / unsure) - miss * (1.0 / unsure - 1.0 / wide)
         told[-1] = 0.0
         return np.clip(told, -FLOOR, FLOOR)
+
+
+def _word(variance: FloatArray, square: FloatArray) -> FloatArray:
+    """Logarithms (k, n) by which rest is likelier than load, of strains so large: `square` is half of theirs."""
+    wide = variance + PRESSED**2
+    return np.asarray(0.5 * np.log(wide / variance) - square * (1.0 / variance - 1.0 / wide))
+
+
+def _all_rest(word: FloatArray, quiet: Any) -> FloatArray:
+    """The same (k, 1) of all pillars together."""
+    said = np.where(quiet, word, -1.0).sum(axis=1, keepdims=True)
+    return np.asarray(np.log(AT_REST / (1 - AT_REST)) + WEIGHT * said)

@@ -93,8 +93,8 @@ class Sensing:
         """Squared lengths of a unit's pillars by its electrodes' displacements and their squares, (2, e, n_pillars)."""
         layout = self.design.unit.layout
         found = np.zeros((2, len(layout.upper), 3, len(layout.pillars)))
-        for pillar, top in enumerate(layout.pillar_top):
-            found[:, top, :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
+        for pillar in layout.loaded:
+            found[:, layout.pillar_top[pillar], :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
         return found.reshape(2, -1, len(layout.pillars))
 
     def reading(self, moved_mm: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
 OF_MODEL = 1e-3  #: of the largest reading: what touches the rubber between plates
+OF_BETWEEN = 0.01  #: of a force, what the rubber between plates may bear unseen
 FIRST_N, LEAST_N = 10.0, 0.02  #: sizes of wrenches: at first, and of untouched plates
 OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
 STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at which they end
@@ -124,6 +125,8 @@ class PlateDecoder(TouchDecoder):
         prior = np.outer(wider**2 * size2, self._scale**2)
         J, missed = self._about(x, reading, deviation)
         factors = np.linalg.cholesky(np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel())))
+        between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
+        factors = np.hstack([factors, between])
         return _touched(x, factors, float(missed @ missed) / len(reading))
 
     def _about(self, load: FloatArray, reading: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -70,7 +70,9 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
             "keep them in the file."
         )
     forward = SensorModel.of(response, component)
-    electrodes = SensorModel.of(replace(response, conducted=None), component).influence
+    design, layout = response.design, response.design.unit.layout
+    body = replace(response, design=replace(design, unit=design.unit.body), conducted=None)
+    electrodes = SensorModel.of(body, component).influence
     rows, cols = data.shape
     state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, component)
     n_values = N_AXES + forward.n_pillars // (rows * cols)
@@ -91,19 +93,20 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]
-    images, few = _images(response.design.unit.layout), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
+    images, few = _images(layout), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
     if few and images is not None and _is_mirrored(electrodes, images, rows, cols):
         states.append(_image(state_n, rows, cols))
         forces.append(_image(force_n, rows, cols))
         if response.conducted is None and data.length_mm is not None:
-            seen_mm = pillar_lengths(_moved_image(data.displacement_mm, images), response.design.unit)
+            seen_mm = pillar_lengths(_moved_image(data.displacement_mm, images), design.unit)
             lengths2.append(seen_mm.reshape(len(data), -1) ** 2)
     A = np.concatenate([empty.features(part).reshape(-1, N_FEATURES)[:, :N_CURVED] for part in states])
     scale = SCALES / np.maximum(np.sqrt((A**2).mean(axis=0)), TINY)
     A *= scale
     off_n = np.concatenate(forces) - np.concatenate(states)
     off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2, strict=False)]
-    targets = [off_n.reshape(-1, N_AXES), np.concatenate(off_mm2).reshape(-1, n_values - N_AXES)]
+    is_loaded = np.array([not one.reference for one in layout.pillars])
+    targets = [off_n.reshape(-1, N_AXES), np.concatenate(off_mm2).reshape(-1, n_values - N_AXES) * is_loaded]
     if len(targets[0]) == len(targets[1]):
         targets = [np.concatenate(targets, axis=1)]
     found = [_ridge(A[: len(part)], part) for part in targets]
@@ -112,7 +115,8 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     left_out = np.concatenate([left[: state_n.size // N_AXES] for _, left in found], axis=1)
     misfit = np.sqrt((left_out**2).mean(axis=0))
     s = (empty.own(state_n) ** 2).mean(axis=2).ravel()
-    growth = _growth(s**2, ((left_out / misfit) ** 2).mean(axis=1))
+    told = misfit > 0  # not of references
+    growth = _growth(s**2, ((left_out / np.where(told, misfit, np.inf)) ** 2).mean(axis=1) / told.mean())
     return replace(forward, maps=replace(empty, weights=weights, misfit=misfit, growth=growth))
 
 

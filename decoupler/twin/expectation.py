@@ -102,7 +102,7 @@ class Expectation:
             by_log_c.append(np.log(other_c / c) / STEP)
             other = SensorModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
             by_influence.append(other.with_own_influences().by_component)
-        own = _block_sizes(forward.by_component, design.n_units)
+        own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
         near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
         there = near >= 0
         beside = np.where(there, own[np.arange(design.n_units)[:, None], near], 0.0)
@@ -207,10 +207,15 @@ class Expectation:
     @cached_property
     def sizes(self) -> FloatArray:
         """Usual size of each pillar's influence under each force, (P, Q) [mm/N]: that of their units' block."""
-        blocks = _block_sizes(self.influence, self.n_units)
+        blocks = _block_sizes(self.influence, self.n_units, self.reached)
         blocks = np.maximum(blocks, FAR * blocks.diagonal().mean())
         per_pillar, per_force = self.n_pillars // self.n_units, self.n_forces // self.n_units
         return blocks.repeat(per_pillar, axis=0).repeat(per_force, axis=1)
+
+    @cached_property
+    def reached(self) -> NDArray[np.bool_]:
+        """Which pillars any load reaches, (P,): not references."""
+        return _reached(self.influence)
 
     def mean(self, n_unknown: int = 0) -> State:
         """The prior's mean, with so many unknown parts of forces."""
@@ -252,7 +257,7 @@ class Expectation:
 
     def own_influence(self, own: FloatArray) -> FloatArray:
         """Influence (P, 3, Q) [mm/N] of corrections that pillars have alone, (P, 3 Q)."""
-        return self.widths.own * own.reshape(self.n_pillars, 3, -1) * self.sizes[:, None]
+        return self.widths.own * own.reshape(self.n_pillars, 3, -1) * (self.sizes * self.reached[:, None])[:, None]
 
     def shared_influence(self, shared: FloatArray) -> FloatArray:
         """Influence (P, 3, Q) [mm/N] of a correction that all units share, (n_corrections,)."""
@@ -262,7 +267,7 @@ class Expectation:
         for place in range(self.near.shape[1]):
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
-        return found.reshape(self.n_pillars, 3, -1)
+        return found.reshape(self.n_pillars, 3, -1) * self.reached[:, None, None]
 
 
 def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:
@@ -273,9 +278,14 @@ def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, Fl
     return np.tile(top - bottom, (design.n_units, 1)), np.tile(c, design.n_units)
 
 
-def _block_sizes(influence: FloatArray, n_units: int) -> FloatArray:
-    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units)."""
-    blocks = influence.reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
+def _reached(influence: FloatArray) -> NDArray[np.bool_]:
+    """Which pillars have any influence (P, C, Q), (P,)."""
+    return np.asarray(influence.any(axis=(1, 2)))
+
+
+def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]) -> FloatArray:
+    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
+    blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
     return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
 
 

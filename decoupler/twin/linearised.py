@@ -196,7 +196,7 @@ class Linear:
         J[:, 0] = self._by_gain[:, p]
         J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
         slope = self._by_squares[:, p, None] * shown.by_vector[:, p, :3]
-        moved = shown.state_n * (expected.sizes[p] * widths.own)
+        moved = shown.state_n * (expected.sizes[p] * widths.own * expected.reached[p])
         np.multiply(slope[..., None], moved[:, None], out=J[:, 2:].reshape(n, 3, Q))
         near = np.flatnonzero(expected.near[unit] >= 0)
         forces = (expected.near[unit, near, None] * n_axes + np.arange(n_axes)).ravel()

@@ -59,6 +59,7 @@ class Knowledge:
         by_force = c[:, None] * shown.along(np.eye(len(force_n))[None])[0]
         reading = self.errors.deviation(ohms)
         corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * shown.state_n, axis=1)
+        corrected_mm = corrected_mm * expected.reached
         by_vector = c * np.linalg.norm(shown.by_vector[0], axis=1)
         variance = reading**2 + (by_vector * corrected_mm) ** 2
         variance += (widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2

@@ -7,6 +7,7 @@ flows.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from fem.conduction.potentials import (
     unit_conductances,
     unit_conductors,
 )
-from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes
+from geometry.design import SensorDesign, Unit
+from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
@@ -98,6 +99,21 @@ def conducted_pillars(
         sign=representatives(signs, *wide),
         error_estimate=float(at_rest.error_estimate.max()),
     )
+
+
+def with_references(found: ConductedPillars, unit: Unit) -> ConductedPillars:
+    """The same with a unit's reference pillars in their places: of eq. 1 at rest, whatever the loads."""
+    if unit.body is unit:
+        return found
+    loaded, shape = [*unit.layout.loaded], found.influence_mm_per_n.shape
+    wide = (*shape[:2], len(unit.layout.pillars), *shape[3:])
+    rest_mm, influence, sign = np.zeros(wide[:4]), np.zeros(wide), np.ones(wide[:4])
+    rest_mm[..., 0] = rest_lengths(unit)
+    for every, own in zip(
+        (rest_mm, influence, sign), (found.rest_mm, found.influence_mm_per_n, found.sign), strict=True
+    ):
+        every[:, :, loaded] = own
+    return replace(found, rest_mm=rest_mm, influence_mm_per_n=influence, sign=sign)
 
 
 def _components(

@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import Literal
 
 from fem.array.closed_forms import layer_response
-from fem.array.conducted import conducted_pillars
+from fem.array.conducted import conducted_pillars, with_references
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign, bent
@@ -49,17 +49,17 @@ def array_response(
 
     `progress` is called with the name of each step as it begins. Returns the response, its file, and whether it was
     there already; where the cache cannot be written to, the file is missing. Only what bends the body counts: another
-    resistivity finds the same file. A `DesignError` says what a method is no model of, a `GeometryError` or
-    `SolverError` that the mesh or an answer cannot be trusted.
+    resistivity or a reference finds the same file. A `DesignError` says what a method is no model of, a `GeometryError`
+    or `SolverError` that the mesh or an answer cannot be trusted.
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)
 
     def make() -> ArrayResponse:
-        return replace(solve_response(design, settings, progress, cached=True), cache_key=cache_key)
+        return replace(solve_response(_body(design), settings, progress, cached=True), cache_key=cache_key)
 
     response, path, reused = kept("response.nc", cache_key, make, read_response, write_response)
-    return replace(response, design=design), path, reused
+    return _of_design(response, design), path, reused
 
 
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
@@ -79,6 +79,8 @@ def solve_response(
     With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
     arrays of another size are made of the cell.
     """
+    if design.unit.body is not design.unit:
+        return _of_design(solve_response(_body(design), settings, progress, cached), design)
     settings, model = (settings or ResponseSettings()).suited(design), design.matrix_material.model
     if model != "linear":
         raise DesignError(
@@ -102,3 +104,15 @@ def solve_response(
     if settings.method == "layer":
         return layer_response(design)
     return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)
+
+
+def _body(design: SensorDesign) -> SensorDesign:
+    """The same without reference pillars."""
+    return replace(design, unit=design.unit.body)
+
+
+def _of_design(response: ArrayResponse, design: SensorDesign) -> ArrayResponse:
+    """A body's response as that of a design, which may have reference pillars beside it."""
+    conducted = response.conducted
+    conducted = None if conducted is None else with_references(conducted, design.unit)
+    return replace(response, design=design, conducted=conducted)

@@ -181,11 +181,12 @@ def pillars_per_mm(matrix_mm: FloatArray, pairs: tuple[tuple[int, int], ...]) ->
 def unit_conductances(
     unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
 ) -> Conductances:
-    """Conductances between a unit's electrodes, at rest or deformed, extrapolated from two meshes.
+    """Conductances between a unit's electrodes, references apart, at rest or deformed, extrapolated from two meshes.
 
     `deformation` takes points (n, 3) at rest in the unit's frame [mm] to ∂x/∂X (n, 3, 3); default: at rest. A
     `DesignError` as of `unit_hexahedra`, and if a pillar is deformed inside out.
     """
+    unit = unit.body
     conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
     beyond, left = extrapolation(unit)

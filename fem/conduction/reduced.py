@@ -63,6 +63,7 @@ def reduced_conduction(
     unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity | None = None
 ) -> ReducedConduction:
     """The reduced conduction of a unit's pillars: a minute of processor time. Errors as of `unit_hexahedra`."""
+    unit = unit.body
     conductor = Conductor(unit_hexahedra(unit, *MESH))
     mesh, at_rest = conductor.mesh, conductor.at_rest
     pillar = pillars_of(unit, mesh.points_mm)

@@ -23,7 +23,8 @@ PILE_UP = 2.05  #: depths below which a shape may touch: 2 in the limit of a thi
 MARGIN = 1  #: coarse cells around the contact
 INCREMENTS = 4  #: of depth, and then of slide, where there is friction; one on the coarse grid
 TOLERANCE, ON_THE_WAY = 1e-4, 1e-3  #: of forces, of the last increment and of those before
-SLACK = 1e-3  #: of the depth: how far shape and rubber may be apart, or overlap, where they touch
+#: of the depth: how far shape and plate may be apart, or overlap, where they touch; rubber is so soft that forces tell
+SLACK = 1e-3
 PASSES = 3  #: over an increment of the slide, at most
 SMALL_STEP = 0.25  #: of a cell
 MAX_FRICTION = 2.0
@@ -85,7 +86,8 @@ class Indentation:
             steps = np.arange(1, increments + 1) / increments
             stages = [(self.depth_mm * step, 0 * slide) for step in steps]
             stages += [(self.depth_mm, slide * step) for step in steps if slide.any()]
-        state, slack_mm = State.at_rest(patch, self.friction), self.depth_mm * SLACK
+        state = State.at_rest(patch, self.friction)
+        slack_mm = self.depth_mm * SLACK if compliance.surface.has_plates else np.inf
         slid = past = np.zeros(2)  # of the shape; of the shape over the rubber
         touched = np.zeros((patch.ny, patch.nx), dtype=bool)
         for number, (depth_mm, slide_mm) in enumerate(stages, start=1):
@@ -163,7 +165,7 @@ class Contact(Indentation):
         finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
         left = SAFETY * richardson_factor(1.0, finer, RATE)
         between = PatchCompliance(surface, patch, FINER_DEGREE)
-        pressing = self.cell_force_n[2] / self.cell_force_n[2].sum()
+        pressing = self.cell_force_n[2] / max(self.cell_force_n[2].sum(), np.finfo(float).tiny)  # it may have slid off
         off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
         half = np.array(self.design.slab_mm[:2]) / 2
         to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
@@ -305,15 +307,17 @@ def press(
     if wide is not None:
         surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
         coarse, touched = path.solved(PatchCompliance(surface, wide), 1)
-    if wide is None or not touched.any():
+    if wide is not None and touched.any():
+        fine = _patch(design, *_around(wide, touched), cells)
+        assert fine is not None  # it is part of the wide one
+        contact, touched = path.solved(PatchCompliance(surface, fine), INCREMENTS)
+    if not touched.any():
         x, y, _ = design.slab_mm
         raise ContactError(
             f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
             f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
         )
-    fine = _patch(design, *_around(wide, touched), cells)
-    assert fine is not None  # it is part of the wide one
-    return replace(path.solved(PatchCompliance(surface, fine), INCREMENTS)[0], coarse=lambda: coarse)
+    return replace(contact, coarse=lambda: coarse)
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:

@@ -114,6 +114,7 @@ class SampleSolver:
             )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self._resistance_per_n = resistance_per_n
+        self._loaded = [*design.unit.layout.loaded]
         self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
         self._reader = PillarReader(design, typical or design) if design.electrics.is_conduction else None
 
@@ -160,7 +161,9 @@ class SampleSolver:
             smooth, both = self._reader.ratios(finer, uncorrected)
             rough = rough + self._ratio_changes(self.coarse, alone[on])
             smooth = smooth + self._ratio_changes(self.fine, uncorrected)
-            ratio[on] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
+            of_settled = ratio[on]
+            of_settled[..., self._loaded] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
+            ratio[on] = of_settled
             ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
             change[on[~(sound & both)]] = np.inf
         return FiniteSamples(
@@ -215,13 +218,13 @@ class SampleSolver:
         assert self._influence is not None
         assert self._resistance_per_n is not None
         assert self._reader is not None
-        unit, k, n = self.design.unit, self.design.n_units, 3 * self.design.n_units
+        unit, k, n = self.design.unit.body, self.design.n_units, 3 * self.design.n_units
         bottom, top = pillar_ends(unit).transpose(1, 0, 2)
         rest = top - bottom
         own = self._influence.reshape(k, -1, 3, n)[:, unit.layout.pillar_top]
         by_eq1 = 2 * np.einsum("pi,kpin->kpn", rest / (rest**2).sum(axis=1)[:, None], own)
         at_rest = unit_conductances(unit).pillars_per_mm * pillar_volumes(unit) / (rest**2).sum(axis=1)
-        wanted = (self._resistance_per_n.reshape(k, -1, n) - by_eq1) * at_rest[:, None]
+        wanted = (self._resistance_per_n.reshape(k, -1, n)[:, self._loaded] - by_eq1) * at_rest[:, None]
         forces, found = PROBE_N * np.eye(n), []
         for array, slopes in zip((self.coarse, self.fine), self._slopes, strict=True):
             H = gradients(slopes, np.array([array.linear_field(force) for force in forces]))
@@ -282,7 +285,7 @@ class PillarReader:
     """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
 
     def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
-        self.unit = design.unit
+        self.unit = design.unit.body
         self._piezo, self._reduced = Piezoresistivity.of(design.electrics), typical_conduction(typical)
         centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
         #: places in the pillars where gradients are wanted, (k·n, 3)
@@ -290,7 +293,7 @@ class PillarReader:
         self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
 
     def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Resistances over eq. 1's (m, k, n_pillars), by ∂u/∂X (m, k·n, 3, 3) and displacements (m, k, n_upper, 3).
+        """Resistances over eq. 1's (m, k, n_loaded), by ∂u/∂X (m, k·n, 3, 3) and displacements (m, k, n_upper, 3).
 
         Also which states are answers, (m,): every pillar has kept `MIN_WEIGHT` of its volume; of others ratios are 1.
         Points under the edge of a plate, where coarse grids tear the rubber, are blended with the mean of their pillar.
@@ -311,7 +314,10 @@ class PillarReader:
 def typical_conduction(design: SensorDesign) -> ReducedConduction:
     """Reduced conduction of a design's units, from samples of 2 × 2 of them: a minute, then from the cache."""
     typical = replace(
-        design, array=replace(design.array, rows=2, cols=2), electrics=replace(design.electrics, model="eq1")
+        design,
+        unit=design.unit.body,
+        array=replace(design.array, rows=2, cols=2),
+        electrics=replace(design.electrics, model="eq1"),
     )
 
     def make() -> ReducedConduction:

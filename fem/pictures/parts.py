@@ -141,7 +141,7 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
     The first is smaller by `apart_mm` all around, the second by twice as much and so on, each otherwise than the two
     before and those that share an electrode: no two of their faces coincide.
     """
-    pairs, numbers = unit.layout.pillar_terminals, list[int]()
+    pairs, numbers = unit.layout.body.pillar_terminals, list[int]()
     for k, pair in enumerate(pairs):
         near = {numbers[j] for j in range(k) if k - j <= 2 or {*pairs[j]} & {*pair}}
         numbers.append(min({*range(1, k + 2)} - near))

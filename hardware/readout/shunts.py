@@ -15,6 +15,7 @@ def shunts(layout: Layout) -> list[tuple[int, int]]:
     >>> shunts(SONG2018)
     [(0, 1), (2, 3), (1, 3)]
     """
+    layout = layout.body  # a reference lies beside what the rubber conducts
     n_upper, n = len(layout.upper), len(layout.terminals)
     levels = [*combinations(range(n_upper), 2)], [*combinations(range(n_upper, n), 2)]
     across = [pair for pair in product(range(n_upper), range(n_upper, n)) if pair not in layout.pillar_terminals]

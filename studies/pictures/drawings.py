@@ -38,6 +38,7 @@ def draw_build(design: SensorDesign, path: Path) -> None:
 
 def _unit(axes: Axes3D, unit: Unit) -> None:
     """The pillars of a unit with the names of its electrodes."""
+    unit = unit.body
     layout, sensed = unit.layout, [AXES[axis] for axis in own_axes(unit)]
     for name, axis, *shape in zip(layout.pillar_names, sensed, pillar_ends(unit), pillar_sections(unit), strict=True):
         axes.add_collection3d(Poly3DCollection(prism_faces(*shape), color=COLOURS[axis], alpha=0.75, lw=0))

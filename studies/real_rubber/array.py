@@ -19,7 +19,7 @@ import tripillar as tp
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.belief import SensorFilter
 from decoupler.rubber.fit import identified
-from decoupler.rubber.law import Elastic, Rubber, log_ratio
+from decoupler.rubber.law import NAMES, Elastic, Rubber, log_ratio, memory_of
 from decoupler.rubber.rubber_file import read_rubber, write_rubber
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import next_test
@@ -35,7 +35,7 @@ RUBBERS = {
     "7.5 %, second fit": Memory(a=(0.257, 0.187), b_lengthen=1.39, b_shorten=11.5, tau_s=(11.8, 238.0), g1=2.25),
     "10 %": Memory(a=(0.235, 0.24), b_lengthen=1.35, b_shorten=9.84, tau_s=(17.1, 429.0), g1=1.09),
 }
-OWN = "7.5 %"
+OWN, SERIES, G2 = "7.5 %", 3, NAMES.index("g2")
 CORNERS_S, SECONDS, APART_S = (5.0, 7.0, 67.0, 69.0), 130.0, 0.1  #: rest, pressed, held, let go
 MARKS_S = {"1 s held": 8.0, "60 s held": 66.9, "10 s let go": 79.0, "60 s let go": 129.0}
 SPREAD, NOISE = 0.15, 0.001
@@ -122,11 +122,11 @@ def bench_series(memory: Memory, seed: int = 0) -> Series:
     return Series(time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=ohm)
 
 
-def rubber_of(memory: Memory) -> Rubber:
+def rubber_of(memory: Memory, seed: int = 0) -> Rubber:
     """A rubber as one bench series shows it, through its file."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "rubber.toml")
-        write_rubber(identified(bench_series(memory)), path)
+        write_rubber(identified(bench_series(memory, seed)), path)
         found = read_rubber(path)
     return found
 
@@ -150,7 +150,10 @@ def judge(
     """Judge what follows a rubber's memory on an array: direction known or not, wrong rubbers, starts, cost."""
     pressed, rubbers = Pressed(loads, samples), {name: rubber_of(memory) for name, memory in RUBBERS.items()}
     by = partial(_filters, pressed)
-    own = [*by(OWN, rubbers[OWN], OWN)]
+    others = [rubber_of(RUBBERS[OWN], seed) for seed in range(1, SERIES)]
+    own = [
+        row | {"file of": f"series {n}"} for n, each in enumerate([rubbers[OWN], *others]) for row in by(OWN, each, OWN)
+    ]
     wrong = [row for name in RUBBERS if name != OWN for row in by(name, rubbers[OWN], OWN)]
     turned = [row for name, rubber in rubbers.items() if name != OWN for row in by(OWN, rubber, name)]
     costs: list[dict[str, Any]] = []
@@ -164,15 +167,17 @@ def judge(
 
 
 def _stated(rubber: Rubber, direction: str) -> Rubber:
-    """A rubber whose direction is stated, without the g₂ that a strip in tension showed."""
-    return replace(rubber, memory=replace(rubber.memory, direction=direction, g2=0.0))
+    """A rubber whose direction is stated, and what its series says of the others where g₂ is 0."""
+    numbers, covariance = rubber.numbers, rubber.covariance
+    given = numbers - covariance[:, G2] * numbers[G2] / covariance[G2, G2]
+    return replace(rubber, memory=replace(memory_of(given), direction=direction))
 
 
 def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[dict[str, Any]]:
     """Rows of an array of one rubber, read with the file of this one or of another."""
     y = pressed.log_ratio(RUBBERS[truth])
     named: dict[str, Any] = {"rubber": truth, "file of": file}
-    ignored = pressed.errors(static_strain(y, replace(rubber.memory, g2=0.0)))
+    ignored = pressed.errors(static_strain(y, _stated(rubber, "loading").memory))
     rows: list[dict[str, Any]] = [named | {"by": "ignored"} | ignored]
     for direction in ("loading", "unknown"):
         ours = SensorFilter.of_rubber(_stated(rubber, direction))

@@ -16,6 +16,8 @@ from dataset.simulation import (
     simulate,
 )
 from dataset.variables import VARIABLES
+from geometry.design import Electrics, Unit
+from tests.fem.scenes import BESIDE
 
 ARRAYS = tuple(VARIABLES)[:5]  # the others are of conduction and of finite strain
 REST_MM = np.array([10.0, np.sqrt(200), np.sqrt(200)])
@@ -52,6 +54,25 @@ def test_a_dataset_is_what_the_equations_say(any_response, protocol):
     assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)
     rest_mm = np.where(np.char.startswith(layout.pillar_names, "z"), 10.0, np.sqrt(200.0))
     assert data.resistance_ohm == pytest.approx(4000.0 * data.length_mm**2 / (4.0 * rest_mm), rel=1e-14)
+
+
+def test_a_reference_shares_drifts_and_warmth_and_no_load(response):
+    """Its cap, too; the others read as they do without it, and a drift of each pillar is its own."""
+    electrics = Electrics(temperature_coefficient=0.01)
+    paper = replace(response, design=replace(response.design, electrics=electrics))
+    beside = replace(paper, design=replace(paper.design, unit=Unit(layout=BESIDE)))
+    alone, data = (simulated(each, cap=0.2, temperature_rise=5.0) for each in (paper, beside))
+    assert np.array_equal(data.resistance_ohm[..., :3], alone.resistance_ohm)
+    assert (data.length_mm[..., 3] == np.sqrt(300.0)).all()
+    at_rest = 1.05 * 4000.0 * np.sqrt(300.0) / 9.0
+    assert data.resistance_ohm[..., 3] == pytest.approx(np.full((40, 2, 3), at_rest), rel=1e-12)
+    drifts = {"drift": 0.01, "drift_tilt": 0.01}
+    common = simulated(beside, cap=0.2, temperature_rise=5.0, **drifts).resistance_ohm / data.resistance_ohm
+    assert common[..., 3] == pytest.approx(common[..., 0], rel=1e-12)
+    assert common.std() > 0.005
+    own = simulated(beside, cap=0.2, temperature_rise=5.0, drift_pillar=0.01).resistance_ohm / data.resistance_ohm
+    assert np.abs(np.corrcoef(own.reshape(-1, 4).T)[3, :3]).max() < 0.25
+    assert 0.005 < own[..., 3].std() < 0.02
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

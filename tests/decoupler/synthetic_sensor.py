@@ -16,12 +16,14 @@ from geometry import Array, SensorDesign
 from geometry.design import Unit
 from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_volumes, unit_centres
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations
+from tests.fem.scenes import BESIDE
 
+EVERY = {**LAYOUTS, "reference": BESIDE}  #: layouts by name, one of them with a pillar that no load reaches
 _RANGE_N = {"x": (29.0, 144.0), "y": (29.0, 144.0), "z": (144.0, 720.0)}  #: of independent pad loads
 
 
 def sensor(rows: int = 6, cols: int = 6, layout: str = "song2018") -> SensorDesign:
-    return SensorDesign(unit=Unit(layout=LAYOUTS[layout]), array=Array(rows=rows, cols=cols))
+    return SensorDesign(unit=Unit(layout=EVERY[layout]), array=Array(rows=rows, cols=cols))
 
 
 def _own(layout: Layout) -> FloatArray:

@@ -102,6 +102,20 @@ def test_maps_are_learned_from_samples():
         with_strain_maps(RESPONSE, ALL, truth.labels())
 
 
+def test_maps_leave_a_reference_alone():
+    """Those of the other pillars and of forces are as without it."""
+    design, truth = sensor(1, 2, "reference"), samples(law(1.0))[:300]
+    rest = np.full((300, 1, 2, 1), np.sqrt(300.0))
+    length_mm = np.concatenate([truth.length_mm, rest], axis=3)
+    data = replace(truth, design=design, length_mm=length_mm, resistance_ohm=length_mm**2)
+    found, own = (with_strain_maps(replace(RESPONSE, design=one.design), ALL, one).maps for one in (data, truth))
+    assert np.array_equal(found.influence, own.influence)
+    assert found.weights[:, :6] == pytest.approx(own.weights, abs=1e-6 * np.abs(own.weights).max())
+    assert not found.weights[:, 6].any()
+    assert found.misfit == pytest.approx([*own.misfit, 0.0])
+    assert found.growth == pytest.approx(own.growth)
+
+
 def test_mirrored_forces_are_known():
     """20 samples of positive Fy teach an array that is its own image, and no other, what negative forces do."""
     weights = np.zeros((N_FEATURES, 6))

@@ -16,22 +16,22 @@ from decoupler.inverse.limits import cramer_rao, exact_inverse
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.touch.morph import Pillars, Sensing
 from decoupler.twin import identify
-from decoupler.twin.expectation import Expectation
+from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.next_load import Knowledge
 from fem.array.closed_forms import layer_response
 from fem.array.solving import array_response
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import EVERY, labelled, response, sensor, softness
 from tests.decoupler.test_finite_strain import SIZES, law
 
 ALL = component_named("all")
 BITS = 12
-TELLING = ("song2018", "six-pillar", "eight-pillar")  #: layouts whose pillars tell three forces apart
+TELLING = ("song2018", "six-pillar", "eight-pillar", "reference")  #: layouts whose pillars tell three forces apart
 
 
 def design_of(layout, rows=2, cols=3):
-    return SensorDesign(unit=Unit(layout=LAYOUTS[layout]), array=Array(rows=rows, cols=cols))
+    return SensorDesign(unit=Unit(layout=EVERY[layout]), array=Array(rows=rows, cols=cols))
 
 
 def sampled(given, n, seed, **read):
@@ -70,18 +70,18 @@ def test_four_uprights_tell_shear_by_tilt_alone_and_their_deviations_say_how_bad
 
 
 def test_more_pillars_than_forces_tell_a_drift_of_all_readings_from_loads():
-    """A drift of 1 % of all resistances passes for pressure with three pillars, and is divided out with six."""
-    three, six = (
+    """A drift of 1 % of all resistances passes for pressure with three pillars; six, or a reference, divide it out."""
+    three, six, beside = (
         back_again(layer_response(design_of(layout)), 1500, noise=1e-3, bits=BITS, drift=0.01)["fz"]
-        for layout in ("song2018", "six-pillar")
+        for layout in ("song2018", "six-pillar", "reference")
     )
-    assert six.errors.rmse_n < 0.15 * three.errors.rmse_n
-    for one in (three, six):
+    assert max(six.errors.rmse_n, beside.errors.rmse_n) < 0.15 * three.errors.rmse_n
+    for one in (three, six, beside):
         assert 0.6 < one.coverage[0] < 0.8
         assert one.coverage[1] > 0.92
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", EVERY)
 def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_tell(layout):
     """(Jᵀ Σ⁻¹ J)⁻¹; of shared errors, too. Exact for exact readings."""
     design = sensor(2, 3, layout)
@@ -101,7 +101,7 @@ def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_t
     assert found == pytest.approx(np.sqrt(np.einsum("nii->ni", bound)), rel=1e-6)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", EVERY)
 def test_a_wrong_order_of_pillars_is_named(layout):
     design = sensor(3, 3, layout)
     forward, names = SensorModel.of(response(design), ALL), design.unit.layout.pillar_names
@@ -114,13 +114,35 @@ def test_a_wrong_order_of_pillars_is_named(layout):
     assert f"in the order {', '.join(names[k] for k in order)}: a file's are {', '.join(names)}" in said
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", EVERY)
 def test_touch_reads_squared_lengths_by_every_electrode(layout):
     design = design_of(layout)
     sensing = Sensing(grid=mock.Mock(), design=design, pillars=Pillars.designed(design))
     moved = np.random.default_rng(0).uniform(-1.0, 1.0, (4, design.n_units, len(design.unit.layout.upper), 3))
     squares = pillar_lengths(moved, design.unit).reshape(4, -1) ** 2
     assert sensing.reading(moved.reshape(4, -1)) == pytest.approx(squares - sensing.rest_mm2, abs=1e-12)
+
+
+def test_what_pairs_leave_open_of_a_sensor_moves_no_reference():
+    """Corrections of influence are of the others alone, and as wide as without it; pairs then tell its gain."""
+    design, paper = sensor(2, 2, "reference"), sensor(2, 2)
+    expected, own = (Expectation.of(response(one), softness(one), ALL) for one in (design, paper))
+    assert expected.sizes[::4] == pytest.approx(own.sizes[::3])
+    assert expected.near_mm_per_n == pytest.approx(own.near_mm_per_n)
+    generator, mean = np.random.default_rng(0), expected.mean()
+    drawn = State(shared=generator.standard_normal(mean.shared.shape), own=generator.standard_normal(mean.own.shape))
+    moved = expected.sensor(drawn).by_component.reshape(4, 4, 3, 12)
+    assert not moved[:, 3].any()
+    assert moved[:, :3].all()
+    data = labelled(design, "xyz", 40, seed=0)
+    gain = 1.0 + 0.2 * generator.uniform(-1.0, 1.0, (2, 2, 4))
+    noise = 1e-3 * generator.standard_normal(data.resistance_ohm.shape)
+    data = replace(data, resistance_ohm=data.resistance_ohm * gain * (1.0 + noise), noise=1e-3)
+    found = identify(Pairs.of(data), response=response(design), sensitivities=softness(design))
+    forward = found.decoder.inverse.forward
+    assert not forward.by_component.reshape(4, 4, 3, 12)[:, 3].any()
+    told = forward.at_rest_ohm().reshape(2, 2, 4)[..., 3] / (4000.0 * np.sqrt(300.0) / 9.0)
+    assert told == pytest.approx(gain[..., 3], rel=1e-3)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

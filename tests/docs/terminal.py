@@ -20,10 +20,11 @@ GIVE_UP_S = 120.0  #: on one command
 
 @dataclass
 class Command:
-    """One line that is typed, and the lines below it that it promises to print."""
+    """One line that is typed, the lines below it that it promises to print, and those of a file that it writes."""
 
     line: str
     promised: list[str] = field(default_factory=list)
+    content: list[str] = field(default_factory=list)  #: up to END
 
 
 def console_commands(page: Path) -> list[Command]:
@@ -35,6 +36,8 @@ def console_commands(page: Path) -> list[Command]:
                 commands.append(Command(line[2:]))
             elif commands[-1].line.endswith("\\") and line.startswith(">"):
                 commands[-1].line = commands[-1].line[:-1] + line[1:].strip()
+            elif commands[-1].line.endswith("<< END") and line.startswith("> "):
+                commands[-1].content.append(line[2:])
             else:
                 commands[-1].promised.append(line)
     return commands
@@ -69,9 +72,13 @@ class Terminal:
         program, *words = shlex.split(command.line.removesuffix("&"))
         if program == "kill":
             for number in words:
-                job = self._jobs[int(number.removeprefix("%")) - 1]
+                job = self._jobs.pop(int(number.removeprefix("%")) - 1)
                 job.terminate()
                 assert job.wait(GIVE_UP_S) == 0
+            return ""
+        if program == "cat":
+            assert command.content.pop() == "END"
+            (self.folder / words[1]).write_text("\n".join([*command.content, ""]))
             return ""
         assert program == "tripillar"
         if command.line.endswith("&"):

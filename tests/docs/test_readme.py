@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import tripillar as tp
+from geometry.pool import open_pool
 from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands, missing
 from tests.studies.one_process import one_after_another
@@ -90,8 +91,9 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, monkeypatch):
 
 
 @pytest.mark.long  # the commands of the README, run as typed, are its short twin
-def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache):
-    """Every command of docs/index.md succeeds, and prints what the page says below it."""
+def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache, monkeypatch):
+    """Every command of docs/index.md succeeds, and prints what the page says below it; a sweep in this process."""
+    monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
     commands = console_commands(ROOT / "docs" / "index.md")
     assert len(commands) > 12
     with Terminal(tmp_path) as terminal:

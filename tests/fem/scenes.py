@@ -11,7 +11,7 @@ from fem.methods.plan import Plan, make_plan
 from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Body, Probe, Scene
 from geometry.design import Material
-from geometry.layout import Electrode, Layout
+from geometry.layout import SONG2018, Electrode, Layout
 from geometry.layout import Pillar as PillarOf
 from geometry.prism import Pair, Triple
 
@@ -23,6 +23,8 @@ FOUR = Layout(
         PillarOf(*one) for one in (("z", "L1", "U1"), ("y", "L1", "U2"), ("w", "L2", "U2"), ("x", "L2", "U3"))
     ),
 )
+#: the paper's, and a reference beside the slab where its wires leave a crossing free; it leans both ways
+BESIDE = replace(SONG2018, pillars=(*SONG2018.pillars, PillarOf("r", "L2", "U2", width_mm=3.0, reference=True)))
 
 
 def round_of(layout: Layout) -> Layout:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.resistance import rest_resistances
+from fem.array.conducted import with_references
 from fem.array.meshed import DesignCell, functionals
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
@@ -18,7 +20,8 @@ from fem.scene.loads import DeadLoad
 from fem.scene.scene import Scene, Sensor
 from geometry.design import Array, Electrics, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS, electrode_squares, pillar_volumes, rest_lengths, unit_centres
-from tests.fem.scenes import FOUR, mean, round_of
+from hardware.readout.shunts import shunts
+from tests.fem.scenes import BESIDE, FOUR, mean, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -39,6 +42,12 @@ def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path, mo
     turned = influence[:, ::-1, 2, :, :, ::-1] * np.outer(turn, turn)[:, None, None]
     assert turned == pytest.approx(influence[:, :, 0], abs=1e-10)
     conducted = found.conducted
+    beside = with_references(
+        conducted, Unit(layout=replace(FOUR, pillars=(replace(BESIDE.pillars[3], foot="L1", top="U3"), *FOUR.pillars)))
+    )
+    assert (beside.rest_mm[..., 0, 0] == np.sqrt(300.0)).all()
+    assert not beside.influence_mm_per_n[:, :, 0].any()
+    assert np.array_equal(beside.relative_per_n[:, :, 1:], conducted.relative_per_n)
     assert conducted.influence_mm_per_n.shape == (1, 2, 4, 7, 1, 2, 3)
     at_rest = conducted.rest_mm[..., 0] ** 2 / pillar_volumes(UNIT)
     assert at_rest == pytest.approx(np.tile(unit_conductances(UNIT).pillars_per_mm, (1, 2, 1)), rel=1e-12)
@@ -68,6 +77,19 @@ def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, sha
     off = np.linalg.norm(np.array(list(direct.probes.values())) - superposed, axis=1)
     assert len(off) == 2 * len(design.unit.layout.upper)
     assert off.max() < (direct.error_estimate + response.error_estimate) * np.linalg.norm(superposed, axis=1).min()
+
+
+def test_a_reference_asks_for_no_response_of_its_own(shared_cache):
+    """The paper's is found in the cache; at rest it is R = ρ l/S by conduction, too, and no shunt of the rubber."""
+    array_response(PAPERS, SETTINGS)
+    design = replace(PAPERS, unit=Unit(layout=BESIDE), electrics=CONDUCTION)
+    found, _, reused = array_response(replace(design, electrics=Electrics()), SETTINGS)
+    assert (reused, found.design.unit.layout) == (True, BESIDE)
+    by_conduction = rest_resistances(design)
+    assert by_conduction[3] == pytest.approx(4000.0 * np.sqrt(300.0) / 9.0)
+    assert np.array_equal(by_conduction[:3], rest_resistances(replace(design, unit=Unit())))
+    assert shunts(BESIDE) == shunts(BESIDE.body)
+    assert np.array_equal(unit_conductances(design.unit).matrix_mm, unit_conductances(Unit()).matrix_mm)
 
 
 def test_derivatives_and_bare_surfaces_have_every_electrode(monkeypatch):
@@ -113,11 +135,10 @@ def test_samples_at_finite_strain_have_every_electrode_and_pillar(electrics, few
         assert change[1][:2] == pytest.approx(change[0][[0, 2]], rel=3e-3)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_samples_of_one_rubber_are_alike_whatever_the_pillars(name):
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), BESIDE])
+def test_samples_of_one_rubber_are_alike_whatever_the_pillars(layout):
     """They bend nothing: electrodes that layouts have in common move alike, round pillars as square ones."""
     lone, force_n = SensorDesign(array=Array(rows=1, cols=1)), 144.0 * np.array([[[0.1, 0.05, -0.5]]])
-    layout = LAYOUTS[name]
     paper, square, round_one = (
         SampleSolver(replace(lone, unit=Unit(layout=one))).displacements(force_n)
         for one in (LAYOUTS["song2018"], layout, round_of(layout))

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
-from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press
+from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
 from fem.contact import surface as surface_module
 from fem.contact.surface import Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
 from geometry.design import Array, Pad, Plate, SensorDesign
 from geometry.errors import DesignError
+from studies.bench.peers.plates import CASES, pressed_here
+from studies.bench.peers.plates import DESIGN as FOUR
 
 PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 
@@ -72,7 +74,7 @@ def test_a_shear_on_a_plate_s_face_turns_it_by_the_plate_s_thickness(plated: Sur
         PatchCompliance(replace(plated, design=design), patch).electrodes_mm(force)
         for design, force in ((PLATED, shear), (thick, shear))
     )
-    one, turned = 3.0 / 2.0, PatchCompliance(plated, patch).electrodes_mm(off)
+    one, turned = 3.0, PatchCompliance(plated, patch).electrodes_mm(off)
     assert (high - low) * one == pytest.approx(turned, abs=1e-4 * np.abs(turned).max())
 
 
@@ -138,3 +140,12 @@ def test_polynomials_between_tiles_end_at_plates_and_keep_moments():
 def test_shapes_that_move_step_by_step_need_bare_rubber(plated: SurfaceCompliance):
     with pytest.raises(DesignError, match="bare rubber"):
         Stepper(plated)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "net_n"), [("ball over a crossing", 162.061), ("tilted box", 148.891)])
+def test_presses_on_four_plates_are_ngsolve_s(name: str, net_n: float):
+    """By `python -m studies.bench.peers.plates`: the net force to 2 %, tetrahedra being the stiffer."""
+    shape, depth_mm, at_mm, _ = CASES[name]
+    found = pressed_here(surface_compliance(FOUR)[0], shape, depth_mm, at_mm, 48)
+    assert found.net_n == pytest.approx(net_n, rel=0.02)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from fem.pictures.parts import pillar_surface
 from geometry import Array, DesignError, Pad, SensorDesign, Unit
-from geometry.cad import unit_solid
+from geometry.cad import sensor_solids, unit_solid
+from geometry.castability import castability
 from geometry.layout import (
     AXES,
     LAYOUTS,
@@ -26,9 +28,11 @@ from geometry.layout import (
     unit_centres,
     upper_electrodes,
 )
+from geometry.mould import Mould, mould_solids
 from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
 from geometry.shares import pillar_shares
-from tests.fem.scenes import round_of
+from geometry.wiring import unit_crossings
+from tests.fem.scenes import BESIDE, round_of
 
 EXACT = 1e-14  # rounding
 
@@ -64,6 +68,28 @@ def test_pillars_by_what_they_sense_and_what_they_tell_of_a_rigid_plate(name):
     lengthened = np.hstack([along, np.cross(pillar_ends(unit)[:, 1], along)])
     told = tuple(unit.layout.sensing(axis) for axis in AXES), np.linalg.matrix_rank(lengthened)
     assert told == SENSING[name]
+
+
+def test_a_reference_has_a_resistance_and_a_crossing_and_is_no_part_of_the_body():
+    """It may lean both ways and cross any pillar; the line between its ends is as long as a cube's diagonal."""
+    unit, paper = Unit(layout=BESIDE), SensorDesign(array=Array(rows=1, cols=2))
+    design = replace(paper, unit=unit)
+    assert rest_lengths(unit)[3] == pytest.approx(np.sqrt(300.0), rel=EXACT)
+    assert pillar_volumes(unit)[3] == pytest.approx(9 * np.sqrt(300.0), rel=EXACT)
+    assert (unit_crossings(BESIDE) >= 0).all()
+    assert [BESIDE.sensing(axis) for axis in AXES] == [SONG2018.sensing(axis) for axis in AXES]
+    assert (unit.body, unit.footprint_mm) == (Unit(), Unit().footprint_mm)
+    assert replace(unit, span_mm=3.0).layout == BESIDE  # as narrow as the paper's may be
+    lines = np.linspace(-8.0, 8.0, 9), np.linspace(-8.0, 8.0, 9), np.linspace(0.0, 10.0, 5)
+    for of in (
+        lambda one: pillar_prisms(one),
+        lambda one: castability(one),
+        lambda one: pillar_shares(one.unit, *lines).tolist(),
+        lambda one: {name: solid.volume for name, solid in sensor_solids(one).items()},
+        lambda one: {name: solid.volume for name, solid in mould_solids(one, Mould()).items()},
+        lambda one: len(pillar_surface(one.unit)[0]),
+    ):
+        assert of(design) == of(paper)
 
 
 def test_units_run_along_x_first_with_squares_of_electrodes_and_pads():
@@ -113,6 +139,7 @@ WRONG = {
     "pillar x joins U1 and U2: it must stand on one of L1": (UPPER, LOWER, (Z, Pillar("x", "U1", "U2"))),
     "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
     "no pillar joins electrodes": ((), (), ()),
+    "no pillar joins U2: each needs one that is no reference": (UPPER, LOWER, (Z, replace(X, reference=True))),
     "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
     "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
         tuple(replace(one, wire="a") for one in UPPER),

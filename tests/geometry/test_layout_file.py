@@ -7,14 +7,15 @@ import pytest
 from geometry import DesignError
 from geometry.layout import LAYOUTS, SONG2018, Electrode
 from geometry.layout_file import layout_from_tables, layout_from_text, layout_tables, layout_text
+from tests.fem.scenes import BESIDE
 
 OWN = replace(SONG2018, upper=(SONG2018.upper[0], Electrode("U2", (-1.0, 0.5))))
 
 
-@pytest.mark.parametrize("layout", [*LAYOUTS.values(), OWN])
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), OWN, BESIDE])
 def test_a_layout_comes_back_from_its_tables_and_its_text(layout):
     assert layout_from_tables(layout_tables(layout)) == layout_from_text(layout_text(layout)) == layout
-    assert ("layout" in layout_tables(layout)) == (layout != OWN)
+    assert ("layout" in layout_tables(layout)) == (layout in LAYOUTS.values())
     assert layout_text(layout).isascii()
     assert "\n" not in layout_text(layout)
 

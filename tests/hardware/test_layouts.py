@@ -23,10 +23,11 @@ from hardware.recording.recorded import Header, read_header
 from hardware.session import record_scans
 from hardware.streams.files import convert
 from hardware.streams.ros2_file import shape_message
+from tests.fem.scenes import BESIDE
 from tests.hardware.boards import SHARED
 from tests.hardware.models import Unknown
 
-EACH = {**LAYOUTS, "shared wires": SHARED}
+EACH = {**LAYOUTS, "shared wires": SHARED, "reference": BESIDE}
 
 
 class Shortening(Unknown):

@@ -10,7 +10,7 @@ from dataset.memory import broken_contacts, log_rise
 from decoupler.rubber.causal_training import Histories
 from geometry.design import Memory
 from geometry.errors import DesignError
-from studies.real_rubber import eflesh, strips, velostat
+from studies.real_rubber import array, eflesh, strips, velostat
 from studies.real_rubber.__main__ import judge
 from studies.real_rubber.judging import parts_of
 
@@ -115,3 +115,14 @@ def test_contacts_of_efleshs_are_decoded_that_were_not_learned(kind, tmp_path):
     rows = eflesh.judged(tmp_path, kind)
     assert {row["by"] for row in rows} == {"identify", "train"}
     assert max(row["rmse"] for row in rows) < 1.0
+
+
+def test_the_study_of_arrays_ignores_memory_by_the_law_at_rest():
+    """Its strains without memory are those of the law with no contact broken; bench series remember."""
+    strain, memory = np.linspace(-0.25, 0.2, 10), array.RUBBERS[array.OWN]
+    still = 2 * np.log1p(strain) + memory.g1 * strain
+    assert array.static_strain(still, memory) == pytest.approx(strain, abs=1e-6)
+    series = array.bench_series(memory)
+    assert series.strain.max() == pytest.approx(array.STRETCH, rel=0.02)
+    released = (series.strain == 0) & (np.maximum.accumulate(series.strain) > 0.1)
+    assert series.resistance_ohm[released].max() > 1.1 * series.resistance_ohm[:100].mean()

@@ -4,7 +4,7 @@ Every pillar is judged by the force along which it leans, its own; an upright on
 equations are in docs/results.md.
 """
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from time import perf_counter
 
 import numpy as np
@@ -72,9 +72,10 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     cap : float
         Largest strain |l − l₀|/l₀ of a pillar.
     """
-    design = response.design
+    design = replace(response.design, unit=response.design.unit.body)
     forward = SensorModel.of(response, component_named("all"))
-    G = relative_slopes(forward)
+    loaded = [*response.design.unit.layout.loaded]
+    G = relative_slopes(forward).reshape(design.n_units, -1, forward.n_forces)[:, loaded].reshape(-1, forward.n_forces)
     own, pillars = self_sensitivities(G, design), design.unit.layout.pillar_names
     talk = crosstalk(G, design)
     one, everywhere = largest_pressures(response, cap)

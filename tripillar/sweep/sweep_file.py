@@ -115,7 +115,7 @@ class Sweep:
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """What its rows hold, by name; of the pillars of all its layouts."""
-        names = (layout.pillar_names for layout in self.layouts)
+        names = (layout.body.pillar_names for layout in self.layouts)
         return metrics_for(dict.fromkeys(chain.from_iterable(names)))
 
     @property

@@ -112,8 +112,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     bar = figure.colorbar(shades, ax=figure.axes, label=variable.label, pad=0.01, ticks=ticks)
     if ticks is not None:
         bar.ax.set_yticklabels([str(text) for text in variable.values], rotation=90, va="center")
-    failed = f"; {len(rows) - len(sound)} more failed" if len(sound) < len(rows) else ""
-    figure.suptitle(f"{len(sound)} designs{failed}", fontsize=12)
+    failed = sum(row.failed for row in rows)
+    others = {"failed": failed, "do not tell it": len(rows) - len(sound) - failed}
+    said = "".join(f"; {count} more {what}" for what, count in others.items() if count)
+    figure.suptitle(f"{len(sound)} designs{said}", fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 

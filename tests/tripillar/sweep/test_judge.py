@@ -8,7 +8,7 @@ import pytest
 from decoupler.data.columns import component_named
 from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
-from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.layout import LAYOUTS, Layout
 from tripillar.sweep import judge
 from tripillar.sweep.sweep_file import Judging
@@ -78,7 +78,7 @@ def test_an_array_that_differs_in_scale_alone_has_the_same_shares():
 def test_what_a_design_cannot_tell_is_a_reason():
     """One upright pillar a unit tells no shear; five columns in two rows have no third neighbour along y, but along x.
 
-    Stiff pads are no bare rubber.
+    No contact is solved with conduction.
     """
     lone = replace(SPRINGS, unit=Unit(layout=Layout(UPRIGHT.upper[:1], UPRIGHT.lower[:1], UPRIGHT.pillars[:1])))
     found = judge.metrics_of(springs(design=lone), noise=1e-3, bits=None, cap=0.3)
@@ -86,8 +86,8 @@ def test_what_a_design_cannot_tell_is_a_reason():
     assert "do not tell forces along x and y" in found["error_n"]
     pair = replace(SPRINGS, array=Array(rows=1, cols=2))
     assert judge.metrics_of(springs(design=pair), 1e-3, None, 0.3)["crosstalk_z_2"] == "no unit is 2 × pitch away"
-    stiff = judge.touch_of(replace(SPRINGS, pad=Pad(kind="stiff")), Judging(touch_n=20.0))
-    assert "stiff plates" in stiff["touch_net_pct"]
+    conducting = judge.touch_of(replace(SPRINGS, electrics=Electrics(model="conduction")), Judging(touch_n=20.0))
+    assert "conduction needs loads on pads" in conducting["touch_net_pct"]
 
 
 def test_what_a_design_takes_to_be_read():

@@ -9,8 +9,9 @@ from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Layout
+from tests.docs.terminal import ROOT
 from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of
-from tripillar.sweep.sweep_file import Bound, Judging, sweep_from_dict
+from tripillar.sweep.sweep_file import Bound, Judging, read_sweep, sweep_from_dict
 from tripillar.sweep.variables import KEYS, Variable, value_of, with_values
 
 PITCH = {"key": "array.pitch_mm", "low": 13.0, "high": 20.0}
@@ -89,6 +90,13 @@ def test_a_row_is_known_by_its_design_and_how_it_is_judged_and_excess_is_relativ
     assert len(found | {row_key(SensorDesign(), Judging())}) == 7
     assert (Bound(least=10.0).excess(5.0), Bound(most=10.0).excess(15.0)) == (0.5, 0.5)
     assert (Bound(least=1.0, most=2.0).excess(1.5), Bound(most=1.0).excess(None)) == (0.0, float("inf"))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.toml")), ids=lambda path: path.stem)
+def test_examples_are_sweeps_of_designs_that_mostly_can_be_built(path):
+    asked = read_sweep(path)
+    samples = samples_of(replace(asked, samples=16))
+    assert sum(sample.design is not None for sample in samples) > 12, [sample.reason for sample in samples]
 
 
 @pytest.mark.parametrize(
