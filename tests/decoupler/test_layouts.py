@@ -17,6 +17,8 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.touch.morph import Pillars, Sensing
 from decoupler.twin import identify
 from decoupler.twin.expectation import Expectation, State
+from decoupler.twin.identification import readings_of
+from decoupler.twin.linearised import Linear
 from decoupler.twin.next_load import Knowledge
 from fem.array.closed_forms import layer_response
 from fem.array.solving import array_response
@@ -138,6 +140,9 @@ def test_what_pairs_leave_open_of_a_sensor_moves_no_reference():
     gain = 1.0 + 0.2 * generator.uniform(-1.0, 1.0, (2, 2, 4))
     noise = 1e-3 * generator.standard_normal(data.resistance_ohm.shape)
     data = replace(data, resistance_ohm=data.resistance_ohm * gain * (1.0 + noise), noise=1e-3)
+    linear = Linear(expected, readings_of(Pairs.of(data), [0, 1, 2], [0, 1, 2, 3]), mean)
+    slopes = np.array([np.abs(linear.pillar(p).J[:, 2:]).max() for p in range(16)]).reshape(4, 4)
+    assert ((slopes > 0) == [True, True, True, False]).all()
     found = identify(Pairs.of(data), response=response(design), sensitivities=softness(design))
     forward = found.decoder.inverse.forward
     assert not forward.by_component.reshape(4, 4, 3, 12)[:, 3].any()
