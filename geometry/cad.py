@@ -13,7 +13,7 @@ from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, expo
 
 from geometry.design import SensorDesign, Unit
 from geometry.layout import unit_centres
-from geometry.prism import unit_prisms
+from geometry.prism import SIDES, unit_prisms
 from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid, write_surface
 
@@ -38,28 +38,29 @@ def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
     return [solid.moved(Location((x, y, 0.0))) for x, y in unit_centres(design)]
 
 
-def pillar_solids(unit: Unit) -> list[Solid]:
+def pillar_solids(unit: Unit, sides: int = SIDES) -> list[Solid]:
     """The pillars in the unit's frame, each ending flush with z = 0 and z = h.
 
-    The section is width × width perpendicular to the axis, or a circle of that diameter, so that a horizontal cut is
-    width × width·l/h, longer along the tilt. That swept along the axis is the whole pillar, and V = S·l exactly.
+    The section is width × width perpendicular to the axis, or a circle of that diameter, drawn as a polygon: a
+    horizontal cut is width × width·l/h, longer along the tilt. That swept along the axis is the whole pillar, and
+    V = S·l exactly.
 
     >>> [round(pillar.volume, 6) for pillar in pillar_solids(Unit())]
     [40.0, 56.568542, 56.568542]
     """
-    prisms = [(one.corners(), one.axis_mm) for one in unit_prisms(unit)]
+    prisms = [(one.corners(sides), one.axis_mm) for one in unit_prisms(unit)]
     return [prism(corners[: len(corners) // 2].tolist(), axis.tolist()) for corners, axis in prisms]
 
 
-def unit_solid(unit: Unit) -> Solid:
+def unit_solid(unit: Unit, sides: int = SIDES) -> Solid:
     """The conductive body of one unit, in its own frame: its pillars, grown together at common electrodes."""
-    first, *others = pillar_solids(unit)
+    first, *others = pillar_solids(unit, sides)
     return first.fuse(*others)
 
 
-def array_solid(design: SensorDesign) -> Compound:
+def array_solid(design: SensorDesign, sides: int = SIDES) -> Compound:
     """The conductive bodies of all units, k = i·cols + j; they do not touch, whatever the pitch."""
-    unit = unit_solid(design.unit)
+    unit = unit_solid(design.unit, sides)
     unit.label = "unit"
     return Compound(children=at_units(unit, design), label="array")
 

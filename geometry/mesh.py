@@ -20,7 +20,7 @@ from geometry.design import SensorDesign, positive, require_sound
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
-from geometry.prism import Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
+from geometry.prism import MESHED_SIDES, Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, sealed
@@ -103,7 +103,9 @@ class MeshTask:
 def mesh_cache_key(design: SensorDesign, settings: MeshSettings) -> str:
     """Hash of all that a sensor's mesh depends on, but for the mesher's own chance."""
     plates = [design.pad] if design.pad.kind == "stiff" else []
-    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings, *plates)
+    is_round = any(one.is_round for one in design.unit.layout.pillars)
+    sides = [MESHED_SIDES] if is_round and not design.is_homogeneous else []
+    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings, *plates, *sides)
 
 
 def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
@@ -144,7 +146,9 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
                 f"mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}{mend}."
             )
 
-    solids = {"slab": slab_solid(design)} | ({} if design.is_homogeneous else {"array": array_solid(design)})
+    solids = {"slab": slab_solid(design)} | (
+        {} if design.is_homogeneous else {"array": array_solid(design, MESHED_SIDES)}
+    )
     surfaces = {name: surface_from_solid(solid) for name, solid in solids.items()}
     for name, surface in surfaces.items():
         check_surface(surface, solids[name].volume, name)
@@ -171,8 +175,8 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
 
 
 def prism_surface(prism: Prism) -> "Trimesh":
-    """The faces of a prism as twelve triangles."""
-    return convex_hull(prism.corners())
+    """The faces of a prism as triangles."""
+    return convex_hull(prism.corners(MESHED_SIDES))
 
 
 def tetrahedralized(task: MeshTask) -> TetMesh:
@@ -198,7 +202,8 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     for each, along in zip(task.prisms, own, strict=True):
         points = snap_to_prism(points, along, each, 2 * envelope_mm)
         if each.is_round:
-            points = snap_to_side(points, along, each, 2 * envelope_mm)
+            off_mm = float(each.distance(each.corners(MESHED_SIDES)).max())  # of the polygon's corners
+            points = snap_to_side(points, along, each, 2 * envelope_mm + off_mm)
     points = snap_to_prism(points, boundary_faces(cells), task.outline, 2 * envelope_mm)
     volumes = np.abs(cell_volumes(points, cells))
     points, cells = _used(points, cells[volumes > 1e-9 * volumes.max()])  # without those now flat on a face

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit
 
 SIDES = 24  #: of the polygon that is drawn for a circle: flat faces meet exactly, and lie within 1 % of its radius
+#: of the one that is meshed: six round pillars make 1.7 times the cells of square ones, by 24 sides nine
+MESHED_SIDES = 8
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -72,15 +74,15 @@ class Prism:
             across = (np.linalg.norm(across / half + 1, axis=1, keepdims=True) - 1) * half.min()
         return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
 
-    def corners(self) -> FloatArray:
+    def corners(self, sides: int = SIDES) -> FloatArray:
         """The corners of the lower end, anticlockwise from above, then those of the upper, shape (2 n, 3) [mm].
 
-        n is 4, of an ellipse the `SIDES` of a polygon of the same area.
+        n is 4, of an ellipse the sides of a polygon of the same area.
         """
         if self.is_round:
-            angle = 2 * np.pi * (np.arange(SIDES) + 0.5) / SIDES
-            larger = math.sqrt(2 * np.pi / (SIDES * math.sin(2 * np.pi / SIDES)))
-            signs = larger * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)])
+            angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+            larger = math.sqrt(2 * np.pi / (sides * math.sin(2 * np.pi / sides)))
+            signs = larger * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
         else:
             signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
         half = signs * np.array([*self.section_mm, 0.0]) / 2

@@ -3,7 +3,7 @@
 Every pillar is cut in the middle of its height, and about each electrode lie the halves that end there: at most an
 upright and an oblique one, between −w/2 and w/2 across. Their union is a plane figure, swept across. It is cut into
 quadrilaterals along lines that end at the electrode's edges and in the crotch. Round pillars have the same figure in
-every plane along their leans, smaller toward their sides; their electrodes are taken to be round as they are.
+every plane along their leans, smaller toward their sides; of their square ends nodes inside count as electrodes.
 """
 
 import math
@@ -27,9 +27,6 @@ RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 ROUND_ACROSS = 6  #: elements across a round pillar: halves of a polygon, enlarged to the circle's area
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
-
-#: of a circle's radius, that of the corners of a polygon of the same area
-ROUND_RATIO = math.sqrt(math.pi / (ROUND_ACROSS * math.sin(math.pi / ROUND_ACROSS)))
 
 Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
 Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
@@ -102,18 +99,21 @@ class Joint:
     sign: float = 1.0  #: its lean away from the electrode
     width_mm: float = 2.0  #: of both
     is_round: bool = False  #: both
+    polygon: float = 1.0  #: corners of the polygon that is meshed, in terms of the radius
 
     @property
     def half_mm(self) -> float:
         """Half of the width across, as meshed."""
-        return self.width_mm / 2 * (ROUND_RATIO if self.is_round else 1.0)
+        return self.width_mm / 2 * self.polygon
 
     def turned(self, local: FloatArray) -> FloatArray:
         """Values (..., 2) along X and Y along x and y."""
         return np.stack([self.sign * local[..., 0], local[..., 1]][:: 1 - 2 * self.axis], axis=-1)
 
 
-def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) -> Hexahedra:
+def unit_hexahedra(
+    unit: Unit, order: int, levels: int, strained: bool = False, round_across: int = ROUND_ACROSS
+) -> Hexahedra:
     """The pillars of a unit in its own frame; terminals are its electrodes, the upper ones first.
 
     `levels` are of refinement toward electrodes' edges and crotches, by `RATIO` each. `strained` cuts the pillars
@@ -128,8 +128,9 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     nodes: list[FloatArray] = []
     elements, terminals, n = [], [], 0
     ties: dict[int, Tie] = {}
-    swept = cache(partial(_swept, unit, order, levels, strained))  # X runs toward the oblique pillar's other end
-    for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit), strict=True)):
+    # X runs toward the oblique pillar's other end
+    swept = cache(partial(_swept, unit, order, levels, strained, round_across))
+    for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit, round_across), strict=True)):
         run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
         half, slack = joint.half_mm, 1e-6 * joint.width_mm
         part = swept(joint.upright is not None, run, joint.width_mm, joint.is_round)
@@ -159,7 +160,7 @@ def unit_hexahedra(unit: Unit, order: int, levels: int, strained: bool = False) 
     )
 
 
-def _joints(unit: Unit) -> list[Joint]:
+def _joints(unit: Unit, round_across: int) -> list[Joint]:
     """What lies about each electrode; refusals as of `unit_hexahedra`."""
     layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
     leans, pairs, widths = ends[:, 1] - ends[:, 0], layout.pillar_terminals, pillar_widths(unit)
@@ -179,7 +180,13 @@ def _joints(unit: Unit) -> list[Joint]:
                 f"conduction takes round pillars on electrodes at least as wide: raise electrode_mm from "
                 f"{unit.electrode_mm:g} to {width:g}, or take eq. 1."
             )
-        made = partial(Joint, upright=uprights[0] if uprights else None, width_mm=width, is_round=is_round)
+        made = partial(
+            Joint,
+            upright=uprights[0] if uprights else None,
+            width_mm=width,
+            is_round=is_round,
+            polygon=_corner_ratio(round_across) if is_round else 1.0,
+        )
         if not obliques:
             joints.append(made(oblique=None))
             continue
@@ -201,14 +208,27 @@ def _joints(unit: Unit) -> list[Joint]:
     return joints
 
 
+def _corner_ratio(across: int) -> float:
+    """Of a circle's radius, that of the corners of a polygon of twice as many sides and the same area."""
+    return math.sqrt(math.pi / (across * math.sin(math.pi / across)))
+
+
 def _swept(
-    unit: Unit, order: int, levels: int, strained: bool, upright: bool, run: float, width_mm: float, is_round: bool
+    unit: Unit,
+    order: int,
+    levels: int,
+    strained: bool,
+    round_across: int,
+    upright: bool,
+    run: float,
+    width_mm: float,
+    is_round: bool,
 ) -> Hexahedra:
     """A joint's figure swept across, in X, Y and t; the terminal is its electrode."""
     h, half, e = unit.height_mm, width_mm / 2, unit.electrode_mm / 2
     if is_round:
-        half, e = ROUND_RATIO * half, ROUND_RATIO * e
-        across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, ROUND_ACROSS + 1))
+        half, e = (_corner_ratio(round_across) * one for one in (half, e))
+        across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, round_across + 1))
     else:
         across = _across(half, e, max(levels - 2, 0), strained)
     if not run:

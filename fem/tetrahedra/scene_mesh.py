@@ -17,7 +17,7 @@ from fem.scene.scene import Scene
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface
-from geometry.prism import Prism, prisms_at
+from geometry.prism import MESHED_SIDES, Prism, prisms_at
 from geometry.storage.files import digest
 
 METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
@@ -43,7 +43,10 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
     extents = np.array([[*prism.section_mm, prism.height_mm] for prism in parts])
     cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(parts[1:], 2))
     envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
-    shapes = [[prism.base_mm, prism.top_mm, prism.section_mm, *(["round"] * prism.is_round)] for prism in parts]
+    shapes = [
+        [prism.base_mm, prism.top_mm, prism.section_mm, *(["round", MESHED_SIDES] if prism.is_round else [])]
+        for prism in parts
+    ]
     key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))
     mesh, _, kept = cached_mesh(key, lambda: scene_task(scene.outline, prisms, edge_mm, envelope_mm, plates))
     # scikit-fem keeps points as (3, n)

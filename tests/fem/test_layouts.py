@@ -7,16 +7,21 @@ import pytest
 
 from dataset.resistance import rest_resistances
 from fem.array.conducted import with_references
+from fem.array.meshed import DesignCell, functionals
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.potentials import unit_conductances
 from fem.contact.surface import endless_surface
 from fem.finite.samples import SampleSolver
-from geometry.design import Array, Electrics, SensorDesign, Unit
-from geometry.layout import LAYOUTS, pillar_volumes, rest_lengths
+from fem.methods.plan import make_plan
+from fem.methods.solving import follow
+from fem.scene.loads import DeadLoad
+from fem.scene.scene import Scene, Sensor
+from geometry.design import Array, Electrics, Material, SensorDesign, Unit
+from geometry.layout import LAYOUTS, electrode_squares, pillar_volumes, rest_lengths, unit_centres
 from hardware.readout.shunts import shunts
-from tests.fem.scenes import BESIDE, FOUR, round_of
+from tests.fem.scenes import BESIDE, FOUR, mean, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -52,6 +57,28 @@ def test_a_response_has_every_electrode_and_conduction_every_pillar(tmp_path, mo
         assert (read.content_hash, read.design) == (response.content_hash, response.design)
 
 
+@pytest.mark.parametrize("name", ["six-pillar", "eight-pillar"])
+def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, shared_cache):
+    """Both pads of two units at once, on boxes of the whole body: as near as both estimates say."""
+    design = replace(PAPERS, unit=Unit(layout=LAYOUTS[name]))
+    force_n = np.array([[0.3, -0.2, -1.0], [-0.5, 0.4, -0.6]])
+    loads = [
+        DeadLoad(center_mm=(x, y), size_mm=(12.0, 12.0), traction_mpa=tuple(force / 144.0))
+        for (x, y), force in zip(unit_centres(design), force_n, strict=True)
+    ]
+    squares = electrode_squares(design)
+    probes = [mean(str(k), ((a + c) / 2, (b + d) / 2), (c - a, d - b)) for k, (a, b, c, d) in enumerate(squares)]
+    scene = Scene(
+        body=Sensor(design=design), material=design.matrix_material, loads=loads, probes=probes, tolerance=4e-2
+    )
+    direct = follow(make_plan(scene, field=True), scene)
+    response, _, _ = array_response(design, ResponseSettings(tolerance=2e-2))
+    superposed = np.tensordot(response.influence_mm_per_n[0, ..., 0, :, :], force_n, axes=2).reshape(-1, 3)
+    off = np.linalg.norm(np.array(list(direct.probes.values())) - superposed, axis=1)
+    assert len(off) == 2 * len(design.unit.layout.upper)
+    assert off.max() < (direct.error_estimate + response.error_estimate) * np.linalg.norm(superposed, axis=1).min()
+
+
 def test_a_reference_asks_for_no_response_of_its_own(shared_cache):
     """The paper's is found in the cache; at rest it is R = ρ l/S by conduction, too, and no shunt of the rubber."""
     array_response(PAPERS, SETTINGS)
@@ -79,6 +106,17 @@ def test_conduction_of_four_pillars():
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
+
+
+@pytest.mark.long
+def test_round_pillars_that_cross_make_few_cells_more_than_square_ones():
+    """Six of each in a unit. By 24 sides they make nine times as many, and a response takes ten minutes and more."""
+    square, round_one = (
+        replace(PAPERS, unit=Unit(layout=layout), pillar_material=Material(young_mpa=0.5))
+        for layout in (LAYOUTS["six-pillar"], round_of(LAYOUTS["six-pillar"]))
+    )
+    bodies = [DesignCell(design, functionals(design)).tetrahedra(0) for design in (square, round_one)]
+    assert bodies[1].n_unknowns < 2.5 * bodies[0].n_unknowns
 
 
 @pytest.mark.parametrize("electrics", [Electrics(), pytest.param(CONDUCTION, marks=pytest.mark.long)])

@@ -13,7 +13,7 @@ from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error
 from fem.tetrahedra.adapted import residuals
 from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.scene_mesh import mesh_scene, prism_of_cells
+from fem.tetrahedra.scene_mesh import bisected, mesh_scene, prism_of_cells
 from geometry.design import Material
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.scenes import BLOCK, PILLAR, box_mesh, on_tetrahedra, pressed_block
@@ -105,6 +105,19 @@ def test_every_face_is_where_it_belongs():
     on_plane = [(corners[:, :, axis] == c).all(axis=1) for axis, c in enumerate((10.0, 10.0, 6.0))]
     on_plane += [(corners[:, :, axis] == 0.0).all(axis=1) for axis in range(3)]
     assert np.any(on_plane, axis=0).all()
+
+
+def test_round_prisms_keep_their_volume_as_they_are_refined():
+    """A leaning one of eight sides, 1e-9; half of the cells at its side halved three times belong where they did."""
+    column = Prism(base_mm=(3.5, 5.0, 0.0), top_mm=(6.5, 5.0, 6.0), section_mm=(2.5, 2.0), is_round=True)
+    coarse, _ = mesh_scene(pressed_block((10.0, 10.0, 6.0), Material()), [column])
+    mesh = coarse
+    for _ in range(3):
+        labels = prism_of_cells(mesh, [column], coarse)
+        volumes = np.bincount(labels, cell_volumes(mesh.p.T, mesh.t.T), 2)
+        assert volumes == pytest.approx([600.0 - column.volume_mm3, column.volume_mm3], rel=1e-9)
+        mesh = bisected(mesh, np.flatnonzero(column.distance(mesh.p.T[mesh.t.T].mean(axis=1)) < 0.3)[::2])
+    assert mesh.nelements > 2 * coarse.nelements
 
 
 def test_an_exact_answer_leaves_no_residual(disordered_cube):

@@ -19,7 +19,7 @@ from fem.conduction.potentials import (
 from fem.conduction.reduced import reduced_conduction
 from geometry.design import Unit
 from geometry.errors import DesignError
-from geometry.layout import LAYOUTS, pillar_volumes, rest_lengths
+from geometry.layout import LAYOUTS, Electrode, Layout, pillar_volumes, rest_lengths
 from geometry.shares import pillar_shares
 from tests.fem.scenes import round_of
 
@@ -80,9 +80,10 @@ def test_unit_at_rest():
 
 
 def test_round_units_at_rest():
-    """Uprights resist exactly by l/S; the paper's fill what boxes' shares of them do, and err as they say.
+    """Uprights resist exactly by l/S; the paper's, and one that leans alone, err by less than they say.
 
-    By polygons of 8 to 24 sides z and x lie 3.2 to 3.3 and 5.0 to 5.2 % above eq. 1.
+    NGSolve with curved tetrahedra that crowd at square electrodes (order 4, three levels) finds z and x 3.28 and 5.14 %
+    above eq. 1, the lone one 3.45 % below; order 3 and two levels change that by 0.03 %.
     """
     uprights, paper = (Unit(layout=round_of(LAYOUTS[name])) for name in ("upright-four", "song2018"))
     assert unit_conductances(uprights).pillars_per_mm == pytest.approx(np.full(4, 10 / np.pi), rel=1e-10)
@@ -91,9 +92,14 @@ def test_round_units_at_rest():
     assert unit_hexahedra(paper, 1, 1).weight_mm3.sum() == pytest.approx(filled_mm3, rel=1e-4)
     found = unit_conductances(paper)
     z, x, y = found.pillars_per_mm * pillar_volumes(paper) / rest_lengths(paper) ** 2
-    assert (z, x) == pytest.approx((1.0325, 1.051), abs=1e-3)
+    misses = [z / 1.0328 - 1, x / 1.0514 - 1]
     assert x == pytest.approx(y, rel=1e-8)
-    assert (np.abs([z / 1.0325 - 1, x / 1.051 - 1]) < found.error_estimate[:2]).all()
+    lone = Unit(layout=Layout((Electrode("U1", (-1, -1)),), (Electrode("L2", (1, -1)),), (paper.layout.pillars[1],)))
+    leaning = unit_conductances(lone)
+    misses.append(leaning.pillars_per_mm[0] * pillar_volumes(lone)[0] / rest_lengths(lone)[0] ** 2 / 0.9655 - 1)
+    estimates = [*found.error_estimate[:2], *leaning.error_estimate]
+    assert (np.abs(misses) < estimates).all()
+    assert max(estimates) < 2e-3
     thin = replace(paper.layout.pillars[0], width_mm=1.0)
     for unit, says in (
         (replace(paper, electrode_mm=1.5), "raise electrode_mm from 1.5 to 2, or take eq. 1"),
