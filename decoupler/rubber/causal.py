@@ -31,10 +31,10 @@ class CausalFilter:
     strains: tuple[float, float]  #: least and largest that it was trained for
     centre: FloatArray  #: (k,) of the net's inputs
     width: FloatArray  #: (k,): their deviations
-    hidden: FloatArray  #: (h, k + 1) weights, bias last; ReLU
-    second: FloatArray  #: (h, h + 1)
-    output: FloatArray  #: (5, h + 1): beliefs in both answers, logarithms of their deviations, and the net's own
-    skip: FloatArray  #: (1, k): the net's own answer by its inputs
+    hidden: FloatArray  #: (nets, h, k + 1) weights, bias last; ReLU
+    second: FloatArray  #: (nets, h, h + 1)
+    output: FloatArray  #: (nets, 5, h + 1): beliefs in both answers, logarithms of their deviations, and a net's own
+    skip: FloatArray  #: (nets, 1, k): a net's own answer by its inputs
     unit: float  #: deviation of the strains that it was trained on
     widening: float = 1.0  #: of its deviations, so that they hold what they say
 
@@ -50,18 +50,19 @@ class CausalFilter:
         return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
 
     def judged(self, inputs: FloatArray, by_law: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and deviation (n,) of strains by inputs (k, n) and what the law says, (1, n)."""
+        """Mean and deviation (n,) of strains by inputs (k, n) and what the law says, (1, n): all nets count alike."""
         x = (inputs - self.centre[:, None]) / self.width[:, None]
         x = np.clip(x, -FARTHEST, FARTHEST).astype(np.float32)
-        h = np.maximum(self.hidden[:, :-1] @ x + self.hidden[:, -1:], 0)
-        h = np.maximum(self.second[:, :-1] @ h + self.second[:, -1:], 0)
-        out = (self.output[:, :-1] @ h + self.output[:, -1:]).astype(float)
-        belief = np.exp(out[:2] - out[:2].max(axis=0))
-        belief /= belief.sum(axis=0)
-        deviation = self.unit * np.exp(np.clip(out[2:4], *LOG_SPREADS))
-        answers = np.concatenate([by_law, self.unit * (out[4:] + self.skip @ x)])
-        mean = (belief * answers).sum(axis=0)
-        variance = (belief * (deviation**2 + (answers - mean) ** 2)).sum(axis=0)
+        h = np.maximum(self.hidden[..., :-1] @ x + self.hidden[..., -1:], 0)
+        h = np.maximum(self.second[..., :-1] @ h + self.second[..., -1:], 0)
+        out = (self.output[..., :-1] @ h + self.output[..., -1:]).astype(float)
+        belief = np.exp(out[:, :2] - out[:, :2].max(axis=1, keepdims=True))
+        belief /= len(belief) * belief.sum(axis=1, keepdims=True)
+        deviation = self.unit * np.exp(np.clip(out[:, 2:4], *LOG_SPREADS))
+        own = self.unit * (out[:, 4:] + self.skip @ x)
+        answers = np.concatenate([np.broadcast_to(by_law, own.shape), own], axis=1)
+        mean = (belief * answers).sum(axis=(0, 1))
+        variance = (belief * (deviation**2 + (answers - mean) ** 2)).sum(axis=(0, 1))
         return mean, self.widening * np.sqrt(variance)
 
 

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
@@ -21,10 +21,13 @@ from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 SESSIONS = 0.12  #: deviation of a strip's ln R between two mountings of it, relative
 SLOW = 0.03  #: slow error of its ln R, at least
 ONE_SIDED = 0.1  #: of a specimen's largest strain: less the other way is none
-VERSION = 2  #: of what training does; filters of others are trained anew
+VERSION = 3  #: of what training does; filters of others are trained anew
 RATES_S = (0.05, 0.3)  #: between readings
 SPEEDS = (0.004, 0.3)  #: of strain [1/s]
 HOLDS_S = (1.0, 300.0)
@@ -50,11 +53,13 @@ class Histories:
     gain: float = 0.03  #: of ln R, relative
     other: float = 0.2  #: share of pillars of another rubber
     strains: tuple[float, float] = (-0.3, 0.3)
-    groups: int = 16  #: of histories that are read at the same times
-    pillars: int = 32  #: of a group
+    groups: int = 10  #: of histories that are read at the same times
+    pillars: int = 192  #: of a group; sessions that are unlike others are learned from many
     readings: int = 1600  #: of each
+    every: int = 8  #: of which one is learned from
     steps: int = 3000  #: of training
     hidden: int = 48
+    nets: int = 3  #: trained on the same; their mean hangs less on how each began
     seed: int = 0
 
 
@@ -75,11 +80,11 @@ def of_strip(rubber: Rubber) -> Histories:
 
 
 def trained(histories: Histories, memory: Memory) -> CausalFilter:
-    """A filter from the cache, or trained in half a minute and kept there."""
+    """A filter from the cache, or trained in a minute and kept there."""
     key = digest({"version": VERSION, **asdict(histories)})
 
     def make() -> CausalFilter:
-        logging.getLogger("tripillar").warning("training what follows this rubber's memory: half a minute, once")
+        logging.getLogger("tripillar").warning("training what follows this rubber's memory: a minute, once")
         return train(histories, memory)
 
     def read(path: Path) -> CausalFilter:
@@ -114,6 +119,7 @@ def train(histories: Histories, memory: Memory) -> CausalFilter:
     for k, (y, strain, seconds) in enumerate(drawn(histories, generator)):
         follower = blank.start(y.shape[1])
         seen = [follower.seen(*each) for each in zip(y, seconds.tolist(), strict=True)]
+        seen, strain = seen[:: histories.every], strain[:: histories.every]
         inputs.append(np.stack([x for x, _ in seen], axis=2).astype(np.float32))
         by_law.append(np.stack([found for _, found in seen], axis=2))
         strains.append(strain.T)
@@ -232,37 +238,41 @@ def _between(generator: Generator, limits: tuple[float, float]) -> float:
 
 
 def _fitted(blank: CausalFilter, x: FloatArray, laws: FloatArray, strain: FloatArray, asked: Histories) -> CausalFilter:
-    """The net that gives what happened the greatest likelihood, of a mixture of both answers."""
+    """Nets that give what happened the greatest likelihood."""
     import torch
 
     centre, width, unit = x.mean(axis=0), x.std(axis=0) + 1e-6, float(strain.std())
-    scaled = torch.from_numpy(np.clip((x - centre) / width, -FARTHEST, FARTHEST).astype(np.float32))
-    wanted = torch.from_numpy((strain / unit).astype(np.float32))
-    by_law = torch.from_numpy((laws / unit).astype(np.float32))
-    n, h = x.shape[1], asked.hidden
+    scaled = np.clip((x - centre) / width, -FARTHEST, FARTHEST)
+    given = [torch.from_numpy(each.astype(np.float32)) for each in (scaled, laws / unit, strain / unit)]
     with torch.random.fork_rng():
         torch.manual_seed(asked.seed)
-        layers = [torch.nn.Linear(n, h), torch.nn.Linear(h, h), torch.nn.Linear(h, 5)]
-        skip = torch.nn.Linear(n, 1, bias=False)
-        torch.nn.init.zeros_(skip.weight)
-        parameters = [p for each in (*layers, skip) for p in each.parameters()]
-        optimizer = torch.optim.AdamW(parameters, 4e-3, weight_decay=1e-4)
-        for step in range(asked.steps):
-            batch = torch.randint(0, len(scaled), (2048,))
-            out = layers[2](torch.relu(layers[1](torch.relu(layers[0](scaled[batch])))))
-            log_belief, log_spread = torch.log_softmax(out[:, :2], 1), out[:, 2:4].clamp(*LOG_SPREADS)
-            answers = torch.cat([by_law[batch], out[:, 4:] + skip(scaled[batch])], dim=1)
-            miss = (answers - wanted[batch, None]) / torch.exp(log_spread)
-            loss = -torch.logsumexp(log_belief - log_spread - 0.5 * miss**2, dim=1).mean()
-            for group in optimizer.param_groups:
-                group["lr"] = 4e-3 * min(1.0, (step + 1) / 50) * (1 - 0.98 * step / asked.steps)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-    weights = [
-        np.concatenate([each.weight.detach().numpy(), each.bias.detach().numpy()[:, None]], axis=1) for each in layers
-    ]
-    return replace(
-        blank, centre=centre, width=width, hidden=weights[0], second=weights[1], output=weights[2],
-        skip=skip.weight.detach().numpy(), unit=unit,
-    )  # fmt: skip
+        nets = [_net(*given, asked) for _ in range(asked.nets)]
+    hidden, second, output, skip = (np.stack(each) for each in zip(*nets, strict=True))
+    weights = {"hidden": hidden, "second": second, "output": output, "skip": skip}
+    return replace(blank, centre=centre, width=width, unit=unit, **weights)
+
+
+def _net(x: "Tensor", by_law: "Tensor", wanted: "Tensor", asked: Histories) -> list[FloatArray]:
+    """Weights of a net, of a mixture of both answers: of its layers, bias last, and from inputs to its own answer."""
+    import torch
+
+    n, h = x.shape[1], asked.hidden
+    layers = [torch.nn.Linear(n, h), torch.nn.Linear(h, h), torch.nn.Linear(h, 5)]
+    skip = torch.nn.Linear(n, 1, bias=False)
+    torch.nn.init.zeros_(skip.weight)
+    parameters = [p for each in (*layers, skip) for p in each.parameters()]
+    optimizer = torch.optim.AdamW(parameters, 4e-3, weight_decay=1e-4)
+    for step in range(asked.steps):
+        batch = torch.randint(0, len(x), (2048,))
+        out = layers[2](torch.relu(layers[1](torch.relu(layers[0](x[batch])))))
+        log_belief, log_spread = torch.log_softmax(out[:, :2], 1), out[:, 2:4].clamp(*LOG_SPREADS)
+        answers = torch.cat([by_law[batch], out[:, 4:] + skip(x[batch])], dim=1)
+        miss = (answers - wanted[batch, None]) / torch.exp(log_spread)
+        loss = -torch.logsumexp(log_belief - log_spread - 0.5 * miss**2, dim=1).mean()
+        for group in optimizer.param_groups:
+            group["lr"] = 4e-3 * min(1.0, (step + 1) / 50) * (1 - 0.98 * step / asked.steps)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    own = [torch.cat([each.weight, each.bias[:, None]], dim=1) for each in layers]
+    return [each.detach().numpy() for each in (*own, skip.weight)]

@@ -35,7 +35,7 @@ def forces_from_resistance(rubber: Rubber, series: Series) -> tuple[FloatArray, 
     """Forces and standard deviations (n,) [N] of a series by its resistance alone, at each time from those before.
 
     Its first 2 s are taken for rest; what the specimen seems to move in them, it may have moved before. The filter is
-    trained at first, half a minute, and kept in the cache.
+    trained at first, a minute, and kept in the cache.
     """
     causal = trained(of_strip(rubber), rubber.memory)
     log_ohm, early = np.log(series.resistance_ohm), series.time_s <= series.time_s[0] + ZEROED_S

@@ -15,7 +15,14 @@ from geometry.errors import FileFormatError
 MEMORY = Memory(a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0, g2=0.0)
 #: small, to be quick: a tenth of the histories, a fifth of the steps of the product
 ASKED = Histories(
-    numbers=tuple(numbers_of(MEMORY)), groups=8, readings=400, pillars=24, steps=600, strains=(0.0, 0.3), other=0.0
+    numbers=tuple(numbers_of(MEMORY)),
+    groups=8,
+    pillars=24,
+    readings=400,
+    every=1,
+    steps=600,
+    strains=(0.0, 0.3),
+    other=0.0,
 )
 APART_S = 0.1
 

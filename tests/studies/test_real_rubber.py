@@ -93,7 +93,7 @@ def test_tables_of_all_that_is_there(tmp_path, monkeypatch, capsys):
         write_strip(data / "electromech-stretcher" / f"{name}.csv")
     monkeypatch.setattr(strips, "PAIRS", {"a": ("b",)})
     monkeypatch.setattr("studies.real_rubber.others.STEPS", 2)
-    small = partial(Histories, groups=8, pillars=4, readings=100, steps=20, hidden=4)
+    small = partial(Histories, groups=8, pillars=4, readings=100, every=1, steps=20, hidden=4)
     monkeypatch.setattr("decoupler.rubber.causal_training.Histories", small)
     judge(data, out)
     assert "eFlesh is missing" in capsys.readouterr().err

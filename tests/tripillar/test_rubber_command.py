@@ -25,7 +25,7 @@ def house(tmp_path_factory):
 
 def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house, monkeypatch):
     folder = house.folder
-    quick = partial(Histories, groups=3, pillars=6, readings=150, steps=100)  # a filter in a second, a bad one
+    quick = partial(Histories, groups=3, pillars=6, readings=150, every=1, steps=100)  # a filter in a second, a bad one
     monkeypatch.setattr("decoupler.rubber.causal_training.Histories", quick)
     files = ("--out", "rubber.toml", "--picture", "rubber.png", "--next", "next.csv")
     found = house.result("rubber", "--data", "series.csv", "--section-mm2", "40", *files)
