@@ -243,13 +243,12 @@ def _fitted(blank: CausalFilter, x: FloatArray, laws: FloatArray, strain: FloatA
 
     centre, width, unit = x.mean(axis=0), x.std(axis=0) + 1e-6, float(strain.std())
     scaled = np.clip((x - centre) / width, -FARTHEST, FARTHEST)
-    given = [torch.from_numpy(each.astype(np.float32)) for each in (scaled, laws / unit, strain / unit)]
+    given, by_law, wanted = (torch.from_numpy(each.astype(np.float32)) for each in (scaled, laws / unit, strain / unit))
     with torch.random.fork_rng():
         torch.manual_seed(asked.seed)
-        nets = [_net(*given, asked) for _ in range(asked.nets)]
+        nets = [_net(given, by_law, wanted, asked) for _ in range(asked.nets)]
     hidden, second, output, skip = (np.stack(each) for each in zip(*nets, strict=True))
-    weights = {"hidden": hidden, "second": second, "output": output, "skip": skip}
-    return replace(blank, centre=centre, width=width, unit=unit, **weights)
+    return replace(blank, centre=centre, width=width, unit=unit, hidden=hidden, second=second, output=output, skip=skip)
 
 
 def _net(x: "Tensor", by_law: "Tensor", wanted: "Tensor", asked: Histories) -> list[FloatArray]:
