@@ -239,7 +239,7 @@ def built_of(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], pat
     for name, hint in get_type_hints(kind).items():
         whole, (inner, *_) = f"{path}{name}", get_args(hint) or (hint,)
         if whole in arrays or whole in said:
-            values[name] = arrays.get(whole, said.get(whole))
+            values[name] = said[whole] if whole in said else arrays[whole]
         elif is_dataclass(inner) and any(one.startswith(f"{whole}.") for one in arrays):
             values[name] = built_of(inner, arrays, said, f"{whole}.")
     return kind(**values)
