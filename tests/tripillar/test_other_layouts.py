@@ -4,9 +4,12 @@ from pathlib import Path
 
 import pytest
 
+import tripillar as tp
 from dataset import read_samples
 from decoupler import read_model
-from geometry.layout import LAYOUTS
+from geometry.design import Array, SensorDesign, Unit
+from geometry.errors import DesignError
+from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
 
 READ = ("--noise", "0.001", "--bits", "12")
@@ -46,3 +49,12 @@ def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
     house.result("dataset", "--samples", "10", "--protocol", "contact", "--design", "paper.toml", "--out", "paper.nc")
     said = house.refusal("evaluate", "--model", "all.safetensors", "--data", "paper.nc")
     assert f"layout: model {layout}, data song2018" in said
+
+
+def test_forces_that_pillars_do_not_tell_are_not_trained():
+    upright = Layout((Electrode("U", (0, 0)),), (Electrode("L", (0, 0)),), (Pillar("p", "L", "U"),))
+    design = SensorDesign(unit=Unit(layout=upright), array=Array(rows=1, cols=1))
+    samples = tp.dataset(design, "three-axis", 40, noise=0.001)
+    assert tp.train(samples, component="fz", hidden=2).layout == upright
+    with pytest.raises(DesignError, match="pillars p do not tell forces along x and y from others"):
+        tp.train(samples, component="all")

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
+from geometry.layout import require_told
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -126,7 +127,7 @@ def train(
     Raises
     ------
     DesignError
-        If the response is of another design.
+        If the response is of another design, or pillars of the layout do not tell the forces asked for.
     SampleError
         If the samples look wrong or cannot train a network.
 
@@ -373,6 +374,8 @@ def _checked(
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
+    if sensor is not None:
+        require_told(sensor.unit, parts.axes)
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if net == "skip" if is_automatic else feature == "inverse":
