@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from decoupler.rubber.inversion import LawInverse
+from decoupler.rubber.inversion import LawInverse, along
 from decoupler.rubber.law import LINEAR, Rubber
 from geometry.design import Memory
 from geometry.layout import FloatArray
@@ -59,10 +59,7 @@ class SensorFilter:
 
     def followed(self, time_s: FloatArray, log_ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Strains and their standard deviations, both (time, n), of readings ln R/R₀ (time, n) in their order."""
-        follower = self.start(log_ratio.shape[1])
-        steps = np.diff(time_s, prepend=time_s[:1])
-        found = [follower.step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
-        return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
+        return along(self.start(log_ratio.shape[1]).step, time_s, log_ratio)
 
 
 class SensorFollower:

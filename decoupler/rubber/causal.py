@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decoupler.rubber.inversion import LawInverse
+from decoupler.rubber.inversion import LawInverse, along
 from geometry.design import Memory
 from geometry.layout import FloatArray
 
@@ -44,10 +44,7 @@ class CausalFilter:
 
     def followed(self, time_s: FloatArray, log_ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Strains and their standard deviations, both (time, n), of readings ln R/R₀ (time, n) in their order."""
-        follower = self.start(log_ratio.shape[1])
-        steps = np.diff(time_s, prepend=time_s[:1])
-        found = [follower.step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
-        return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
+        return along(self.start(log_ratio.shape[1]).step, time_s, log_ratio)
 
     def judged(self, inputs: FloatArray, by_law: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and deviation (n,) of strains by inputs (k, n) and what the law says, (1, n): all nets count alike."""

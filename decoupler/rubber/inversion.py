@@ -5,7 +5,7 @@ ways explain a reading, a pillar that moves goes on as before; one that rested g
 step explains what follows: then the least large one is taken that does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any
 
@@ -154,3 +154,12 @@ def _column(values: Sequence[float]) -> FloatArray:
 def _within(values: Any, limits: tuple[float, float]) -> Any:
     """As `np.clip`, in half its time."""
     return np.minimum(np.maximum(values, limits[0]), limits[1])
+
+
+def along(
+    step: Callable[[FloatArray, float], tuple[FloatArray, FloatArray]], time_s: FloatArray, log_ratio: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Strains and deviations, both (time, n), of a follower that steps along readings ln R/R₀ (time, n)."""
+    steps = np.diff(time_s, prepend=time_s[:1])
+    found = [step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
+    return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])

@@ -66,11 +66,11 @@ class PlateResponse:
 class PlateDecoder(TouchDecoder):
     """A decoder of whatever presses rigid plates; each scan by itself."""
 
-    library: PlateResponse  # type: ignore[assignment]
+    library: PlateResponse  # type: ignore[assignment]  # in the place of presses, which plates need none of
 
     @cached_property
     def sensing(self) -> Sensing:
-        return Sensing(grid=None, design=self.design, pillars=self.pillars)  # type: ignore[arg-type]
+        return Sensing(grid=None, design=self.design, pillars=self.pillars)  # type: ignore[arg-type]  # no grid: plates
 
     @property
     def output_scaling(self) -> Scaling:
