@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_ends, pillar_sections, pillar_widths
+from geometry.layout import FloatArray, pillar_ends, pillar_sections, pillar_vectors, pillar_widths
 from geometry.shares import pillar_shares
 
 SLICES = 40  #: of a unit, in which its pillars are measured
@@ -51,7 +51,7 @@ def castability(design: SensorDesign) -> Castability:
         moved = outlines + pitch_mm * np.array([right, up, right, up])
         walls += [_gap(one, other) for one in outlines for other in moved]
     widths, h = pillar_widths(unit), unit.height_mm
-    runs = np.abs(np.diff(pillar_ends(unit), axis=1)[:, 0, :2]).max(axis=1)
+    runs = np.abs(pillar_vectors(unit)[:, :2]).max(axis=1)
     upright = {pillar.foot: w for pillar, w, run in zip(unit.layout.pillars, widths, runs, strict=True) if not run}
     heels = [
         (w * math.hypot(run, h) / h - upright[pillar.foot]) / 2

@@ -93,8 +93,15 @@ def is_finite(value: Any) -> bool:
     return is_number and bool(abs(value) <= sys.float_info.max)  # so that NaN and endless integers are refused
 
 
+class Sound:
+    """A dataclass of quantities that are all as they say; else `require_sound` refuses it."""
+
+    def __post_init__(self) -> None:
+        require_sound(self)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Unit:
+class Unit(Sound):
     """One sensing unit: pillars between electrodes, as its layout says; the paper's by default."""
 
     span_mm: float = positive(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
@@ -105,7 +112,7 @@ class Unit:
     layout: Layout = field(default=SONG2018, metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         least_mm = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(
@@ -136,26 +143,20 @@ MAX_UNITS = 255  #: along x or y: what a board's frames can state
 
 
 @dataclass(frozen=True, kw_only=True)
-class Array:
+class Array(Sound):
     """A rows × cols grid of identical units on one slab."""
 
     rows: int = quantity(6, "units along y", within=(1, MAX_UNITS))
     cols: int = quantity(6, "units along x", within=(1, MAX_UNITS))
     pitch_mm: float = positive(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Plate:
+class Plate(Sound):
     """The plate of a stiff pad, for shapes that press on it; taken for rigid, as plastic of 1 mm would not be."""
 
     thickness_mm: float = quantity(2.0, "how far its face stands above the rubber", within=(0.2, 10.0))
     young_mpa: float = quantity(2000.0, "Young's modulus, by which its face gives; a plastic's", within=(10.0, 5e3))
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
     @property
     def face_mm_per_mpa(self) -> float:
@@ -164,7 +165,7 @@ class Plate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pad:
+class Pad(Sound):
     """The square on a unit's top through which it is loaded."""
 
     size_mm: float = positive(12.0, "side of the contact pad; 12 covers both upper electrodes")
@@ -175,9 +176,6 @@ class Pad:
     )
     plate: Plate = quantity(Plate(), "the plate of a stiff pad, for shapes that press on it", True)
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 DIRECTIONS = ("unknown", "lengthening", "loading")
 RATES = (0.0, 1e3)  #: of broken contacts, per strain
@@ -185,7 +183,7 @@ LOG_RISES = (-20.0, 20.0)  #: of ln R by memory, or per strain
 
 
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class Memory(Sound):
     """What a conductive rubber's resistance remembers of its strain ε; nothing by default.
 
     ln R = ln R₀ + 2 ln(1 + ε) + g₁ ε + g₂ ε² + a₁ q₁ + a₂ q₂ with shares qᵢ of contacts that strain has broken and that
@@ -203,26 +201,20 @@ class Memory:
     g1: float = quantity(0.0, "rise of ln R with strain, beside the pillar's shape", within=LOG_RISES)
     g2: float = quantity(0.0, "the same with its square", within=LOG_RISES)
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Prony:
+class Prony(Sound):
     """Relaxation of a rubber's force: F(t) = Y(t) + Σᵢ shareᵢ ∫ exp(−(t − s)/τᵢ) dY(s), Y settled; none by default."""
 
     share: tuple[float, float] = quantity((0.0, 0.0), "of the settled force, that relax", count=2, within=(0.0, 10.0))
     tau_s: tuple[float, float] = positive((1.0, 100.0), "times in which they do [s]", count=2)
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
 
 MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class Material(Sound):
     """An isotropic rubber; the paper's by default.
 
     Its `model` is linear elasticity, or the neo-Hookean W = μ/2 (I₁ − 3) − μ ln J + λ/2 (J − 1)² of the same small
@@ -240,7 +232,7 @@ class Material:
     prony: Prony = quantity(Prony(), "how its force relaxes, in histories and live", True)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.stiffening and self.model != "yeoh":
             raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
         if not 0 <= self.poisson < 0.5:
@@ -267,7 +259,7 @@ EQUATIONS = ("eq1", "conduction")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drifts:
+class Drifts(Sound):
     """Standard deviations of drifts since the sensor was last tared, relative where no unit is stated."""
 
     #: lines of comment in design files
@@ -286,9 +278,6 @@ class Drifts:
     drift_offset_ohm: float = quantity(
         0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
     )
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
     def with_drifts_of(self, other: "Drifts | None") -> Self:
         """A copy with the larger of each drift that both state."""
@@ -346,7 +335,7 @@ class Electrics(Drifts):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorDesign:
+class SensorDesign(Sound):
     """Everything that defines a sensor; the default is the paper's."""
 
     resistivity_ohm_mm: float = positive(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
@@ -358,7 +347,7 @@ class SensorDesign:
     matrix_material: Material = quantity(Material(), "the insulating rubber around them; the paper gives no value")
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.pillar_material.model != self.matrix_material.model:
             models = f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}"
             raise DesignError(f"{models}: give both the same model.")

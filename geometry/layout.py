@@ -262,10 +262,14 @@ def pillar_ends(unit: "Unit") -> FloatArray:
     return np.stack([electrode_centres(unit)[feet], electrode_centres(unit)[tops]], axis=1)
 
 
+def pillar_vectors(unit: "Unit") -> FloatArray:
+    """From the bottom of each pillar to its top, undeformed, shape (n_pillars, 3) [mm]."""
+    return pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0]
+
+
 def rest_lengths(unit: "Unit") -> FloatArray:
     """Undeformed length of the pillars, shape (n_pillars,) [mm]; 10, 10√2, 10√2 for the paper's."""
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    return np.linalg.norm(top - bottom, axis=1)
+    return np.linalg.norm(pillar_vectors(unit), axis=1)
 
 
 def pillar_widths(unit: "Unit") -> list[float]:
@@ -293,7 +297,7 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     >>> pillar_sections(Unit()).round(3).tolist()
     [[2.0, 2.0], [2.828, 2.0], [2.0, 2.828]]
     """
-    h, runs = unit.height_mm, (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
+    h, runs = unit.height_mm, pillar_vectors(unit)[:, :2].tolist()
     widths = zip(pillar_widths(unit), runs, strict=True)
     return np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
 
@@ -304,8 +308,7 @@ def require_told(unit: "Unit", axes: Sequence[str] = AXES) -> None:
     A force along x or y moves a pad along and turns it, as far as `TURNS` say; one along z presses it down. Lengths of
     pillars must change in ways of their own by each of the axes that are asked.
     """
-    feet, tops = pillar_ends(unit.body).transpose(1, 0, 2)
-    (along, tops), h = (tops - feet, tops[:, :2]), unit.height_mm
+    along, tops, h = pillar_vectors(unit.body), pillar_ends(unit.body)[:, 1, :2], unit.height_mm
     columns = [AXES.index(axis) for axis in axes]
 
     def rank(some: list[int]) -> int:

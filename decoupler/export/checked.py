@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from decoupler.export.c_header import header_text
-from decoupler.export.portable import ExportError, dead_inputs, places
+from decoupler.export.portable import ExportError
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import converted
 from geometry.errors import DesignError, needing
@@ -77,7 +77,7 @@ def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> F
         columns = decoupler.inverse.forward.resistances(columns)
     elif decoupler.network.feature == "root":
         columns = columns**2
-    columns[:, dead_inputs(decoupler)] = np.nan
+    columns[:, ~decoupler.readable] = np.nan
     resistance_ohm = np.full((n_samples, decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), np.nan)
-    resistance_ohm.reshape(n_samples, -1)[:, places(decoupler)] = columns
+    resistance_ohm.reshape(n_samples, -1)[:, decoupler.places] = columns
     return resistance_ohm

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import ClassVar
 from unittest import mock
 
 import numpy as np
@@ -213,28 +212,24 @@ def specimen(size_mm: float, young_mpa: float) -> SensorModel:
     return replace(model, maps=replace(model.maps, weights=weights))
 
 
-class MadeUpDesigns:
-    """Stands for `ChangedDesigns`: other designs follow the made-up law, too, as if their pads had another size."""
+SOLVED: list[SensorDesign] = []  #: other designs that were asked for
+MEANT = {"acts_as": lambda size_mm: size_mm}  #: as what size of pads a size acts
 
-    solved: ClassVar[list[SensorDesign]] = []
-    acts_as = staticmethod(lambda size_mm: size_mm)
 
-    def __init__(self, known, sensitivities, force_n):
-        self.force_n = (force_n * (1.0, 1.0, -1.0)).reshape(len(force_n), -1)
-
-    def answers(self, other):
-        self.solved.append(other)
-        model = specimen(self.acts_as(other.pad.size_mm), other.matrix_material.young_mpa)
-        state_n, there_are = model.maps.nearest_states(self.force_n)
-        moved = (state_n @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
-        squares = model.at_states(state_n)[0].reshape(-1, 2, 3)
-        return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
+def made_up(known, sensitivities, force_n, other):
+    """Stands for `answers`: other designs follow the made-up law, too, as if their pads had another size."""
+    SOLVED.append(other)
+    model = specimen(MEANT["acts_as"](other.pad.size_mm), other.matrix_material.young_mpa)
+    state_n, there_are = model.maps.nearest_states((force_n * (1.0, 1.0, -1.0)).reshape(len(force_n), -1))
+    moved = (state_n @ LINEAR.influence).reshape(-1, 3, 2, 2).transpose(0, 2, 3, 1)
+    squares = model.at_states(state_n)[0].reshape(-1, 2, 3)
+    return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
 
 
 def test_pads_that_do_not_add_up_are_met(decoder, monkeypatch):
     """Where pads' size acts by its square, maps about other pads, changed as far as these, are those of a solve."""
-    monkeypatch.setattr(near_designs, "ChangedDesigns", MadeUpDesigns)
-    monkeypatch.setattr(MadeUpDesigns, "acts_as", staticmethod(lambda mm: MEANT_MM + 3 * (mm - MEANT_MM) ** 2))
+    monkeypatch.setattr(near_designs, "answers", made_up)
+    monkeypatch.setitem(MEANT, "acts_as", lambda mm: MEANT_MM + 3 * (mm - MEANT_MM) ** 2)
     near = near_designs.NearDesigns(decoder.posterior, response(SENSOR), two_parameters())
     by_weights = near.by_parameters()
     about = near.about_pads({"pad.size_mm": 12.4, "rubber.young_mpa": 1.0}, by_weights)
@@ -247,8 +242,8 @@ def test_pads_that_do_not_add_up_are_met(decoder, monkeypatch):
 
 def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
     """Larger pads, softer rubber, gains: ten pairs halve the errors, find both within three deviations, which hold."""
-    monkeypatch.setattr(near_designs, "ChangedDesigns", MadeUpDesigns)
-    monkeypatch.setattr(MadeUpDesigns, "solved", [])
+    monkeypatch.setattr(near_designs, "answers", made_up)
+    SOLVED.clear()
     monkeypatch.setattr(identification, "DRAWS", 4000)
     monkeypatch.setattr(finite_strain, "HIDDEN", 15)
     size_mm, young_mpa = 12.4, 0.95 * SENSOR.matrix_material.young_mpa
@@ -257,7 +252,7 @@ def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
     ohms = read.apply(truth.resistance_ohm, np.random.default_rng(1))
     truth = replace(truth, resistance_ohm=ohms, noise=1e-3)
     twin = identify(Pairs.of(truth[:10]), response(SENSOR), two_parameters(), at_strain=decoder.posterior)
-    assert len(MadeUpDesigns.solved) == 2  # as meant and with larger pads: by eq. 1 those found need no solve
+    assert len(SOLVED) == 2  # as meant and with larger pads: by eq. 1 those found need no solve
     for name, true in (("pad.size_mm", size_mm), ("rubber.young_mpa", young_mpa)):
         value, deviation = twin.parameters[name]
         assert abs(value - true) < 3.0 * deviation
