@@ -26,14 +26,17 @@ VERSION = 3  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
-def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
+def indented(
+    design: SensorDesign, seed: int, cap: float, block: int, wanted: int
+) -> Callable[[np.ndarray, int], tuple[list[FloatArray], np.ndarray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
     It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
-    (m, n_units, n_upper, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
+    (m, n_units, n_upper, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on. And
+    which of them strain no pillar beyond the cap, (m,).
     """
 
-    def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
+    def draw(numbers: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
         shapes = (3,), (len(design.unit.layout.upper), 3), (2,)
         traction, displacement, moment = (np.zeros((len(numbers), design.n_units, *shape)) for shape in shapes)
@@ -42,7 +45,7 @@ def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callab
             traction[place] = contact.force_n.reshape(-1, 3) * per_area
             displacement[place] = contact.electrode_mm.reshape(displacement.shape[1:])
             moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
-        return [traction, displacement, moment]
+        return [traction, displacement, moment], ~(largest_strains(displacement, design.unit) > cap)
 
     return draw
 

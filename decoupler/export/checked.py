@@ -69,10 +69,10 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     return Exported(precision=precision, deviation=deviation)
 
 
-def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> FloatArray:
+def likely_resistances(decoupler: Decoupler, n_samples: int) -> FloatArray:
     """Resistances within the training set's ranges, (n_samples, rows, cols, n_pillars) [Ω]; NaN: not looked at."""
     scaling = decoupler.input_scaling  # of forces with the feature inverse
-    columns = scaling.unscale(np.random.default_rng(seed).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
+    columns = scaling.unscale(np.random.default_rng(0).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
     if decoupler.inverse is not None:
         columns = decoupler.inverse.forward.resistances(columns)
     elif decoupler.network.feature == "root":

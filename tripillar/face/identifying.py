@@ -326,7 +326,7 @@ def _checked_pairs(
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
-    component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
+    component = stages.component_named(stages.acting_component(pairs.force_n))
     judge, doubted = stages.joint_model(response), None
     if pairs.made_from.get("protocol") == stages.INDENT:
         doubted = f"the protocol '{stages.INDENT}' presses shapes, and a sensor is identified from loads on its pads: "
