@@ -149,7 +149,7 @@ class TouchDecoder(ABC):
         """Resistances (rows, cols, n_pillars) [Ω] with nothing on the sensor."""
         return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, -1)
 
-    def follower(self) -> "Follower":
+    def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
         return Follower(self)
 
