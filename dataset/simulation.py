@@ -25,9 +25,10 @@ from dataset.resistance import conducted_lengths, exact_resistances, largest_str
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
-from geometry.design import Electrics, Memory, SensorDesign, quantity
+from geometry.design import Electrics, Memory, SensorDesign
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, Layout, rest_lengths
+from geometry.quantity import quantity
 from geometry.storage.files import digest
 from geometry.threads import one_blas_thread
 

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from trimesh.convex import convex_hull
 from trimesh.util import concatenate
 
-from geometry.design import SensorDesign, Sound, positive
+from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import MESHED_SIDES, Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
+from geometry.quantity import Sound, positive
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, sealed

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.layout import OPTIONAL, FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
+from geometry.quantity import OPTIONAL
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from geometry.design import Sound, quantity
 from geometry.errors import DesignError, TriPillarError
+from geometry.quantity import Sound, quantity
 
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root", "inverse"]

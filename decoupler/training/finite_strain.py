@@ -260,10 +260,9 @@ def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> Flo
 def loads_like(data: Samples, count: int) -> FloatArray:
     """Loads (count, 3 k) [N]: of the protocol that drew the samples', or images of theirs."""
     protocol, design = str(data.made_from.get("protocol")), data.design
-    is_known = protocol in PROTOCOLS and design is not None
-    return (loads_of(protocol, design, count) if is_known else images_of(data.force_n, [0, 1, 2], count)).reshape(
-        count, -1
-    )
+    if protocol in PROTOCOLS and design is not None:
+        return loads_of(protocol, design, count).reshape(count, -1)
+    return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
 
 
 def trained_at_strain(

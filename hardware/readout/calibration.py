@@ -13,10 +13,10 @@ import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
-from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import SONG2018, FloatArray, Layout
 from geometry.layout_file import layout_from_text, layout_text
+from geometry.quantity import quantity, require_sound
 from geometry.storage.files import write_text
 from geometry.storage.seal import opened_json, sealed_json
 from geometry.storage.text_file import read_text
