@@ -50,8 +50,8 @@ class Electrode:
         pair = isinstance(self.place, Sequence) and len(self.place) == 2
         if not pair or not all(_is_number(one) and abs(one) <= MAX_PLACE for one in self.place):
             raise DesignError(
-                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans, at "
-                f"most {MAX_PLACE:g} in size."
+                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans, "
+                f"at most {MAX_PLACE:g} in size."
             )
         object.__setattr__(self, "place", tuple(map(float, self.place)))
 
