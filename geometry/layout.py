@@ -307,8 +307,8 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     widths = zip(pillar_widths(unit), runs, strict=True)
     sections = np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
     for k in np.flatnonzero(leans_both_ways(unit)):
-        x, y, w = *np.abs(runs[k]) / math.hypot(*runs[k]), pillar_widths(unit)[k]
-        along = w * math.hypot(*runs[k], h) / h
+        w, run = pillar_widths(unit)[k], math.hypot(*runs[k])
+        x, y, along = abs(runs[k][0]) / run, abs(runs[k][1]) / run, w * math.hypot(run, h) / h
         around = math.hypot if unit.layout.pillars[k].is_round else lambda a, b: a + b
         sections[k] = around(along * x, w * y), around(along * y, w * x)
     return sections

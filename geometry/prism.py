@@ -159,8 +159,9 @@ def pillar_prisms(design: "SensorDesign") -> list[Prism]:
 def unit_prisms(unit: "Unit", centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
     """The pillars of one unit, without references."""
     unit = unit.body
-    along, turned = pillar_widths(unit) * rest_lengths(unit) / unit.height_mm, leans_both_ways(unit)
-    sections = np.where(turned[:, None], np.column_stack([along, pillar_widths(unit)]), pillar_sections(unit))
+    widths, turned = np.array(pillar_widths(unit)), leans_both_ways(unit)
+    along_lean = np.column_stack([widths * rest_lengths(unit) / unit.height_mm, widths])
+    sections = np.where(turned[:, None], along_lean, pillar_sections(unit))
     return [
         Prism(
             base_mm=tuple((centre_mm + base).tolist()),
