@@ -344,15 +344,19 @@ def footprint(unit: "Unit") -> float:
     return 2 * float(max(pillars.max(), electrodes.max()))
 
 
-def min_span(unit: "Unit") -> float:
-    """Span at which ends of two pillars, or two electrodes, meet, for sections as they are now [mm]."""
+def min_span(unit: "Unit") -> tuple[float, str]:
+    """Span at which ends of two pillars, or two electrodes, meet, for sections as they are now [mm]; and which."""
     unit = unit.body
-    ends, sections, found = pillar_ends(unit)[..., :2] / unit.span_mm, pillar_sections(unit), [0.0]
+    ends, sections, found = pillar_ends(unit)[..., :2] / unit.span_mm, pillar_sections(unit), [(0.0, "")]
     for one, other in combinations(range(len(ends)), 2):
-        for apart in np.abs(ends[one] - ends[other]):
-            for room in ((sections[one] + sections[other]) / 2, np.full(2, unit.electrode_mm)):
-                found += [float((room[apart > 0] / apart[apart > 0]).min())] if apart.any() else []
-    return max(found)
+        a, b = (unit.layout.pillars[number] for number in (one, other))
+        for apart, electrodes in zip(np.abs(ends[one] - ends[other]), ((a.foot, b.foot), (a.top, b.top)), strict=True):
+            for room, met in (
+                ((sections[one] + sections[other]) / 2, f"pillars {a.name} and {b.name}"),
+                (np.full(2, unit.electrode_mm), f"electrodes {' and '.join(electrodes)}"),
+            ):
+                found += [(float((room[apart > 0] / apart[apart > 0]).min()), met)] if apart.any() else []
+    return max(found, key=lambda each: each[0])
 
 
 def crossing_pillars(unit: "Unit", samples: int = 65) -> tuple[str, str] | None:
