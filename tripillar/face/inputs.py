@@ -219,13 +219,13 @@ def name_of(source: object, otherwise: str) -> str:
 def require_pool(workers: int | None, scheduler: str | None) -> None:
     """Refuse workers here and a scheduler at once, and a scheduler without the package that reaches it."""
     if scheduler is not None:
-        require_packages("dask", "distributed")
+        require_packages("sweep", "dask", "distributed")
         if workers is not None:
             raise DesignError("workers= are begun on this machine, scheduler= has its own: give one of them.")
 
 
-def require_packages(*names: str) -> None:
-    """Refuse to begin without the packages of the extra `sweep`."""
+def require_packages(extra: str = "", *names: str) -> None:
+    """Refuse to begin without packages of an extra."""
     absent = [name for name in names if find_spec(name) is None]
     if absent:
-        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")
+        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[{extra}]'.")

@@ -63,7 +63,11 @@ if TYPE_CHECKING:
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
+    from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
+    from fem.pictures.deformation import DeformedPicture
+    from fem.pictures.parts import Parts
+    from fem.pictures.scenery import QUANTITIES
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import Solution, solution_as_plain, write_field
@@ -112,9 +116,11 @@ if TYPE_CHECKING:
     from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import open_page
-    from tripillar.viewer.showing import require_shown, show_deformed
-    from tripillar.viewer.sights import largest_mm, linear_note, read_body
+    from tripillar.viewer.page.page import Subject
+    from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
+    from tripillar.viewer.page.server import listening_on, serve
+    from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
+    from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
 @cache
