@@ -91,7 +91,7 @@ if TYPE_CHECKING:
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
     from hardware.session import record_scans
-    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
+    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
@@ -118,7 +118,7 @@ if TYPE_CHECKING:
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
-    from tripillar.viewer.page.server import listening_on, serve
+    from tripillar.viewer.page.server import serve
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
     from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 

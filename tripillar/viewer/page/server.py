@@ -14,7 +14,6 @@ from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
-from geometry.errors import TriPillarError
 from hardware.session import ended_by_signal
 from tripillar.viewer.page.page import Page, Subject
 
@@ -53,30 +52,7 @@ logging.getLogger("aiohttp.server").addFilter(
 HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:@/]+))(?::[0-9]+)?")
 
 
-class AddressError(TriPillarError, OSError):
-    """The server cannot listen on an address."""
-
-
 # where it listens
-
-
-def listening_on(host: str, port: int) -> socket.socket:
-    """A socket that listens on an address.
-
-    Raises
-    ------
-    AddressError
-        If the host is none of this machine, or another program listens on that port.
-    """
-    try:
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        is_both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
-        return socket.create_server(address[:2], family=family, dualstack_ipv6=is_both)
-    except (OSError, UnicodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "no name of a machine"
-        raise AddressError(
-            f"cannot listen on {host}, port {port}: {why}; give another --host or --http-port."
-        ) from None
 
 
 def page_url(host: str, port: int, token: str) -> str:
@@ -172,7 +148,7 @@ class Server:
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=GOODBYE_S)
 
     async def start(self, listening: socket.socket) -> str:
-        """Serve on a socket of `listening_on`; returns the page's address."""
+        """Serve on a socket of `hardware.streams.addresses.listening_on`; returns the page's address."""
         await self._runner.setup()
         http, loop = self._runner.server, asyncio.get_running_loop()
         assert http is not None
@@ -237,7 +213,7 @@ async def serve(subject: Subject, host: str, listening: socket.socket, on_ready:
     subject : Subject
         The array that all browsers look at.
     host, listening : str, socket
-        Where to listen as the user gave it, and the socket of `listening_on`.
+        Where to listen as the user gave it, and the socket of `hardware.streams.addresses.listening_on`.
     on_ready : callable
         Called with the page's address, which holds its token, once browsers can come.
     """
