@@ -95,7 +95,8 @@ class SensorCalibration:
 
     def require_for(self, info: Info, source: str = "the calibration") -> None:
         """Refuse a board that this was not made with."""
-        info.require_array(source, *self.gain.shape[:2], self.layout, "calibrate this sensor")
+        rows, cols, _ = self.gain.shape
+        info.require_array(source, rows, cols, self.layout, "calibrate this sensor")
         if self.serial and info.serial and self.serial != info.serial:
             raise FileFormatError(
                 f"{source} was made with board {self.serial}, this is board {info.serial}: calibrate this sensor."

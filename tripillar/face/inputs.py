@@ -64,8 +64,9 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Reach of a board, as `hardware.Scanner` takes it."""
+    """Reach of a board, as `hardware.Scanner` takes it, and what is known of its sensor."""
 
+    calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
 
@@ -79,6 +80,7 @@ class Wires:
 
 
 LINK, WIRES = Options(Link), Options(Wires)
+BARE_LINK = Options(Link, "baud", "timeout")  #: of a board whose calibration is yet to be found
 
 
 def options_of(parameter: inspect.Parameter) -> list[Options]:

@@ -124,15 +124,20 @@ if TYPE_CHECKING:
 
 
 @cache
-def _homes() -> dict[str, tuple[str, str]]:
-    """Module and name there of each name that is imported above."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+def _homes(file: str) -> dict[str, tuple[str, str]]:
+    """Module and name there of each name that a file imports."""
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     return {each.asname or each.name: (str(node.module), each.name) for node in imported for each in node.names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _homes():
+def imported_by(file: str, name: str) -> Any:
+    """What a file imports under a name for type checkers alone."""
+    if name not in _homes(file):
         raise AttributeError(f"no stage has the name {name}")
-    module, own = _homes()[name]
+    module, own = _homes(file)[name]
     return getattr(import_module(module), own)
+
+
+def __getattr__(name: str) -> Any:
+    return imported_by(__file__, name)

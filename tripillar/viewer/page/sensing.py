@@ -122,7 +122,7 @@ class SensorFeed:
     Parameters and errors are those of `hardware.session.live`.
     """
 
-    def __init__(self, port: str, model: AnyDecoder, calibration: Path | None = None, **settings: Any) -> None:
+    def __init__(self, port: str, model: AnyDecoder, calibration: Path | str | None = None, **settings: Any) -> None:
         self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come

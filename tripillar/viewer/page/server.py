@@ -71,10 +71,7 @@ def page_url(host: str, port: int, token: str) -> str:
 class Guard:
     """Lets in whoever has the page's token, under a name of this machine, from the page itself.
 
-    Parameters
-    ----------
-    host : str
-        The address to listen on as the user gave it; where it is a name, the page may be called by it.
+    The host is the address to listen on as the user gave it; where it is a name, the page may be called by it.
 
     Notes
     -----
@@ -128,15 +125,7 @@ class Guard:
 
 
 class Server:
-    """Serves the page on one port, with bounds on all that a stranger can ask for.
-
-    Parameters
-    ----------
-    subject : Subject
-        The array that all browsers look at.
-    host : str
-        As the user gave it.
-    """
+    """Serves the page on one port, with bounds on all that a stranger can ask for; the host is as the user gave it."""
 
     def __init__(self, subject: Subject, host: str) -> None:
         self._subject, self._host, self._guard = subject, host, Guard(host)
@@ -208,14 +197,8 @@ class Server:
 async def serve(subject: Subject, host: str, listening: socket.socket, on_ready: Callable[[str], None]) -> None:
     """Serve the page, and look at its sensor, until Ctrl-C or a termination; a second one interrupts.
 
-    Parameters
-    ----------
-    subject : Subject
-        The array that all browsers look at.
-    host, listening : str, socket
-        Where to listen as the user gave it, and the socket of `hardware.streams.addresses.listening_on`.
-    on_ready : callable
-        Called with the page's address, which holds its token, once browsers can come.
+    The host is as the user gave it, the socket one of `hardware.streams.addresses.listening_on`. `on_ready` is called
+    with the page's address, which holds its token, once browsers can come.
     """
     server = Server(subject, host)
     with ended_by_signal() as is_ended:
