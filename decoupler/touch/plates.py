@@ -1,8 +1,8 @@
 """Loads of whatever presses an array of rigid plates: the six components of each by sparse Bayes, no press solved.
 
 A plate tells of what touches it by its six motions, so that its loads are six numbers, whatever the shape. Readings
-follow from these by the array's response and eq. 1. Plates have a prior each: wrenches of contacts somewhere on a pad,
-their size unknown and found by the largest evidence, which takes most plates for untouched.
+follow from these by the array's response and eq. 1, or conduction. Plates have a prior each: wrenches of contacts
+somewhere on a pad, their size unknown and found by the largest evidence, which takes most plates for untouched.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,14 @@ STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at whic
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlateResponse:
-    """Displacements of the electrodes by wrenches on plates."""
+    """What wrenches on plates do: displacements of electrodes, or by conduction components of pillars."""
 
-    moved_mm: FloatArray  #: (units, 6, e) [mm/N, 1/N]: by each load of `Touched.load`; e = rows·cols·n_upper·3
+    #: (units, 6, e) [mm/N, 1/N]: by each load of `Touched.load`; e = rows·cols·n_upper·3, of conduction
+    #: rows·cols·n_pillars·n_components
+    moved_mm: FloatArray
     cache_key: str = ""
+    rest_mm: FloatArray | None = None  #: of conduction, as of `ConductedPillars`: (units, n_pillars, n_components)
+    sign: FloatArray | None = None  #: the same
 
     @classmethod
     def of(cls, surface: SurfaceCompliance) -> "PlateResponse":
@@ -53,13 +57,54 @@ class PlateResponse:
         loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
         loads[5, :2] = -y, x
         spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
+        conducted = surface.conducted
+        by_tiles = surface.on_electrodes if conducted is None else conducted.influence_mm_per_n
         shape = design.array.rows, tiles, design.array.cols, tiles
-        cells = surface.on_electrodes.reshape(*surface.on_electrodes.shape[:5], *shape)
+        cells = by_tiles.reshape(*by_tiles.shape[:5], *shape)
         plates = cells[:, :, :, :, :, :, rows][..., columns]
         moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
         moved = moved.reshape(design.n_units, N_LOADS, -1)
         moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
-        return cls(moved_mm=moved, cache_key=surface.cache_key)
+        if conducted is None:
+            return cls(moved_mm=moved, cache_key=surface.cache_key)
+        rest_mm, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
+        return cls(moved_mm=moved, cache_key=surface.cache_key, rest_mm=rest_mm, sign=sign)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlateSensing(Sensing):
+    """Readings of pillars under plates, by what `PlateResponse` says of its loads."""
+
+    library: PlateResponse
+
+    @cached_property
+    def _of_conduction(self) -> tuple[FloatArray, FloatArray] | None:
+        """Components at rest and their signs, (units, n_pillars, n_components)."""
+        rest_mm, sign = self.library.rest_mm, self.library.sign
+        return None if rest_mm is None or sign is None else (rest_mm, sign)
+
+    @cached_property
+    def rest_mm2(self) -> FloatArray:
+        if self._of_conduction is None:
+            return super().rest_mm2
+        d, sign = self._of_conduction
+        return np.asarray((sign * d**2).sum(axis=-1).ravel())
+
+    def reading(self, moved_mm: FloatArray) -> FloatArray:
+        if self._of_conduction is None:
+            return super().reading(moved_mm)
+        d, sign = self._of_conduction
+        parts = moved_mm.reshape(*moved_mm.shape[:-1], *d.shape)
+        return np.asarray((sign * (2 * d + parts) * parts).sum(axis=-1).reshape(*moved_mm.shape[:-1], -1))
+
+    def slopes(self, moved_mm: FloatArray) -> FloatArray:
+        """Derivatives (units, e of a unit, n_pillars) of a reading by what is moved, where that is moved so, (e,)."""
+        if self._of_conduction is None:
+            linear, square = self.by_electrode
+            return np.asarray(linear + 2 * moved_mm.reshape(-1, len(linear))[:, :, None] * square)
+        d, sign = self._of_conduction
+        own = 2 * sign * (d + moved_mm.reshape(d.shape))
+        return (own[..., None] * np.eye(d.shape[1])[:, None]).reshape(len(d), -1, d.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +114,9 @@ class PlateDecoder(TouchDecoder):
     library: PlateResponse  # type: ignore[assignment]  # in the place of presses, which plates need none of
 
     @cached_property
-    def sensing(self) -> Sensing:
-        return Sensing(grid=None, design=self.design, pillars=self.pillars)  # type: ignore[arg-type]  # no grid: plates
+    def sensing(self) -> PlateSensing:
+        of_sensor: Any = {"grid": None, "design": self.design, "pillars": self.pillars}  # plates need no grid
+        return PlateSensing(library=self.library, **of_sensor)
 
     @property
     def output_scaling(self) -> Scaling:
@@ -93,8 +139,8 @@ class PlateDecoder(TouchDecoder):
         Notes
         -----
         Sparse Bayes (Tipping, J. Mach. Learn. Res. 1 (2001) 211): loads x of a plate have the prior N(0, vₖ A), A of
-        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Eq. 1 is linearised about the
-        last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
+        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Readings are linearised about
+        the last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
         own, n = self.sensing.deviation(reading, self.errors), self.rows * self.cols
         at_rest = float((reading / own) @ (reading / own))
@@ -136,15 +182,13 @@ class PlateDecoder(TouchDecoder):
         return self._slopes(moved) / deviation[:, None], missed / deviation
 
     def _slopes(self, moved_mm: FloatArray) -> FloatArray:
-        """Derivatives (m, units·6) of a reading by loads where electrodes are displaced so, (e,)."""
-        linear, square = self.sensing.by_electrode
-        tops = moved_mm.reshape(-1, len(linear))
-        slopes = linear + 2 * tops[:, :, None] * square  # (units, e of a unit, pillars)
-        return np.asarray((self._by_unit @ slopes).swapaxes(1, 2).reshape(-1, self._by_unit.shape[1]))
+        """Derivatives (m, units·6) of a reading by loads, where these displace so, (e,)."""
+        by_load = self._by_unit @ self.sensing.slopes(moved_mm)
+        return np.asarray(by_load.swapaxes(1, 2).reshape(-1, self._by_unit.shape[1]))
 
     @cached_property
     def _by_unit(self) -> FloatArray:
-        """Displacements of each unit's electrodes by loads, (units, units·6, e of a unit)."""
+        """What loads move in each unit, (units, units·6, e of a unit)."""
         moved = self.library.moved_mm
         return np.ascontiguousarray(moved.reshape(moved.shape[0] * N_LOADS, self.rows * self.cols, -1).swapaxes(0, 1))
 

@@ -8,10 +8,10 @@ import pytest
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
 from fem.contact import surface as surface_module
-from fem.contact.surface import Patch, PatchCompliance
+from fem.contact.indentation import Indentation
+from fem.contact.surface import UP, Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
 from geometry.design import Array, Pad, Plate, SensorDesign
-from geometry.errors import DesignError
 from studies.bench.peers.plates import CASES, pressed_here
 from studies.bench.peers.plates import DESIGN as FOUR
 
@@ -137,9 +137,43 @@ def test_polynomials_between_tiles_end_at_plates_and_keep_moments():
     assert sum(strip.tiles for strip in cell_strips(PLATED, 1)) == 7
 
 
-def test_shapes_that_move_step_by_step_need_bare_rubber(plated: SurfaceCompliance):
-    with pytest.raises(DesignError, match="bare rubber"):
-        Stepper(plated)
+def test_a_path_of_one_step_is_a_press_on_both_plates(plated: SurfaceCompliance):
+    """On the stepper's own grid to its tolerance, and to estimates by a press, which looks farther for what touches."""
+    ball, at_mm = Sphere(8.0), (0.5, 1.0)
+    found = Stepper(plated, friction=0.0).step(ball, (*at_mm, -0.8))
+    alike: dict = {"design": plated.design, "depth_mm": 0.8, "at_mm": at_mm, "slide_mm": (0.0, 0.0), "friction": 0.0}
+    same, _ = Indentation(shape=ball, **alike).solved(PatchCompliance(plated, found.patch), 1)
+    expected = press(plated, ball, 0.8, at_mm=at_mm)
+    assert min(expected.force_n[0, :, 2]) > 10.0
+    assert found.force_n == pytest.approx(same.force_n, abs=3e-3 * found.force_n.max())
+    bound = found.error_estimate + expected.error_estimate
+    assert np.linalg.norm(found.force_n - expected.force_n) < bound * np.linalg.norm(expected.force_n)
+
+
+def test_there_and_back_friction_takes_work_and_forces_balance(plated: SurfaceCompliance):
+    """A loop takes work: 0 without friction, at most what slipping all the way would. What tiles pass on are the forces
+    on faces and their moments about the array's middle at the rubber's top."""
+    ball, work_nmm, there = Sphere(8.0), {}, 0.6 * np.sin(np.linspace(0.0, 2 * np.pi, 17))
+    for friction in (0.0, 0.4):
+        stepper = Stepper(plated, friction=friction)
+        for x in there:  # the first loop begins without shear
+            contact = stepper.step(ball, (7.0 + x, 1.0, -0.4))
+        pulls = [stepper.step(ball, (7.0 + x, 1.0, -0.4)).net_force_n for x in there]
+        fx, fz = np.array(pulls)[:, 0], np.array(pulls)[:, 2]
+        work_nmm[friction] = np.trapezoid(fx, there)
+        assert fx[8] * fx[-1] < 0 or not friction  # where it passes the middle there and back
+    slipping = 0.4 * fz.max() * np.abs(np.diff(there)).sum()
+    assert abs(work_nmm[0.0]) < 0.02 * slipping
+    assert 0.2 * slipping < work_nmm[0.4] < slipping
+    patch, force, tiles = contact.patch, contact.cell_force_n * UP, contact.tile_force_n
+    x, y = np.broadcast_arrays(patch.x_mm, patch.y_mm[:, None])
+    columns, rows = ((lines[:-1] + lines[1:]) / 2 for lines in (edges(slab_strips(PLATED, k, 0)) for k in (0, 1)))
+    tile_x, tile_y = np.broadcast_arrays(columns, rows[:, None])
+    one, other = (
+        np.concatenate([F.sum(axis=(1, 2)), np.cross(np.stack([*at], -1), np.moveaxis(F, 0, -1)).sum(axis=(0, 1))])
+        for F, at in ((force, (x, y, 0 * x + PLATED.pad.plate.thickness_mm)), (tiles, (tile_x, tile_y, 0 * tile_x)))
+    )
+    assert one == pytest.approx(other, abs=1e-4 * np.abs(one).max())
 
 
 @pytest.mark.long
