@@ -29,7 +29,7 @@ from geometry.design import SensorDesign, Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
 
 MODES = 40  #: of the displacement gradient, for second derivatives
-COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
+COMPONENTS = 8  #: of a pillar's polynomial in loads on pads, at most; see `ConductedPillars`
 SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
 USUAL = np.array([SHEAR, SHEAR, 1.0])  #: loads along x, y, z, relative to each other
 SPREAD = 2500  #: points that choose the modes
@@ -77,6 +77,7 @@ def conducted_by_loads(
     accurate: FloatArray,
     shape: tuple[int, int],
     progress: Callable[[str], None] = lambda step: None,
+    components: int = COMPONENTS,
 ) -> ConductedPillars:
     """The same in the first of a cell's functionals, `loads`, of every cell of an array of a shape.
 
@@ -110,6 +111,7 @@ def conducted_by_loads(
             accurate[k, top],
             unit[n_pillars + n_modes :].reshape(-1, 3, seen.shape[2])[top],
             scale,
+            components,
         )
         for k, unit in enumerate(seen)
         for p, top in enumerate(design.unit.layout.pillar_top)
@@ -148,6 +150,7 @@ def _components(
     influence: FloatArray,
     coarse: FloatArray,
     scale: FloatArray,  # usual loads, relative to each other, (n,)
+    components: int,
 ) -> tuple[FloatArray, FloatArray]:
     """B (n_components, n) and signs of one pillar, by its first and second derivatives in n loads.
 
@@ -167,7 +170,7 @@ def _components(
     core[2 + m :, 2 + m :] = np.diag([1.0] * 3 + [-1.0] * 3)
     Q, R = np.linalg.qr(rows.T)
     value, vector = np.linalg.eigh(R @ core @ R.T)
-    kept = np.argsort(-np.abs(value))[: COMPONENTS - 1]
+    kept = np.argsort(-np.abs(value))[: components - 1]
     others = (Q @ (vector[:, kept] * np.sqrt(np.abs(value[kept])))).T / scale
     return np.vstack([lead, others]), np.concatenate([[1.0], np.where(value[kept] < 0, -1.0, 1.0)])
 
