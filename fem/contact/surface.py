@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -78,9 +79,8 @@ class SurfaceCompliance:
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
     on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
-    table: (
-        FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
-    )
+    #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
+    table: FloatArray
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
     #: of conduction: the pillars' resistances by forces on tiles (3, ny, nx), as `conducted_by_tiles` gives them
@@ -243,7 +243,7 @@ def _write(made: SurfaceCompliance, path: Path) -> None:
 
 def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
     """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    arrays = read_arrays(path)
+    arrays: dict[str, Any] = read_arrays(path)
     step_mm, cache_key = float(arrays.pop("step_mm")), str(arrays.pop("cache_key"))
     return SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=cache_key)
 
@@ -342,12 +342,12 @@ class PatchCompliance:
         found = np.zeros(self.surface.on_tiles.shape[:3], np.float32)
         own = found[:, self._rows[1], self._columns[1]]
         own[:] = self._below(force_n).reshape(own.shape)
-        return found
+        return np.asarray(found)
 
     def _below(self, force_n: FloatArray) -> FloatArray:
         """Forces on the patch's own tiles of the rubber, in one row."""
         given = self._on_tiles(force_n).ravel()
-        return given if self._faces is None else np.asarray(self._faces.T @ given)
+        return np.asarray(given if self._faces is None else self._faces.T @ given)
 
     def electrode_kernels(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each electrode: shares of the patch's rows in nodes of the table, what forces there do, and of columns.
