@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from html import escape
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 
@@ -48,11 +48,11 @@ def require_sound(
 ) -> None:
     """Refuse whatever is not as its `quantity` says: finite numbers, whole ones in an int field, one of the choices.
 
-    Numbers become floats, vectors tuples of them; None is taken where it is the default.
+    Numbers become floats, vectors tuples of them; None is taken where the type has it.
     """
     for spec in fields(values):
         value, asked = getattr(values, spec.name), spec.metadata
-        if value is None and spec.default is None:
+        if value is None and type(None) in get_args(spec.type):
             continue
         count = asked.get("count", 1)
         kind = next((one for one in (int, float) if spec.type in (one, one | None)), float if count > 1 else None)

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import tripillar as tp
-from dataset import Samples, read_samples
+from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler import read_model
+from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
+from tripillar.face.caller import Caller, called_by
 
 READ = ("--noise", "0.001", "--bits", "12")
 
@@ -50,6 +52,21 @@ def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
     house.result("dataset", "--samples", "10", "--protocol", "contact", "--design", "paper.toml", "--out", "paper.nc")
     said = house.refusal("evaluate", "--model", "all.safetensors", "--data", "paper.nc")
     assert f"layout: model {layout}, data song2018" in said
+
+
+def test_who_picks_uprights_alone_hears_what_their_shear_is_worth(tmp_path):
+    """From `design`, `train` and `evaluate`, of the components that are asked for; leaning pillars need no word."""
+    house, told = House(tmp_path), "no pillar leans along x or y: forces that way are told by tilt alone"
+    assert told in house.tripillar("design", "--layout", "upright-four", "-o", "four.toml").stderr
+    assert "tilt" not in house.tripillar("design", "--layout", "eight-pillar", "-o", "eight.toml").stderr
+    design = SensorDesign(unit=Unit(layout=LAYOUTS["upright-four"]), array=Array(rows=1, cols=2))
+    response, said = layer_response(design), list[str]()
+    with called_by(Caller(say=said.append)):
+        for protocol, count in (("three-axis", 2), ("contact-fz", 0)):
+            samples = simulate(response, DatasetSettings(protocol=protocol, samples=40, seed=1, noise=1e-3))
+            tp.evaluate(tp.train(samples, hidden=2, response=response), samples, response=response)
+            assert sum(told in line for line in said) == count
+            said.clear()
 
 
 def test_forces_that_pillars_do_not_tell_are_not_trained():
