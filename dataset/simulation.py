@@ -17,7 +17,7 @@ import psutil
 
 from dataset.histories import between, programme
 from dataset.imperfections import PAPERS, SEEDS, Imperfections
-from dataset.indentation import VERSION, indented
+from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import INDENT, SUMMARIES, forces, pad_protocol
@@ -385,10 +385,11 @@ def _block(
         draw: Draw = indented(design, settings.seed, settings.cap, number, kept)
     else:
         draw = _pad_loads(response, settings, settings.seed, number)
-    (traction, displacement, *moment), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
-    found = _labelled(response, traction, displacement, settings, readout, number * BLOCK)
-    if moment:  # of contacts
-        found["moment_nmm"] = moment[0].reshape(-1, design.array.rows, design.array.cols, 2)
+    (traction, displacement, *of_contact), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
+    effective = tiled_lengths(design, of_contact[1], kept) if of_contact else _effective(response, traction)
+    found = labelled(traction, displacement, effective, design, settings, readout, number * BLOCK)
+    if of_contact:
+        found["moment_nmm"] = of_contact[0].reshape(-1, design.array.rows, design.array.cols, 2)
     return found, redrawn
 
 
@@ -411,23 +412,16 @@ def _series(
         return [traction[None], moved[None]], np.array([largest_strains(moved, design.unit).max() <= settings.cap])
 
     (traction, moved), redrawn = below_cap(draw, 1, MAX_ROUNDS, settings, design)
-    return _labelled(response, traction, moved, settings, readout, number), again + redrawn
+    effective = _effective(response, traction)
+    return labelled(traction, moved, effective, design, settings, readout, number), again + redrawn
 
 
-def _labelled(
-    response: ArrayResponse,
-    traction_mpa: FloatArray,
-    displacement_mm: FloatArray,
-    settings: DatasetSettings,
-    readout: Readout | None,
-    first: int,
-) -> dict[str, Any]:
-    """As `labelled`, with the effective lengths of linear conduction, where the response holds it."""
-    effective, design = None, response.design
-    if response.conducted is not None:
-        newtons = traction_mpa.reshape(-1, design.n_units, 3) * design.pad.size_mm**2
-        effective = conducted_lengths(response.conducted, newtons)
-    return labelled(traction_mpa, displacement_mm, effective, design, settings, readout, first)
+def _effective(response: ArrayResponse, traction_mpa: FloatArray) -> FloatArray | None:
+    """Effective lengths of linear conduction under tractions (..., n_units, 3) [MPa]; None where there is none."""
+    if response.conducted is None:
+        return None
+    newtons = traction_mpa.reshape(-1, response.design.n_units, 3) * response.design.pad.size_mm**2
+    return conducted_lengths(response.conducted, newtons)
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -45,11 +45,11 @@ def require_sound(
 ) -> None:
     """Refuse whatever is not as its `quantity` says: finite numbers, whole ones in an int field, one of the choices.
 
-    Numbers become floats, vectors tuples of them; None is taken where it is the default.
+    Numbers become floats, vectors tuples of them; None is taken where the type has it.
     """
     for spec in fields(values):
         value, asked = getattr(values, spec.name), spec.metadata
-        if value is None and spec.default is None:
+        if value is None and type(None) in get_args(spec.type):
             continue
         count = asked.get("count", 1)
         if spec.type is bool:
