@@ -50,7 +50,8 @@ class Electrode:
         pair = isinstance(self.place, Sequence) and len(self.place) == 2
         if not pair or not all(_is_number(one) and abs(one) <= MAX_PLACE for one in self.place):
             raise DesignError(
-                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans."
+                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans, "
+                f"at most {MAX_PLACE:g} in size."
             )
         object.__setattr__(self, "place", tuple(map(float, self.place)))
 
@@ -94,7 +95,8 @@ class Layout:
 
     def __post_init__(self) -> None:
         wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
-        for name in (*self.terminals, *wires, *self.pillar_names):
+        ends = [end for one in self.pillars for end in (one.foot, one.top)]
+        for name in (*self.terminals, *wires, *self.pillar_names, *ends):
             if not isinstance(name, str) or not NAME.fullmatch(name):
                 raise DesignError(f"{reprlib.repr(name)} is no name: give up to 8 letters and digits, such as U1 or z.")
         once: list[tuple[str, list[Any]]] = [
@@ -110,13 +112,14 @@ class Layout:
         feet, tops = ({one.name: one.place for one in level} for level in (self.lower, self.upper))
         for one in self.pillars:
             if one.foot not in feet or one.top not in tops:
-                raise DesignError(
-                    f"pillar {one.name} joins {one.foot} and {one.top}: it must stand on one of {', '.join(feet)} and "
-                    f"end at one of {', '.join(tops)}."
+                lower, upper = (
+                    ", ".join(names) or f"the {level} electrodes, of which there are none"
+                    for names, level in ((feet, "lower"), (tops, "upper"))
                 )
-            leans = [a != b for a, b in zip(feet[one.foot], tops[one.top], strict=True)]
-            if all(leans) and not one.reference:
-                raise DesignError(f"pillar {one.name} leans along x and along y: it may lean along one of them.")
+                raise DesignError(
+                    f"pillar {one.name} joins {one.foot} and {one.top}: it must stand on one of {lower} and end at one "
+                    f"of {upper}."
+                )
         idle = {*self.terminals} - {name for one in self.pillars if not one.reference for name in (one.foot, one.top)}
         if idle or not self.pillars:
             raise DesignError(
@@ -284,10 +287,17 @@ def pillar_volumes(unit: "Unit") -> FloatArray:
     return pillar_areas(unit) * rest_lengths(unit)
 
 
+def leans_both_ways(unit: "Unit") -> NDArray[np.bool_]:
+    """Whether each pillar leans along x and along y, shape (n_pillars,)."""
+    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
+    return np.asarray((top != bottom)[:, :2].all(axis=1))
+
+
 def pillar_sections(unit: "Unit") -> FloatArray:
     """Extent along x and y of the pillars' horizontal sections, shape (n_pillars, 2) [mm].
 
-    Perpendicular to its axis a pillar is w × w, or round of that width; along its tilt it is wider, w·l/h.
+    Perpendicular to its axis a pillar is w × w, or round of that width; along its tilt it is wider, w·l/h. Of one that
+    leans along x and along y the rectangle around its section, which is turned along its tilt.
 
     >>> from geometry.design import Unit
     >>> pillar_sections(Unit()).round(3).tolist()
@@ -295,7 +305,13 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     """
     h, runs = unit.height_mm, (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
     widths = zip(pillar_widths(unit), runs, strict=True)
-    return np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
+    sections = np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
+    for k in np.flatnonzero(leans_both_ways(unit)):
+        w, run = pillar_widths(unit)[k], math.hypot(*runs[k])
+        x, y, along = abs(runs[k][0]) / run, abs(runs[k][1]) / run, w * math.hypot(run, h) / h
+        around = math.hypot if unit.layout.pillars[k].is_round else lambda a, b: a + b
+        sections[k] = around(along * x, w * y), around(along * y, w * x)
+    return sections
 
 
 def require_told(unit: "Unit", axes: Sequence[str] = AXES) -> None:

@@ -56,7 +56,7 @@ class Forces:
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
     model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
-    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): of touch, `Touched.moment_nmm`
+    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
@@ -138,7 +138,7 @@ class Forces:
             variables["deviation_n"] = (over_units, self.deviation_n, {"units": "N", "meaning": meaning})
         if self.moment_nmm is not None:
             attributes = {"units": "N mm", "meaning": "moments of the pressure about the unit's middle, of x p and y p"}
-            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm, attributes)
+            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm[..., :2], attributes)
         if self.chi2 is not None:
             meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
             variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
@@ -220,7 +220,8 @@ class ForceReader:
             np.ones(self.calibration.gain.shape[-1]) if rest_ohm is None else rest_ohm
         )
         self.description = describe(model, info)
-        self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.knows_touch)
+        moments = model.n_loads - len(AXES) if model.knows_touch else 0
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes, moments)
         self._uncertain = model if model.knows_uncertainty else None
         if rest_ohm is not None and self._uncertain:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))

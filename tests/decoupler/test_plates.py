@@ -8,8 +8,8 @@ import pytest
 from dataset.indentation import samples_of
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
-from decoupler.touch.morph import Pillars
-from decoupler.touch.plates import PlateDecoder, PlateResponse
+from decoupler.touch.plates import PlateDecoder, plate_response
+from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.contact import Flat, Sphere, SurfaceCompliance, Turned, press
 from fem.contact import surface as surface_module
@@ -35,8 +35,8 @@ def surfaces() -> dict[str, SurfaceCompliance]:
 
 def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
     design = surface.design
-    plates = PlateResponse.of(surface)
-    return PlateDecoder(design=design, errors=READ, library=plates, pillars=Pillars.designed(design))
+    plates, pillars = plate_response(surface), Pillars.designed(design)
+    return PlateDecoder(design=design, errors=READ, library=plates, pillars=pillars)
 
 
 def wrenches(n: int) -> np.ndarray:

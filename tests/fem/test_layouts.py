@@ -21,7 +21,7 @@ from fem.scene.scene import Scene, Sensor
 from geometry.design import Array, Electrics, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS, electrode_squares, pillar_volumes, rest_lengths, unit_centres
 from hardware.readout.shunts import shunts
-from tests.fem.scenes import BESIDE, FOUR, mean, round_of
+from tests.fem.scenes import BESIDE, DIAGONAL, FOUR, mean, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -135,7 +135,7 @@ def test_samples_at_finite_strain_have_every_electrode_and_pillar(electrics, few
         assert change[1][:2] == pytest.approx(change[0][[0, 2]], rel=3e-3)
 
 
-@pytest.mark.parametrize("layout", [*LAYOUTS.values(), BESIDE])
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), BESIDE, DIAGONAL])
 def test_samples_of_one_rubber_are_alike_whatever_the_pillars(layout):
     """They bend nothing: electrodes that layouts have in common move alike, round pillars as square ones."""
     lone, force_n = SensorDesign(array=Array(rows=1, cols=1)), 144.0 * np.array([[[0.1, 0.05, -0.5]]])

@@ -307,14 +307,14 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     if is_plated:
         advance = caller.bars.begin("compliance of the top", total=1)
         surface, _, reused = stages.surface_compliance(design, lambda step: advance(0, step))
-        plates = stages.PlateDecoder(library=stages.PlateResponse.of(surface), **of_sensor)
+        plates = stages.PlateDecoder(library=stages.plate_response(surface), **of_sensor)
         result = {"file": str(out), "plates": design.n_units, "reused": reused}
         return _kept_touch(plates, out, result, f"{design.n_units} plates")
     advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
     library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
     result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
     text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
-    return _kept_touch(stages.TouchDecoder(library=library, **of_sensor), out, result, text)
+    return _kept_touch(stages.BareDecoder(library=library, **of_sensor), out, result, text)
 
 
 def _kept_touch(

@@ -44,10 +44,11 @@ if TYPE_CHECKING:
     from decoupler.rubber.silicones import surrounded
     from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import assess_touch
+    from decoupler.touch.bare import BareDecoder
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
-    from decoupler.touch.morph import Pillars
-    from decoupler.touch.plates import PlateDecoder, PlateResponse
+    from decoupler.touch.plates import PlateDecoder, plate_response
+    from decoupler.touch.sensing import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
     from decoupler.training.suited import suited_component, suited_feature, without_stuck

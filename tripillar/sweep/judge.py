@@ -159,7 +159,7 @@ def own_axes(unit: Unit) -> list[int]:
     [2, 0, 1]
     """
     foot, top = pillar_ends(unit).transpose(1, 0, 2)
-    leans = top[:, :2] != foot[:, :2]
+    leans = np.abs(top - foot)[:, :2]
     return np.where(leans.any(axis=1), leans.argmax(axis=1), AXES.index("z")).tolist()
 
 
