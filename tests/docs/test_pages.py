@@ -78,7 +78,7 @@ def test_the_layout_shown_leads_to_forces_in_ten_lines_and_four_commands():
     assert [command.line.split()[:2] for command in typed if command.line != "kill %1"] == [
         ["tripillar", name] for name in ("dataset", "train", "board", "live")
     ]
-    unit = whole_design("\n".join(file.content[:-1]), "the page").unit
+    unit = whole_design("\n".join([*file.content[:-1], ""]), "the page").unit
     assert (unit.layout.pillar_names, unit.layout.pillars[1].section) == (("z1", "z2", "x", "y"), "round")
     require_told(unit)
 
