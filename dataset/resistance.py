@@ -109,12 +109,14 @@ def exact_resistances(effective_mm: FloatArray, design: SensorDesign, rise: Floa
 def conducted_lengths(conducted: "ConductedPillars", newtons: FloatArray) -> FloatArray:
     """Lengths that eq. 1 would need for the resistances of conduction, √(R V/ρ), (n, n_units, n_pillars) [mm].
 
-    Takes forces (n, n_units, 3) [N] on the pads along x, y and z, z negative pushing down. Loads beyond the second
-    order in strain, by which a resistance would not be above 0, are a `ValueError`.
+    Takes forces (n, ...) [N] along x, y and z, z negative pushing down: on the pads (n_units, 3), or on what else the
+    influence is of. Loads beyond the second order in strain, by which a resistance would not be above 0, are a
+    `ValueError`.
     """
-    n, n_units, _ = newtons.shape
-    n_pillars, n_components = conducted.rest_mm.shape[-2:]
-    parts = newtons.reshape(n, -1) @ conducted.influence_mm_per_n.reshape(n_units * n_pillars * n_components, -1).T
+    n, (rows, cols, n_pillars, n_components) = len(newtons), conducted.rest_mm.shape
+    n_units = rows * cols
+    influence = conducted.influence_mm_per_n.reshape(n_units * n_pillars * n_components, -1)
+    parts = (newtons.reshape(n, -1) @ influence.T).astype(np.float64, copy=False)
     parts += conducted.rest_mm.reshape(-1)
     parts *= parts
     parts = parts.reshape(n, n_units * n_pillars, n_components)

@@ -17,7 +17,7 @@ import psutil
 
 from dataset.histories import between, programme
 from dataset.imperfections import PAPERS, SEEDS, Imperfections
-from dataset.indentation import VERSION, indented
+from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces, pad_protocol
@@ -377,13 +377,15 @@ def _block(
             drawn = [traction, displacements(response, traction, protocol.axes)]
         return drawn, ~(largest_strains(drawn[1], design.unit) > settings.cap)
 
-    (traction, displacement, *moment), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
+    (traction, displacement, *of_contact), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
     effective = None
-    if design.electrics.is_conduction and response.conducted is not None:
+    if of_contact:
+        effective = tiled_lengths(design, of_contact[1], kept)
+    elif design.electrics.is_conduction and response.conducted is not None:
         effective = conducted_lengths(response.conducted, traction * design.pad.size_mm**2)
     found = labelled(traction, displacement, effective, design, settings, readout, number * BLOCK)
-    if moment:  # of contacts
-        found["moment_nmm"] = moment[0].reshape(-1, design.array.rows, design.array.cols, 2)
+    if of_contact:
+        found["moment_nmm"] = of_contact[0].reshape(-1, design.array.rows, design.array.cols, 2)
     return found, redrawn
 
 

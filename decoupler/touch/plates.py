@@ -1,8 +1,8 @@
 """Loads of whatever presses an array of rigid plates: the six components of each by sparse Bayes, no press solved.
 
 A plate tells of what touches it by its six motions, so that its loads are six numbers, whatever the shape. Readings
-follow from these by the array's response and eq. 1. Plates have a prior each: wrenches of contacts somewhere on a pad,
-their size unknown and found by the largest evidence, which takes most plates for untouched.
+follow from these by the array's response and eq. 1 or conduction. Plates have a prior each: wrenches of contacts
+somewhere on a pad, their size unknown and found by the largest evidence, which takes most plates for untouched.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from decoupler.touch.decoder import TouchDecoder, Touched
-from decoupler.touch.sensing import Displacements
+from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.surface import SurfaceCompliance
 from fem.contact.tiles import cell_strips, edges, tiles_per_pitch
 from geometry.layout import FloatArray
@@ -27,11 +27,19 @@ OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
 STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at which they end
 
 
-def plate_response(surface: SurfaceCompliance) -> Displacements:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlateResponse(Displacements):
     """Displacements (units, 6, e) of the electrodes by each load of `Touched.load`, of an array with stiff pads.
 
-    Forces on the tiles of a plate add up to each load.
+    By conduction of the components of pillars, e = units·n_pillars·n_components.
     """
+
+    components_mm: FloatArray | None = None  #: at rest, (units, n_pillars, n_components); None by eq. 1
+    sign: FloatArray | None = None  #: of the same shape
+
+
+def plate_response(surface: SurfaceCompliance) -> PlateResponse:
+    """What forces on the tiles of a plate do that add up to each load."""
     design, tiles, own = surface.design, tiles_per_pitch(surface.design), []
     for axis in (0, 1):
         strips = cell_strips(design, axis)
@@ -45,20 +53,32 @@ def plate_response(surface: SurfaceCompliance) -> Displacements:
     loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
     loads[5, :2] = -y, x
     spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
-    shape = design.array.rows, tiles, design.array.cols, tiles
-    cells = surface.on_electrodes.reshape(*surface.on_electrodes.shape[:5], *shape)
+    conducted, shape = surface.conducted, (design.array.rows, tiles, design.array.cols, tiles)
+    by_tiles = surface.on_electrodes if conducted is None else conducted.influence_mm_per_n
+    cells = by_tiles.reshape(*by_tiles.shape[:5], *shape)
     plates = cells[:, :, :, :, :, :, rows][..., columns]
     moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
     moved = moved.reshape(design.n_units, N_LOADS, -1)
     moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
-    return Displacements(moved_mm=moved, cache_key=surface.cache_key)
+    if conducted is None:
+        return PlateResponse(moved_mm=moved, cache_key=surface.cache_key)
+    d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
+    return PlateResponse(moved_mm=moved, cache_key=surface.cache_key, components_mm=d, sign=sign)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlateDecoder(TouchDecoder):
     """A decoder of whatever presses rigid plates; each scan by itself."""
 
+    library: PlateResponse
     n_loads, of_model = N_LOADS, 1e-3
+
+    @cached_property
+    def sensing(self) -> Sensing:
+        d, sign = self.library.components_mm, self.library.sign
+        if d is None or sign is None:
+            return super().sensing
+        return ConductedSensing(design=self.design, pillars=self.pillars, components_mm=d, sign=sign)
 
     @property
     def usual_n(self) -> FloatArray:
@@ -81,8 +101,8 @@ class PlateDecoder(TouchDecoder):
         Notes
         -----
         Sparse Bayes (Tipping, J. Mach. Learn. Res. 1 (2001) 211): loads x of a plate have the prior N(0, vₖ A), A of
-        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Eq. 1 is linearised about the
-        last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
+        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Readings are linearised about
+        the last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
         n = self.design.n_units
         size2, told, x = np.full(n, FIRST_N**2), np.zeros(n), np.zeros((n, N_LOADS))

@@ -86,6 +86,24 @@ class Sensing:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class ConductedSensing(Sensing):
+    """The same by conduction: of components of pillars, as `ConductedPillars` has them, in the place of electrodes."""
+
+    components_mm: FloatArray  #: d, at rest (units, n_pillars, n_components)
+    sign: FloatArray  #: s, of the same shape
+
+    @cached_property
+    def rest_mm2(self) -> FloatArray:
+        return np.asarray((self.sign * self.components_mm**2).sum(axis=-1).ravel())
+
+    def reading(self, moved_mm: FloatArray) -> FloatArray:
+        """Changes of Σ sₖ (dₖ + mₖ)² (..., units·n_pillars) [mm²] by m (..., units·n_pillars·n_components)."""
+        moved = moved_mm.reshape(*moved_mm.shape[:-1], *self.sign.shape)
+        each = self.sign * (2 * self.components_mm + moved) * moved
+        return np.asarray(each.sum(axis=-1).reshape(*moved_mm.shape[:-1], -1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Displacements:
     """What loads on a sensor do to its electrodes."""
 

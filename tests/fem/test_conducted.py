@@ -1,18 +1,21 @@
 """Conduction at linear strain: derivatives of resistances against whole solves of the deformed pillars."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fem.array import conducted as module
-from fem.array.conducted import conducted_pillars, displacement_gradients
+from fem.array.conducted import conducted_by_loads, conducted_pillars, displacement_gradients
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import design_interior
-from fem.array.response import ArrayResponse, read_response, write_response
+from fem.array.meshed import design_interior, pad_plate
+from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
-from geometry.design import Array, Electrics, SensorDesign, Unit
+from fem.contact.conducting import COMPONENTS
+from fem.contact.tiles import cell_rectangles
+from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import electrode_squares, pad_squares
 
 COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
@@ -66,14 +69,37 @@ def test_second_derivatives_are_those_of_whole_solves():
 def test_polynomials_follow_whole_solves_of_displaced_pillars(pressed):
     """To the third order in the load: half of it leaves an eighth of the error, here within 0.1 % of R."""
     response, whole = pressed
-    found, misses = response.conducted, []
+    follow_whole_solves(response.conducted, np.array([60.0, -40.0, -240.0]), whole)
+
+
+def follow_whole_solves(found: ConductedPillars, force_n: np.ndarray, whole: Callable[[np.ndarray], np.ndarray]):
+    misses = []
     for size in (0.5, 1.0):
-        force_n = size * np.array([60.0, -40.0, -240.0])
-        parts = found.rest_mm[0, 0] + found.influence_mm_per_n[0, 0, :, :, 0, 0] @ force_n
+        parts = found.rest_mm[0, 0] + found.influence_mm_per_n.reshape(*found.sign.shape[2:], -1) @ (size * force_n)
         ratio = (found.sign[0, 0] * parts**2).sum(axis=1) / found.rest_mm[0, 0, :, 0] ** 2
-        misses.append(np.abs(ratio - whole(force_n) / whole(0 * force_n)))
+        misses.append(np.abs(ratio - whole(size * force_n) / whole(0 * force_n)))
     assert misses[0].max() < 1e-3
     assert misses[0].max() < 0.2 * misses[1].max()
+
+
+def test_polynomials_follow_whole_solves_under_a_plate_and_what_touches_beside_it(monkeypatch: pytest.MonkeyPatch):
+    """Loads on all tiles of a top: pressure that turns the plate, shear, and a finger beside it."""
+    design = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"), electrics=Electrics(model="conduction"))
+    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)
+    monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
+        monkeypatch.setattr(name, lambda unit, strained=False: (COARSE, COARSE))
+    interior, loads = design_interior(design, cell_rectangles(design), pad_plate(design)), range(3 * 7 * 7)
+    amplitudes = CoupledArray(interior.cell, 1, 1).seen(np.eye(len(interior.cell.stiffness) + 147), loads)[0][0, :, 0]
+    electrodes = np.hstack([interior.cell.transfer[:, 147:].T, interior.cell.compliance[147:, :147]])
+    moved = (electrodes @ amplitudes).reshape(1, 2, 3, -1)
+    found = conducted_by_loads(design, interior, loads, moved, (1, 1), components=COMPONENTS)
+    force_n = np.zeros((7, 7, 3))
+    force_n[2:5, 2:5] = np.linspace([1.0, -2.0, -10.0], [3.0, 1.0, -40.0], 3)
+    force_n[3, 6] = 2.0, 0.0, -8.0
+    gradients = displacement_gradients(interior, COARSE.mesh.points_mm, amplitudes @ force_n.reshape(-1, 1))[..., 0]
+    whole_n = force_n.ravel() @ force_n.ravel()
+    follow_whole_solves(found, force_n.ravel(), lambda f: resistances(gradients * (f @ force_n.ravel()) / whole_n))
 
 
 def test_a_response_file_keeps_conduction(pressed, tmp_path):

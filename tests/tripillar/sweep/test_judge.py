@@ -78,7 +78,7 @@ def test_an_array_that_differs_in_scale_alone_has_the_same_shares():
 def test_what_a_design_cannot_tell_is_a_reason():
     """One upright pillar a unit tells no shear; five columns in two rows have no third neighbour along y, but along x.
 
-    No contact is solved with conduction.
+    No contact on bare rubber is solved with conduction.
     """
     lone = replace(SPRINGS, unit=Unit(layout=Layout(UPRIGHT.upper[:1], UPRIGHT.lower[:1], UPRIGHT.pillars[:1])))
     found = judge.metrics_of(springs(design=lone), noise=1e-3, bits=None, cap=0.3)
@@ -87,7 +87,7 @@ def test_what_a_design_cannot_tell_is_a_reason():
     pair = replace(SPRINGS, array=Array(rows=1, cols=2))
     assert judge.metrics_of(springs(design=pair), 1e-3, None, 0.3)["crosstalk_z_2"] == "no unit is 2 × pitch away"
     conducting = judge.touch_of(replace(SPRINGS, electrics=Electrics(model="conduction")), Judging(touch_n=20.0))
-    assert "conduction needs loads on pads" in conducting["touch_net_pct"]
+    assert "conduction under contact takes plates" in conducting["touch_net_pct"]
 
 
 def test_what_a_design_takes_to_be_read():
