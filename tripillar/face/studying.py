@@ -106,7 +106,7 @@ def sweep(
     asked = replace(asked, samples=trials or asked.samples)
     if optimize:
         return _optimized(asked, source, folder, workers, scheduler)
-    require_packages("pyarrow", "matplotlib")
+    require_packages("sweep", "pyarrow", "matplotlib")
     samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
     found = stages.kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
@@ -139,7 +139,7 @@ def _optimized(
     asked: "stages.Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None
 ) -> "list[stages.Row]":
     """The designs within bounds that a search tried, the best one first."""
-    require_packages("optuna")
+    require_packages("sweep", "optuna")
     journal = Journal(folder / f"{source.stem}-rows")
     with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
         rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))

@@ -6,6 +6,7 @@ equations are in docs/results.md.
 
 from dataclasses import asdict, fields, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -46,19 +47,17 @@ def row_of(sample: Sample, judging: Judging) -> Row:
         found |= touch_of(sample.design, judging)
     found |= {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
     found |= {"seconds": perf_counter() - start}
-    return Row(
-        cache_key=sample.cache_key,
-        values=sample.values,
-        design=design_to_toml(sample.design),
+    return row_with(
+        sample,
         metrics={name: None if isinstance(value, str) else value for name, value in found.items()},
         untold={name: value for name, value in found.items() if isinstance(value, str)},
     )
 
 
-def failed_row(sample: Sample, reason: str) -> Row:
-    """The row of numbers that make no design, or of a design that could not be judged."""
+def row_with(sample: Sample, **found: Any) -> Row:
+    """The row of a sample with what was found, or the reason why it could not be judged."""
     design = None if sample.design is None else design_to_toml(sample.design)
-    return Row(cache_key=sample.cache_key, values=sample.values, design=design, reason=reason)
+    return Row(cache_key=sample.cache_key, values=sample.values, design=design, **found)
 
 
 def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: float) -> Judged:
