@@ -106,12 +106,11 @@ class Unit:
 
     def __post_init__(self) -> None:
         require_sound(self)
-        least_mm = min_span(self)
+        least_mm, met = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(
-                f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above {least_mm:.4g} "
-                f"for pillar_width_mm={self.pillar_width_mm:g} and electrode_mm={self.electrode_mm:g}; widen the span "
-                "or thin the pillars."
+                f"span_mm={self.span_mm:g} lets {met} of a unit merge: it must be above {least_mm:.4g}; widen the "
+                "span, thin them or part their places."
             )
         if crossing := crossing_pillars(self):
             raise DesignError(

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from geometry.design import Array, SensorDesign, Unit
 from geometry.design_file import design_to_toml, write_design
 from geometry.errors import DesignError
-from geometry.layout import LAYOUTS
+from geometry.layout import LAYOUTS, told_by_tilt
 from geometry.storage.files import write_bytes
 from geometry.wiring import explained
 from tripillar.face import stages
@@ -61,6 +61,7 @@ def design(
             sensor = stages.surrounded(sensor, name)
     if out is not None:
         write_design(sensor, Path(out))
+    current().say(told_by_tilt(sensor.unit))
     wires = "" if layout == "song2018" else explained(sensor.unit.layout)
     text = wires if out is not None else design_to_toml(sensor).removesuffix("\n")
     current().answer(lambda: asdict(sensor), text, out)

@@ -327,11 +327,8 @@ def _checked_pairs(
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
     component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
-    judge, doubted = stages.joint_model(response), None
-    if pairs.made_from.get("protocol") == stages.INDENT:
-        doubted = f"the protocol '{stages.INDENT}' presses shapes, and a sensor is identified from loads on its pads: "
-        doubted += "measure such"
-    forced = stages.heed(doubted or stages.doubt(pairs, component, judge), name, force)
+    judge = stages.joint_model(response)
+    forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
     stages.mention(pairs, name, component, judge)
     stages.mention_another_sensor(pairs, name, component, judge)
     own = None if response is None else stages.SensorModel.of(response, component)

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from geometry.layout import require_told
+from geometry.layout import require_told, told_by_tilt
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -256,6 +256,8 @@ def evaluate(
     assert model is not None  # there are no folds
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
+    if sensor := samples.design or decoupler.design:
+        caller.say(told_by_tilt(sensor.unit, decoupler.component.axes))
     if isinstance(decoupler, stages.TouchDecoder):
         return _assessed_touch(decoupler, data)
     for label, known in ((name, samples.design), (named, decoupler.design)):
@@ -369,6 +371,7 @@ def _checked(
         sensor = SensorDesign()
     if sensor is not None:
         require_told(sensor.unit, parts.axes)
+        current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if net == "skip" if is_automatic else feature == "inverse":
