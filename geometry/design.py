@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from html import escape
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 
@@ -48,11 +48,11 @@ def require_sound(
 ) -> None:
     """Refuse whatever is not as its `quantity` says: finite numbers, whole ones in an int field, one of the choices.
 
-    Numbers become floats, vectors tuples of them; None is taken where it is the default.
+    Numbers become floats, vectors tuples of them; None is taken where the type has it.
     """
     for spec in fields(values):
         value, asked = getattr(values, spec.name), spec.metadata
-        if value is None and spec.default is None:
+        if value is None and type(None) in get_args(spec.type):
             continue
         count = asked.get("count", 1)
         kind = next((one for one in (int, float) if spec.type in (one, one | None)), float if count > 1 else None)
@@ -106,12 +106,11 @@ class Unit:
 
     def __post_init__(self) -> None:
         require_sound(self)
-        least_mm = min_span(self)
+        least_mm, met = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(
-                f"span_mm={self.span_mm:g} lets pillars or electrodes of a unit merge: it must be above {least_mm:.4g} "
-                f"for pillar_width_mm={self.pillar_width_mm:g} and electrode_mm={self.electrode_mm:g}; widen the span "
-                "or thin the pillars."
+                f"span_mm={self.span_mm:g} lets {met} of a unit merge: it must be above {least_mm:.4g}; widen the "
+                "span, thin them or part their places."
             )
         if crossing := crossing_pillars(self):
             raise DesignError(

@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
 from dataset.measurement import reading_deviation
+from dataset.protocols import INDENT
 from dataset.variables import MAX_N
 from decoupler.data.columns import (
     COMPONENTS,
@@ -27,7 +28,7 @@ from decoupler.data.columns import (
 )
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
-from geometry.layout import AXES, FloatArray
+from geometry.layout import AXES, FloatArray, untold
 
 #: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
 #: (Markov's inequality), whatever it is compared with
@@ -104,7 +105,7 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
         Whose pillars and forces are looked at.
     forward : SensorModel, optional
         Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces.
-        Without it only forces that are constant and kΩ are noticed.
+        Without it only contacts, forces that are constant and kΩ are noticed.
 
     Notes
     -----
@@ -114,6 +115,8 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
     `FALSE_ALARMS` each is for readings that do not follow the forces and for all mistakes together. One pair, or
     readings that noise hides, say nothing and are never doubted.
     """
+    if said := _of_contacts(data):
+        return said
     data = _some(data, component)
     columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
     columns = columns[:, readable_columns(component, data.layout, data.dead, columns.shape[1])]
@@ -134,7 +137,9 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
-    """Say in a line that all samples are the same, or of the same load; None if they differ."""
+    """Say in a line that all samples are contacts, the same, or of the same load; None if they differ."""
+    if said := _of_contacts(data):
+        return said
     if len(data.force_n) < 2:
         return None
     columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
@@ -161,9 +166,11 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
         share = (
             f" ({1.0 - _energy(by_all) / _energy(by_own):.0%} of what {component.name} leaves unexplained is theirs)"
         )
+    tells_all = data.design is None or not untold(data.design.unit)
+    mend = "use the component 'all'" if tells_all else "take samples without them, or a layout that tells them"
     return (
         f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
-        f"{component.name}; use the component 'all'"
+        f"{component.name}; {mend}"
     )
 
 
@@ -183,6 +190,13 @@ def _explained(data: Samples, component: Component, forward: SensorModel, left: 
     noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+
+
+def _of_contacts(data: Samples) -> str | None:
+    """Say what decodes contacts, if the samples are such."""
+    if data.made_from.get("protocol") != INDENT:
+        return None
+    return f"the protocol '{INDENT}' presses shapes, no loads on pads: 'tripillar train --touch' decodes these"
 
 
 def _some(data: Samples, component: Component) -> Samples:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
-from geometry.layout_file import layout_text
 from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
@@ -177,16 +176,7 @@ class ForceReader:
         crosstalk: bool = True,
         causal: "SensorFilter | None" = None,
     ) -> None:
-        if (model.rows, model.cols) != (info.rows, info.cols):
-            raise FileFormatError(
-                f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
-                f"take a model trained for {info.rows} × {info.cols} units."
-            )
-        if model.layout != info.layout:
-            raise FileFormatError(
-                f"the board's units are of layout {layout_text(info.layout)}, the model's of "
-                f"{layout_text(model.layout)}: take a model of that layout."
-            )
+        info.require_array("the model", model.rows, model.cols, model.layout, "take a model trained for this array")
         self.model = model
         self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)
         self.calibration.require_for(info)
@@ -204,15 +194,11 @@ class ForceReader:
                 "calibration that only holds a tare, or a model of the sensor as designed."
             )
         rest_ohm = model.rest_resistances()
-        if self.calibration.rest_ohm is not None and rest_ohm is None:
+        needs = "the tare" if self.calibration.rest_ohm is not None else "the rubber" if causal is not None else ""
+        if needs and rest_ohm is None:
             raise FileFormatError(
-                "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
-                "or train on data that state their design."
-            )
-        if causal is not None and rest_ohm is None:
-            raise FileFormatError(
-                "the model states no design, so what the sensor should show at rest is unknown: leave the rubber out, "
-                "or train on data that state their design."
+                f"the model states no design, so what the sensor should show at rest is unknown: leave {needs} out, or "
+                "train on data that state their design."
             )
         contact_ohm = 0.0 if model.design is None else 2.0 * model.design.electrics.contact_ohm
         self.memory = None if causal is None or rest_ohm is None else MemoryReader(causal, rest_ohm, contact_ohm)
@@ -252,23 +238,18 @@ class ForceReader:
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
-        known: dict[str, Any] = {}
+        read: dict[str, Any] = {"resistance_ohm": resistance_ohm}
         if self.memory is not None:
-            settled = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
-            resistance_ohm = settled.resistance_ohm
-            known = {"memory_rise": settled.rise, "memory_deviation": settled.deviation}
-        if self.model.knows_touch:
-            decoded = self._touched(resistance_ohm)
-        else:
-            decoded = {"force_n": self.model.forces(resistance_ohm)}
+            read = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
+        ohms = read["resistance_ohm"]
+        decoded = self._touched(ohms) if self.model.knows_touch else {"force_n": self.model.forces(ohms)}
         return Forces(
-            resistance_ohm=resistance_ohm,
             saturated=saturated,
             model=self._uncertain,
             weights=self._weights,
             description=self.description,
+            **read,
             **decoded,
-            **known,
         )
 
     def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:

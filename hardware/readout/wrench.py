@@ -28,6 +28,17 @@ def pad_positions(design: SensorDesign, of_units: bool = False) -> FloatArray:
     return places.reshape(design.array.rows, design.array.cols, 3)
 
 
+def on_all_axes(force_n: FloatArray, axes: tuple[str, ...], unknown: float = np.nan) -> FloatArray:
+    """Forces (..., k) along some axes as (..., 3) along x, y, z; what is `unknown` along the others.
+
+    >>> on_all_axes(np.array([2.0]), ("z",)).tolist()
+    [nan, nan, 2.0]
+    """
+    found = np.full((*force_n.shape[:-1], len(AXES)), unknown)
+    found[..., [AXES.index(axis) for axis in axes]] = force_n
+    return found
+
+
 #: of moments (∫ x p, ∫ y p) of a unit's pressure p about its place and of its torque about z, in Fx, Fy, Fz, Mx, My, Mz
 OF_MOMENTS = np.eye(6)[[4, 3, 5]] * [[1.0], [-1.0], [1.0]]
 

@@ -64,7 +64,11 @@ if TYPE_CHECKING:
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
+    from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
+    from fem.pictures.deformation import DeformedPicture
+    from fem.pictures.parts import Parts
+    from fem.pictures.scenery import QUANTITIES
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import Solution, solution_as_plain, write_field
@@ -78,6 +82,7 @@ if TYPE_CHECKING:
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
+    from hardware.link.serial_ports import linked, require_link
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -88,7 +93,7 @@ if TYPE_CHECKING:
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
     from hardware.session import record_scans
-    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
+    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
@@ -113,21 +118,28 @@ if TYPE_CHECKING:
     from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import open_page
-    from tripillar.viewer.showing import require_shown, show_deformed
-    from tripillar.viewer.sights import largest_mm, linear_note, read_body
+    from tripillar.viewer.page.page import Subject
+    from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
+    from tripillar.viewer.page.server import serve
+    from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
+    from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
 @cache
-def _homes() -> dict[str, tuple[str, str]]:
-    """Module and name there of each name that is imported above."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+def _homes(file: str) -> dict[str, tuple[str, str]]:
+    """Module and name there of each name that a file imports."""
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     return {each.asname or each.name: (str(node.module), each.name) for node in imported for each in node.names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _homes():
+def imported_by(file: str, name: str) -> Any:
+    """What a file imports under a name for type checkers alone."""
+    if name not in _homes(file):
         raise AttributeError(f"no stage has the name {name}")
-    module, own = _homes()[name]
+    module, own = _homes(file)[name]
     return getattr(import_module(module), own)
+
+
+def __getattr__(name: str) -> Any:
+    return imported_by(__file__, name)
