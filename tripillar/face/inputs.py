@@ -209,11 +209,6 @@ def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
     return model
 
 
-def scene_of(source: "SceneLike") -> "stages.Scene":
-    """A scene, or that of a file."""
-    return stages.read_scene(Path(source)) if isinstance(source, Path | str) else source
-
-
 def name_of(source: object, otherwise: str) -> str:
     """Name of what a job was given, for messages: its file, if it is one."""
     return str(source) if isinstance(source, Path | str) else otherwise

@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
+    from hardware.link.serial_ports import linked, require_link
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named

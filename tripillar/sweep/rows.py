@@ -43,8 +43,10 @@ METRICS = {
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
     ),
-    "touch_net_pct": ("net force of a touch", "%", "least deviation of the normal force of a touch of touch_n, median"),
-    "touch_place_mm": ("place of a touch", "mm", "least deviation of its centre of pressure, median"),
+    "touch_net_pct": (
+        "error of a touch's net force", "%", "least deviation of the normal force of a touch of touch_n, median"
+    ),
+    "touch_place_mm": ("error of a touch's place", "mm", "least deviation of its centre of pressure, median"),
     "area_cm2": ("area", "cm²", "footprint of the slab"),
     "volume_cm3": ("volume", "cm³", "volume of the slab"),
     "conductive_cm3": ("conductive rubber", "cm³", "volume of all pillars"),

@@ -1,5 +1,6 @@
 """The results of a sweep for people: a table of the best designs, and pictures of error against range and size."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +19,8 @@ SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "conditio
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
 #: metrics of the Pareto picture, and whether more is better
 AGAINST = (("range_n", True), ("area_cm2", False), ("channels", False))
+HEAD = 12  #: letters a line of a table's head
+DIGITS = 4  #: of a number in pictures: what differs by less is the same
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
@@ -45,7 +48,7 @@ def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
     counted = ("channels",) if len({row.metrics.get("channels") for row in best}) > 1 else ()
     shown = tuple(dict.fromkeys((*deciding, *counted, *SHOWN)))[: max(len(SHOWN), len(deciding))]
     for label in (*(variable.label for variable in sweep.variables), *(sweep.metrics[name].label for name in shown)):
-        table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
+        table.add_column(escape(textwrap.fill(label, HEAD, break_long_words=False)), justify="right", vertical="bottom")
     for row in best[:count]:
         values = (row.values[variable.name] for variable in sweep.variables)
         words = (escape(value) if isinstance(value, str) else f"{value:.4g}" for value in values)
@@ -81,18 +84,18 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = told(rows, sweep)
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    error = column(sound, sweep.least)
+    error = _drawn(sound, sweep.least)
     variable = telling_variable(sound, sweep)
     shade = _shades(sound, variable)
     norm: Normalize = LogNorm() if _is_wide(shade) else Normalize()
     ticks = range(len(variable.values)) if variable.changes else None
     if ticks is not None:
         norm = BoundaryNorm(np.arange(len(ticks) + 1) - 0.5, 256)
-    against = [pair for pair in AGAINST if np.ptp(column(sound, pair[0])) > 0] or [AGAINST[0]]
+    against = [pair for pair in AGAINST if np.ptp(_drawn(sound, pair[0])) > 0] or [AGAINST[0]]
     figure = Figure(figsize=(4.5 + 3.5 * len(against), 5.2), dpi=120, layout="constrained")
     panels = figure.subplots(1, len(against), sharey=True, squeeze=False)[0]
     for axes, (name, more) in zip(panels, against, strict=True):
-        other = column(sound, name)
+        other = _drawn(sound, name)
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
@@ -146,6 +149,11 @@ def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
         return abs(float(spearmanr(values, error).statistic))
 
     return max(sweep.variables, key=agreement)
+
+
+def _drawn(rows: Sequence[Row], name: str) -> FloatArray:
+    """A metric of all rows as pictures have it, to `DIGITS`."""
+    return np.array([float(f"{value:.{DIGITS}g}") for value in column(rows, name)])
 
 
 def _shades(rows: Sequence[Row], variable: Variable) -> FloatArray:
