@@ -126,8 +126,8 @@ def sweep(
         "best": [row.flat(asked.metrics) for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
-    table = stages.best_table
-    caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
+    tables = stages.best_tables
+    caller.answer(lambda: result, lambda: tables(rows, asked, best), *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
@@ -151,8 +151,8 @@ def _optimized(
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
     result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics)}
-    table = stages.best_table
-    current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
+    tables = stages.best_tables
+    current().answer(lambda: result | {"file": str(path)}, lambda: tables(rows, asked, 5), path)
     return best
 
 
