@@ -12,9 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
 
-from geometry.design import SensorDesign, quantity
+from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError, FileFormatError
+from geometry.quantity import quantity
 from geometry.storage.files import require_file, require_folder
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -206,11 +207,6 @@ def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
     if not isinstance(model, stages.Decoupler):
         raise DesignError(f"{name_of(source, 'model')} is a decoder of touch: {what} takes a model of loads on pads.")
     return model
-
-
-def scene_of(source: "SceneLike") -> "stages.Scene":
-    """A scene, or that of a file."""
-    return stages.read_scene(Path(source)) if isinstance(source, Path | str) else source
 
 
 def name_of(source: object, otherwise: str) -> str:
