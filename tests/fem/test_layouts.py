@@ -132,20 +132,17 @@ def test_round_pillars_that_cross_make_few_cells_more_than_square_ones():
     assert bodies[1].n_unknowns < 2.5 * bodies[0].n_unknowns
 
 
-@pytest.mark.parametrize("electrics", [Electrics(), pytest.param(CONDUCTION, marks=pytest.mark.long)])
-def test_samples_at_finite_strain_have_every_electrode_and_pillar(electrics, few_potentials):
+@pytest.mark.long  # the short one is the next
+def test_conduction_at_finite_strain_has_every_pillar(few_potentials):
     """Pillars at the same places, whose ends others share, change by strain nearly alike."""
-    lone, change, moved = SensorDesign(array=Array(rows=1, cols=1), electrics=electrics), [], []
+    lone, change = SensorDesign(array=Array(rows=1, cols=1), electrics=CONDUCTION), []
     for unit in (Unit(), UNIT):
         found = SampleSolver(replace(lone, unit=unit)).displacements(144.0 * np.array([[[0.1, 0.05, -0.5]]]))
         assert found.settled.all()
-        moved.append(found.displacement_mm)
         of_length = rest_lengths(unit) ** 2 / pillar_volumes(unit)
         change.append(found.resistance_ratio[0, 0] * of_length / unit_conductances(unit).pillars_per_mm)
-    assert moved[1][:, :, :2] == pytest.approx(moved[0], abs=1e-9)
     assert len(change[1]) == 4
-    if electrics.is_conduction:
-        assert change[1][:2] == pytest.approx(change[0][[0, 2]], rel=3e-3)
+    assert change[1][:2] == pytest.approx(change[0][[0, 2]], rel=3e-3)
 
 
 @pytest.mark.parametrize("layout", [*LAYOUTS.values(), BESIDE, DIAGONAL])
