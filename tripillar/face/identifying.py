@@ -326,7 +326,7 @@ def _checked_pairs(
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
-    component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
+    component = stages.component_named(stages.acting_component(pairs.force_n))
     judge = stages.joint_model(response)
     forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
     stages.mention(pairs, name, component, judge)

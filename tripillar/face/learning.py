@@ -363,7 +363,7 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
-    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
+    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.acting_component(samples.force_n)
     parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
-    from decoupler.data.columns import Columns, component_named
+    from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
@@ -51,10 +51,10 @@ if TYPE_CHECKING:
     from decoupler.touch.sensing import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
-    from decoupler.training.suited import suited_component, suited_feature, without_stuck
+    from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
-    from decoupler.twin.identification import LOADS, Twin, acting, identify
+    from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
     from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
@@ -115,7 +115,7 @@ if TYPE_CHECKING:
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
+    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject

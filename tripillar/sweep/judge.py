@@ -25,7 +25,7 @@ from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
-from geometry.layout import AXES, FloatArray, pillar_ends, require_told
+from geometry.layout import AXES, FloatArray, pillar_vectors, require_told
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz
 from tripillar.sweep.rows import DISTANCES, Row
@@ -70,7 +70,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     ----------
     response : ArrayResponse
     noise, bits : float, int or None
-        Of the readings, as `dataset.measurement.reading_deviation` takes them.
+        Of the readings, as in `dataset.measurement.ReadingError`.
     cap : float
         Largest strain |l − l₀|/l₀ of a pillar.
     """
@@ -117,7 +117,9 @@ def errors_of(
     """Errors of pad loads and the condition number; `DesignError` if the layout tells no loads."""
     require_told(response.design.unit)
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
-    errors = noise_limited_errors(forward, force_columns(force_n, component_named("all")), noise, bits)
+    reading, array = ReadingError(noise=noise, bits=bits), response.design.array
+    force_n = force_columns(force_n, component_named("all"))
+    errors = noise_limited_errors(forward, force_n, reading, (array.rows, array.cols))
     error = float(np.sqrt((errors**2).mean()))
     yield from (error, 100 * error / range_n, *map(float, errors), float(np.linalg.cond(relative_slopes(forward))))
 
@@ -150,8 +152,7 @@ def own_axes(unit: Unit) -> list[int]:
     >>> own_axes(Unit())
     [2, 0, 1]
     """
-    foot, top = pillar_ends(unit).transpose(1, 0, 2)
-    leans = np.abs(top - foot)[:, :2]
+    leans = np.abs(pillar_vectors(unit)[:, :2])
     return np.where(leans.any(axis=1), leans.argmax(axis=1), AXES.index("z")).tolist()
 
 
@@ -183,12 +184,14 @@ def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
     return found
 
 
-def noise_limited_errors(forward: SensorModel, force_n: FloatArray, noise: float, bits: int | None) -> FloatArray:
+def noise_limited_errors(
+    forward: SensorModel, force_n: FloatArray, errors: ReadingError, shape: tuple[int, int]
+) -> FloatArray:
     """Least error of an unbiased estimate of each force component, root mean square over units and loads, (3,) [N].
 
     `force_n` has shape (n, n_forces). The bound is that of Cramér and Rao, a load at a time: that bounds memory.
     """
-    bounds = [cramer_rao(forward, force_n[k : k + 1], noise, bits) for k in range(len(force_n))]
+    bounds = [cramer_rao(forward, force_n[k : k + 1], errors, shape) for k in range(len(force_n))]
     return np.sqrt((np.concatenate(bounds).reshape(-1, len(AXES)) ** 2).mean(axis=0))
 
 

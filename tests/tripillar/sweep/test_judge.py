@@ -49,7 +49,7 @@ def test_noise_limited_error_of_alone_standing_springs():
     """z: σ/|Gzz|. The x pillar shortens by C/√2 under Fz as under Fx, so Fx takes up the error of both readings."""
     sigma, z, x = 1e-3, 2 * C / 10, C / 10
     expected = [np.hypot(sigma / x, sigma / z), np.hypot(sigma / x, sigma / z), sigma / z]
-    errors = judge.noise_limited_errors(forward(springs(fall=0)), np.zeros((1, 30)), sigma, None)
+    errors = judge.noise_limited_errors(forward(springs(fall=0)), np.zeros((1, 30)), ReadingError(noise=sigma), (2, 5))
     assert errors == pytest.approx(expected, rel=1e-12)
 
 
