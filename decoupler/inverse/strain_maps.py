@@ -83,10 +83,6 @@ class StrainMaps:
         s = (self.own(state_n) ** 2).mean(axis=2)
         return (self.growth[0] + self.growth[1] * s**2)[..., None] * self.misfit**2
 
-    def forces(self, state_n: FloatArray) -> FloatArray:
-        """Forces F that act in states G, both (n, 3 k) [N]."""
-        return state_n + self.values(state_n)[..., :N_AXES].reshape(state_n.shape)
-
     def values(self, state_n: FloatArray) -> FloatArray:
         """χ and ρ of each pad, (n, 3 k) [N] -> (n, k, m); the same bits alone and in any batch."""
         n, k = len(state_n), len(self.near)
