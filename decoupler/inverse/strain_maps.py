@@ -263,7 +263,14 @@ def neighbours(rows: int, cols: int) -> NDArray[np.int64]:
     >>> neighbours(1, 2).tolist()
     [[2, 2, 2, 2, 1, 2, 2, 2], [2, 2, 2, 0, 2, 2, 2, 2]]
     """
-    padded = np.full((rows + 2, cols + 2), rows * cols)
-    padded[1:-1, 1:-1] = np.arange(rows * cols).reshape(rows, cols)
-    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return np.delete(units_around(rows, cols, 1, rows * cols), 4, axis=1)
+
+
+def units_around(rows: int, cols: int, reach: int, beyond: int) -> NDArray[np.int64]:
+    """Numbers of the units at most so many pitches away along x and y, each unit's own in the middle, row by row.
+
+    Shape (rows·cols, (2 reach + 1)²); `beyond` stands where there is none.
+    """
+    padded = np.pad(np.arange(rows * cols).reshape(rows, cols), reach, constant_values=beyond)
+    shifts = np.ndindex(2 * reach + 1, 2 * reach + 1)
     return np.stack([padded[i : i + rows, j : j + cols].reshape(-1) for i, j in shifts], axis=1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from decoupler.data.columns import Component
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.inverse.strain_maps import units_around
 from decoupler.twin.start import started
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
@@ -103,7 +104,8 @@ class Expectation:
             other = SensorModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
             by_influence.append(other.with_own_influences().by_component)
         own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
-        near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
+        near = units_around(design.array.rows, design.array.cols, NEIGHBOURS, beyond=-1)
+        near = near[:, : 0 if sensitivities is None else None]
         there = near >= 0
         beside = np.where(there, own[np.arange(design.n_units)[:, None], near], 0.0)
         expected = cls(
@@ -286,13 +288,3 @@ def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]
     """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
     blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
     return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
-
-
-def _neighbours(rows: int, cols: int) -> NDArray[np.int64]:
-    """The unit at each distance of at most `NEIGHBOURS` pitches from each unit, (n_units, n_neighbours); −1 if none."""
-    steps = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
-    row, col = np.divmod(np.arange(rows * cols), cols)
-    i, j = row[:, None, None] + steps[:, None], col[:, None, None] + steps
-    i, j = np.broadcast_arrays(i, j)
-    inside = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
-    return np.where(inside, i * cols + j, -1).reshape(rows * cols, -1)
