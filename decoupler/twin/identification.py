@@ -117,7 +117,6 @@ def identify(
     usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(pairs.layout.pillars)), dtype=bool)
     dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
-    missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
     share = 1.0
     with one_blas_thread():  # products are too small for two threads to share
         if at_strain is not None and response is not None and sensitivities is not None:
@@ -132,12 +131,14 @@ def identify(
             progress(0.1)
         found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
         if at_strain is not None and design is not None:
-            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from)
+            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design)
             progress(0.2)
         else:
-            decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from, pairs.layout)
+            decoder = decoder_of(found, usual_n, errors, dead, pairs.layout, design)
             if n > 1 and response is not None and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
+    made_from = {"identified_on": pairs.content_hash, "pairs": n}
+    decoder = replace(decoder, dead=dead if dead.any() else None, made_from=made_from)
     return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
 
 
