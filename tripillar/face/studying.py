@@ -125,7 +125,7 @@ def sweep(
         "best": [row.flat(asked.metrics) for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
-    caller.answer(lambda: result, lambda: [stages.best_table(rows, asked, best)], *files)
+    caller.answer(lambda: result, lambda: stages.best_tables(rows, asked, best), *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
@@ -149,7 +149,7 @@ def _optimized(
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
     result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics), "file": str(path)}
-    current().answer(lambda: result, lambda: [stages.best_table(rows, asked, 5)], path)
+    current().answer(lambda: result, lambda: stages.best_tables(rows, asked, 5), path)
     return best
 
 

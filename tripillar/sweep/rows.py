@@ -19,8 +19,10 @@ DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
 
 #: what rows hold: name for tables and pictures, unit, meaning; those with {pillar} for each pillar of a unit
 METRICS = {
-    "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
-    "error_pct": ("error", "%", "the same in % of range_n"),
+    "error_n": (
+        "error of pad forces", "N", "noise-limited error of a force, root mean square over axes, units and loads"
+    ),
+    "error_pct": ("error of pad forces", "%", "the same in % of range_n"),
     **{f"error_{axis}_n": (f"error of F{axis}", "N", f"the same of F{axis} alone") for axis in AXES},
     "range_n": ("range", "N", "force along z that every pad can carry, alone or all together, below the strain cap"),
     "pressure_one_mpa": (
