@@ -203,7 +203,6 @@ def drawn_samples(
     loads_n: FloatArray,
     design: SensorDesign,
     errors: ReadingError,
-    seed: int = 0,
     ensemble: Ensemble | None = None,
 ) -> Columns:
     """Samples drawn from a sensor at finite strain as it would show them, or from an ensemble of such.
@@ -216,7 +215,7 @@ def drawn_samples(
     A draw's state is the one to which its load leads to first order, with what that leaves of another's own; its
     forces and resistances are then those of that state, whatever load it was drawn for.
     """
-    forward, generator = posterior.forward, np.random.default_rng(seed)
+    forward, generator = posterior.forward, np.random.default_rng(0)
     maps, n = forward.maps, len(loads_n)
     assert maps is not None
     known_n = maps.nearest_states(posterior.loads_n)[0]

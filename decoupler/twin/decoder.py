@@ -85,5 +85,5 @@ def decoder_at_strain(
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, 0, found.ensemble)
+    drawn = drawn_samples(own, loads_n, design, errors, found.ensemble)
     return replace(refined(own, drawn, design), ensemble=found.ensemble)
