@@ -116,12 +116,6 @@ class StrainMaps:
             axis=2,
         )
 
-    def few(self, state_n: FloatArray) -> FloatArray:
-        """The features `FEW` of each pad, (n, 3 k) [N] -> (n, k, 292)."""
-        o, around, pairs, _ = self._parts(state_n)
-        triples = o[..., _TRIPLES[0]] * pairs[..., _TRIPLES[1]]
-        return np.concatenate([np.ones((*o.shape[:2], 1)), o, around, pairs, triples], axis=2)
-
     def own(self, state_n: FloatArray) -> FloatArray:
         """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
         n, k = len(state_n), len(self.near)
