@@ -16,8 +16,7 @@ from decoupler.data.columns import Component
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import units_around
 from decoupler.twin.start import started
-from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
+from geometry.layout import FloatArray
 from geometry.tolerances import changed, value_of
 
 if TYPE_CHECKING:
@@ -94,15 +93,16 @@ class Expectation:
         deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
         forward = SensorModel.of(by_eq1, component).with_own_influences()
-        rest, c = _at_rest(design, component)
         by_rest, by_log_c, by_influence = [], [], []
         matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
         for name, deviation, matrix in zip(names, deviations, matrices, strict=True):
-            moved, other_c = _at_rest(changed(design, name, STEP * deviation), component)
-            by_rest.append((moved - rest) / STEP)
-            by_log_c.append(np.log(other_c / c) / STEP)
-            other = SensorModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
-            by_influence.append(other.with_own_influences().by_component)
+            near_by = replace(
+                by_eq1, design=changed(design, name, STEP * deviation), influence_mm_per_n=deviation * matrix
+            )
+            other = SensorModel.of(near_by, component).with_own_influences()
+            by_rest.append((other.rest_mm - forward.rest_mm).T / STEP)
+            by_log_c.append(np.log(other.ohm_per_mm2 / forward.ohm_per_mm2) / STEP)
+            by_influence.append(other.by_component)
         own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
         near = units_around(design.array.rows, design.array.cols, NEIGHBOURS, beyond=-1)
         near = near[:, : 0 if sensitivities is None else None]
@@ -115,8 +115,8 @@ class Expectation:
             values=np.array([value_of(design, name) for name in names]),
             deviations=deviations,
             by_influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
-            by_rest_mm=np.array(by_rest).reshape(-1, *rest.shape),
-            by_log_c=np.array(by_log_c).reshape(-1, len(c)),
+            by_rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
+            by_log_c=np.array(by_log_c).reshape(-1, forward.n_pillars),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
             widths=HELD if sensitivities is None else Widths(),
@@ -270,13 +270,6 @@ class Expectation:
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
         return found.reshape(self.n_pillars, 3, -1) * self.reached[:, None, None]
-
-
-def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:
-    """From lower to upper end of each pillar, (P, 3) [mm], and ρ/V of eq. 1, (P,) [Ω/mm²]."""
-    pillars = component.pillars(design.unit.layout)
-    c = design.resistivity_ohm_mm / pillar_volumes(design.unit)[pillars]
-    return np.tile(pillar_vectors(design.unit)[pillars], (design.n_units, 1)), np.tile(c, design.n_units)
 
 
 def _reached(influence: FloatArray) -> NDArray[np.bool_]:
