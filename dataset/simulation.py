@@ -222,18 +222,14 @@ def measured_again(
         lengths = samples.effective_length_mm
     if design is None or lengths is None:
         raise SampleError("samples without lengths and design cannot be measured again: take what simulate gave.")
+    rise = _rise(samples.length_mm, design, imperfections, samples.time_s)
+    exact_ohm = exact_resistances(lengths, design, rise)
     other = {spec.name for spec in fields(Imperfections)} | {"readout", "recipe"}
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
         design=design,
-        resistance_ohm=read_resistances(
-            exact_resistances(lengths, design, _rise(samples.length_mm, design, imperfections, samples.time_s)),
-            imperfections,
-            seed,
-            readout,
-            design,
-        ),
+        resistance_ohm=read_resistances(exact_ohm, imperfections, seed, readout, design),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
