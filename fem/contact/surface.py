@@ -231,9 +231,10 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
     places = np.arange(n) * step
     targets = np.tile([-half, -half, half, half], (n, 1))
     table = np.empty((n, n, 3, 3))
-    for row, y in enumerate(places):  # bounds the memory
-        loads = np.stack([places - spot, np.full(n, y - spot), places + spot, np.full(n, y + spot)], axis=1)
-        table[row] = layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material)
+    for row, y in enumerate(places):  # bounds the memory; a square sees along y what it sees along x
+        loads = np.stack([places - spot, np.full(n, y - spot), places + spot, np.full(n, y + spot)], axis=1)[row:]
+        table[row, row:] = layer_mean_compliance(targets[row:], loads, design.unit.height_mm, design.matrix_material)
+        table[row:, row] = table[row, row:][:, [1, 0, 2]][..., [1, 0, 2]]
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
 

@@ -1,5 +1,6 @@
 """Fixtures of the finite-element tests."""
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,8 +22,10 @@ def disordered_cube() -> MeshTet:
 
 @pytest.fixture(scope="session")
 def pair() -> SurfaceCompliance:
-    """The top of the paper's unit twice, 1 × 2."""
-    return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
+    """The top of the paper's unit twice, 1 × 2, from the cache of all tests: others press it, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRIPILLAR_CACHE", f"{os.environ['TRIPILLAR_TESTS']}/cache")
+        return surface_compliance(SensorDesign(array=Array(rows=1, cols=2)))[0]
 
 
 @pytest.fixture(scope="session")

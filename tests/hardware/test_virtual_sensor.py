@@ -162,7 +162,7 @@ def test_a_twin_gives_each_environment_a_sensor_of_its_posterior(response, tmp_p
     np.testing.assert_allclose(decoded, twin.decoder.forces(drawn.resistance_ohm), atol=1e-8 * abs(decoded).max())
 
 
-def test_bodies_pressed_into_bare_rubber_read_as_contacts_do():
+def test_bodies_pressed_into_bare_rubber_read_as_contacts_do(shared_cache):
     """Two environments: a ball here, another there, which goes. Forces to 5 %, readings to 3 % of their change."""
     pair = SensorDesign(array=Array(rows=1, cols=2))
     virtual = VirtualSensor(pair, environments=2, response=layer_response(pair))
