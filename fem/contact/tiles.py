@@ -36,17 +36,13 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
     if design.pad.kind == "soft":
         tiles = round(TILES_PER_HEIGHT * design.array.pitch_mm / height)
         return [Strip(-half, half, int(np.clip(tiles, MIN_TILES, MAX_TILES)))]
-    low, high = (plate_middle(design, axis) + sign * design.pad.size_mm / 2 for sign in (-1, 1))
+    middle = (design.pad.offset_x_mm, design.pad.offset_y_mm)[axis]
+    low, high = (middle + sign * design.pad.size_mm / 2 for sign in (-1, 1))
     beside = round(
         TILES_PER_HEIGHT * (half - design.pad.size_mm / 2) / height
     )  # as many on both sides: cells are alike
     beside = int(np.clip(beside, MIN_BESIDE, MAX_BESIDE))
     return [Strip(-half, low, beside), Strip(low, high, PLATE_TILES, is_plate=True), Strip(high, half, beside)]
-
-
-def plate_middle(design: SensorDesign, axis: int) -> float:
-    """Of a pad from its unit's middle along x (0) or y (1) [mm]."""
-    return (design.pad.offset_x_mm, design.pad.offset_y_mm)[axis]
 
 
 def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
@@ -83,8 +79,6 @@ def plated_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, 
 
 def on_plates(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
     """Which places (ny, nx) lie on plates, of lines x (nx,) and y (ny,)."""
-    if design.pad.kind == "soft":
-        return np.zeros((len(y_mm), len(x_mm)), dtype=bool)
     x, y = (_plated(places, slab_strips(design, axis, 0)) for axis, places in enumerate((x_mm, y_mm)))
     return np.asarray(y[:, None] & x)
 

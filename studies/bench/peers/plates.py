@@ -1,32 +1,88 @@
 """``python -m studies.bench.peers.plates``: shapes pressed on 2 × 2 rigid plates, by NGSolve and by `fem.contact`.
 
-NGSolve takes the whole slab in tetrahedra, whose top follows six numbers a plate by a penalty: no condensed cell, no
-tiles and no kernel in common. Its answers to these numbers and to pressures on small squares between plates are put
-together by an active set; faces of plates give as `fem.contact` says, on a fine raster.
+NGSolve takes the slab in tetrahedra that conform to its plates and are hp-refined toward their edges: no condensed
+cell, no ports, no tiles, no kernel and no grid in common. The slab is its own mirror image in x and in y, so that a
+quarter is solved in four parities. Plates move by six numbers each; these and forces on small squares of the rubber
+between plates make one compliance. Contact is then found by an active set of these squares and of springs on a raster
+of the plates' faces, which give as `fem.contact` says. Each press is solved three times, as `reference.py` does: as
+finely as `FINE` says, with an order less, and coarser; the larger distance from the first is the peer's own error.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
+from cyclopts.validators import Number
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from fem.contact import Convex, Shape, Sphere, SurfaceCompliance, press, surface_compliance
+from fem.contact import Convex, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
+from fem.contact.indentation import CELLS
 from geometry.design import Array, Pad, Plate, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_centres
+from studies.tables import Row, measured_on, report
+from tripillar.terminal.entry import run_alone
 
-ORDER, LARGEST_MM = 3, 5.0  #: of elements, and their size before they are refined
-LEVELS, RATIO = 2, 0.15  #: of geometric refinement toward edges of plates
-SQUARE_MM, RASTER_MM = 0.75, 0.05  #: of pressures between plates, and on plates
-BOND = 1e6  #: MPa per mm, of plates to the rubber
-STEPS = 60  #: of the active set
-CELLS = 96  #: of our grid
+LARGEST_MM = 5.0  #: of elements before they are refined
+RATIO = 0.15  #: of the distances of neighbouring levels
+REACH_MM = 10.5  #: from the slab's middle: how far rubber between plates may be touched
+STEPS = 100  #: of the active set
+NEAR = 3.0  #: depths below which points of plates may touch
+PASSES = 30  #: over the place of a shape that drags plates along
+SETTLED_MM = 1e-6  #: of that place
 DESIGN = SensorDesign(array=Array(rows=2, cols=2), pad=Pad(kind="stiff", plate=Plate(thickness_mm=0.4)))
 BOX = Convex.hull(np.array([(x, y, z) for x in (-9.0, 9.0) for y in (-6.0, 6.0) for z in (0.0, 10.0)]))
 TILTED = replace(BOX, turn=Rotation.from_euler("xyz", [4.0, 6.0, 20.0], degrees=True).as_matrix())
-#: shape, depth, place, and the rectangle that it touches [mm]
-CASES: dict[str, tuple[Shape, float, tuple[float, float], tuple[float, float, float, float]]] = {
-    "ball over a crossing": (Sphere(6.0), 1.5, (0.5, 1.0), (-4.5, -4.5, 4.5, 5.25)),
-    "tilted box": (TILTED, 1.2, (1.0, 2.0), (-1.5, -7.5, 12.0, 7.5)),
+#: of a plate's motions in the mirrors x = 0 and y = 0: shifts are vectors, turns are axial ones
+MIRRORED = np.array([[-1, 1, 1, 1, -1, -1], [1, -1, 1, -1, 1, -1]])
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely the peer solves."""
+
+    order: int  #: of displacements; of pressures, which are discontinuous, two less
+    levels: int  #: of geometric refinement toward edges of plates, and of the clamped base at the rim
+    square_mm: float  #: side of the squares between plates; must divide half the gap
+    raster_mm: float  #: on plates
+
+    def coarser(self) -> "Fineness":
+        """A level less, and squares and raster twice as wide."""
+        return Fineness(self.order, self.levels - 1, 2 * self.square_mm, 2 * self.raster_mm)
+
+
+FINE = Fineness(4, 3, 0.75, 0.025)
+
+
+@dataclass(frozen=True)
+class Press:
+    """One press: how deep, where, and dragged how far, so far that all of it slips."""
+
+    shape: Shape
+    depth_mm: float
+    at_mm: tuple[float, float]
+    slide_mm: tuple[float, float] = (0.0, 0.0)
+    friction: float = 0.0
+
+    @property
+    def way(self) -> FloatArray:
+        """Direction of the slide, (2,)."""
+        return np.array(self.slide_mm) / max(np.hypot(*self.slide_mm), np.finfo(float).tiny)
+
+    def above_mm(self, place: FloatArray) -> FloatArray:
+        """Height of the shape's underside at places (2, n) above its lowest point."""
+        x, y = place - (np.array(self.at_mm) + self.slide_mm)[:, None]
+        return self.shape.heights_mm(x, y)
+
+
+CASES = {
+    "ball over a crossing": Press(Sphere(6.0), 1.5, (0.5, 1.0)),
+    "tilted box": Press(TILTED, 1.2, (1.0, 2.0)),
+    "flat punch over four plates": Press(Flat((20.0, 16.0)), 1.0, (1.0, 1.5)),
+    "ball dragged along the diagonal, friction 0.5": Press(Sphere(10.0), 0.5, (5.5, 5.5), (1.5, 1.5), 0.5),
 }
 
 
@@ -34,157 +90,259 @@ CASES: dict[str, tuple[Shape, float, tuple[float, float], tuple[float, float, fl
 class PressedPlates:
     """Results of one press."""
 
-    net_n: float
+    net_n: FloatArray  #: along x and y, and down, (3,)
     wrench: FloatArray  #: (plates, 3): force down [N], and ∫ x p, ∫ y p about the plate's middle [N mm]
     electrode_mm: FloatArray  #: (rows, cols, n_upper, 3)
-    unknowns: int
+
+    def off(self, other: "PressedPlates") -> FloatArray:
+        """Relative differences from another: of the net force, wrenches (moments over half a plate), electrodes.
+
+        Each over the norm of all of them.
+        """
+        arms = np.array([1.0, *[2 / DESIGN.pad.size_mm] * 2])
+        pairs = [(self.net_n, other.net_n), (self.wrench * arms, other.wrench * arms)]
+        pairs.append((self.electrode_mm, other.electrode_mm))
+        return np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in pairs])
 
 
-def squares_between(near_mm: tuple[float, float, float, float]) -> FloatArray:
-    """Squares (n, 4) of a rectangle that lie on no plate."""
-    x0, y0, x1, y1 = near_mm
-    x, y = np.arange(x0, x1 - 1e-9, SQUARE_MM), np.arange(y0, y1 - 1e-9, SQUARE_MM)
-    low = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    middle = low + SQUARE_MM / 2
-    on = [((middle > plate[:2]) & (middle < plate[2:])).all(axis=1) for plate in pad_squares(DESIGN)]
-    return np.hstack([low, low + SQUARE_MM])[~np.any(on, axis=0)]
+def squares_between(side_mm: float) -> FloatArray:
+    """Squares (n, 4) of the quarter x, y > 0 that lie between plates, no further than `REACH_MM`."""
+    low = np.arange(0.0, REACH_MM - 1e-9, side_mm)
+    x, y = (each.ravel() for each in np.meshgrid(low, low))
+    between = np.minimum(x, y) < pad_squares(DESIGN)[-1, 0] - 1e-9
+    return np.stack([x, y, x + side_mm, y + side_mm], axis=1)[between]
 
 
-def compliance_by_ngsolve(squares: FloatArray) -> tuple[FloatArray, int]:
-    """Motions of the plates (24) and mean rise of squares (n) by wrenches and by forces up on squares, and unknowns."""
+@dataclass(frozen=True, eq=False)
+class PeerCompliance:
+    """Motions of plates and rise of squares by wrenches on plates and forces up on squares."""
+
+    matrix: FloatArray  #: (24 + n, 24 + n) [mm, rad; N, N mm]: six motions of each plate first
+    squares: FloatArray  #: (n, 4)
+
+
+def compliance_by_ngsolve(fine: Fineness) -> PeerCompliance:
+    """The whole compliance, from one quarter in four parities.
+
+    A force on one quarter is the sum of four patterns of forces on all quarters, even or odd in each mirror.
+    """
+    import ngsolve as ng
+
+    ng.SetNumThreads(1)
+    quarter = squares_between(fine.square_mm)
+    mesh, n, signs = _quarter_mesh(quarter, fine.levels), len(quarter), np.sign(unit_centres(DESIGN))
+    motion = [np.diag(np.prod(MIRRORED[sign < 0], axis=0)) for sign in signs]
+    whole = np.zeros((24 + 4 * n, 24 + 4 * n))
+    for parity in product((1, -1), repeat=2):
+        pattern = [np.prod(np.array(parity)[sign < 0]) for sign in signs]
+        plates = np.concatenate([way * one for way, one in zip(pattern, motion, strict=True)])
+        all_quarters = block_diag(plates, np.concatenate([way * np.eye(n) for way in pattern]))
+        whole += all_quarters @ _of_parity(mesh, parity, fine.order, n) @ all_quarters.T / 4
+    rectangles = [np.sort(quarter.reshape(n, 2, 2) * sign, axis=1).reshape(n, 4) for sign in signs]
+    return PeerCompliance(whole, np.concatenate(rectangles))
+
+
+def _quarter_mesh(squares: FloatArray, levels: int) -> Any:
+    """Mesh of the quarter x, y > 0, whose top has faces "plate" and "square0", "square1" and so on."""
     import ngsolve as ng
     from netgen.occ import Box, Glue, OCCGeometry, Pnt
 
     from studies.bench.peers.ngsolve_peer import _face
 
-    ng.SetNumThreads(1)
-    (x, y, h), plates = DESIGN.slab_mm, pad_squares(DESIGN).tolist()
-    parts = [Box(Pnt(-x / 2, -y / 2, 0), Pnt(x / 2, y / 2, h))]
-    for corners in [*plates, *squares.tolist()]:
-        parts.append(_face(corners, h))
-    for edge in (edge for part in parts[1:5] for edge in part.edges):
+    x, y, h = DESIGN.slab_mm
+    parts, faces = [Box(Pnt(0, 0, 0), Pnt(x / 2, y / 2, h))], {"plate": pad_squares(DESIGN)[-1]}
+    for name, corners in (faces | {f"square{k}": square for k, square in enumerate(squares)}).items():
+        parts.append(_face(corners.tolist(), h))
+        parts[-1].faces[0].name = name
+    rim = [edge for edge in parts[0].edges if edge.center.z < 1e-9 and max(edge.center.x / x, edge.center.y / y) > 0.49]
+    for edge in (*parts[1].edges, *rim):
         edge.hpref = 1
     body = Glue(parts)
     for face in body.faces:
-        if abs(face.center.z) < 1e-9:
-            face.name = "base"
-        elif abs(face.center.z - h) < 1e-9:
-            place = np.array([face.center.x, face.center.y])
-            names = [(f"plate{k}", plate) for k, plate in enumerate(plates)]
-            names += [(f"square{k}", square) for k, square in enumerate(squares.tolist())]
-            for name, (x0, y0, x1, y1) in names:
-                if x0 < place[0] < x1 and y0 < place[1] < y1:
-                    face.name = name
+        for name, place in (("base", face.center.z), ("mirror_x", face.center.x), ("mirror_y", face.center.y)):
+            if abs(place) < 1e-9:
+                face.name = name
     mesh = ng.Mesh(OCCGeometry(body).GenerateMesh(maxh=LARGEST_MM, grading=0.5))
-    mesh.RefineHP(LEVELS, factor=RATIO)
-    space = ng.VectorH1(mesh, order=ORDER, dirichlet="base")
+    mesh.RefineHP(levels, factor=RATIO)
+    return mesh
+
+
+def _of_parity(mesh: Any, parity: tuple[int, ...], order: int, n: int) -> FloatArray:
+    """Compliance (6 + n, 6 + n) of a quarter's plate and its n squares in fields of a parity."""
+    import ngsolve as ng
+
+    held = {axis: ["base", "plate"] for axis in "xyz"}
+    for normal, even in zip("xy", parity, strict=True):
+        for axis in held:
+            if (axis == normal) == (even > 0):
+                held[axis].append(f"mirror_{normal}")
+    clamps = {f"dirichlet{axis}": "|".join(names) for axis, names in held.items()}
+    space = ng.VectorH1(mesh, order=order, **clamps) * ng.L2(mesh, order=order - 2)
     lame, mu = DESIGN.matrix_material.lame_mpa
-    u, v = space.TnT()
-    a = ng.BilinearForm(space, symmetric=True)
-    a += (2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) + lame * ng.div(u) * ng.div(v)) * ng.dx
-    a += BOND * u * v * ng.ds("plate.*")
+    (u, pressure), (v, other) = space.TnT()
+    a = ng.BilinearForm(space, symmetric=True, condense=True)  # pressures and what else is inside elements
+    a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) * ng.dx
+    a += (ng.div(u) * other + ng.div(v) * pressure - pressure * other / lame) * ng.dx
     a.Assemble()
-    inverse = a.mat.Inverse(space.FreeDofs(), "sparsecholesky")
-    loads, own = [], np.zeros((24 + len(squares), 24 + len(squares)))
-    for k, (cx, cy) in enumerate(unit_centres(DESIGN).tolist()):
-        p, q, where = ng.x - cx, ng.y - cy, mesh.Boundaries(f"plate{k}")
-        motions = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, q), (0, 0, -p), (-q, p, 0)]
-        for i, one in enumerate(motions):
-            loads.append(ng.LinearForm(BOND * ng.CF(one) * v * ng.ds(f"plate{k}")).Assemble())
-            for j, other in enumerate(motions):
-                both = ng.InnerProduct(ng.CF(one), ng.CF(other))
-                own[6 * k + i, 6 * k + j] = BOND * ng.Integrate(both, mesh, ng.BND, order=4, definedon=where)
-    for k in range(len(squares)):
-        loads.append(ng.LinearForm(v[2] / SQUARE_MM**2 * ng.ds(f"square{k}")).Assemble())
-    moved, found = a.mat.CreateColVector(), np.zeros_like(own)
-    for j, load in enumerate(loads):
-        moved.data = inverse * load.vec
-        found[:, j] = [ng.InnerProduct(other.vec, moved) for other in loads]
-    # plates: S m = w + B p; squares: Bᵀ m + C p
-    S, B, C = own[:24, :24] - found[:24, :24], found[:24, 24:], found[24:, 24:]
-    by_wrench = np.linalg.inv(S)
+    inverse = a.mat.Inverse(space.FreeDofs(True), "sparsecholesky")
+    x, y = (ng.CF(float(place)) for place in unit_centres(DESIGN)[-1])
+    p, q = ng.x - x, ng.y - y
+    moved, pull = [], []
+    for motion in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, q), (0, 0, -p), (-q, p, 0)]:
+        field = ng.GridFunction(space)
+        field.components[0].Set(ng.CF(motion), definedon=mesh.Boundaries("plate"))
+        field.vec.data -= inverse * (a.mat * field.vec).Evaluate()
+        moved.append(field.vec)
+        pull.append((a.mat * field.vec).Evaluate())
+    area = ng.Integrate(1, mesh, definedon=mesh.Boundaries("square0"))
+    loads = [ng.LinearForm(v[2] / area * ng.ds(f"square{k}")).Assemble().vec for k in range(n)]
+    K = np.array([[ng.InnerProduct(one, other) for other in moved] for one in pull])
+    B = np.array([[ng.InnerProduct(one, load) for load in loads] for one in moved])
+    held_still = np.zeros((len(loads), len(loads)))
+    for row, load in zip(held_still, loads, strict=True):
+        answer = (inverse * load).Evaluate()
+        row[:] = [ng.InnerProduct(other, answer) for other in loads]
+    # of motions m and forces p: w = K m − B p, rise = Bᵀ m + C p
+    by_wrench = np.linalg.inv(K)
     half = by_wrench @ B
-    return np.block([[by_wrench, half], [half.T, C + B.T @ half]]), int(space.ndof)
+    return np.block([[by_wrench, half], [half.T, held_still + B.T @ half]])
 
 
-def pressed_by_ngsolve(
-    shape: Shape, depth_mm: float, at_mm: tuple[float, float], near_mm: tuple[float, float, float, float]
-) -> PressedPlates:
-    """Press a shape on the plates of `DESIGN` without friction, by an active set."""
-    squares, centres = squares_between(near_mm), unit_centres(DESIGN)
-    C, unknowns = compliance_by_ngsolve(squares)
-    x0, y0, x1, y1 = near_mm
-    raster = [np.arange(low, high, RASTER_MM) + RASTER_MM / 2 for low, high in ((x0, x1), (y0, y1))]
-    x, y = (each.ravel() for each in np.meshgrid(*raster))
-    rows, below = [], []
-    for k, (plate, centre) in enumerate(zip(pad_squares(DESIGN), centres, strict=True)):
-        own = (x > plate[0]) & (x < plate[2]) & (y > plate[1]) & (y < plate[3])
-        row = np.zeros((own.sum(), 24))  # rise of points by motions
-        row[:, 6 * k + 2], row[:, 6 * k + 3], row[:, 6 * k + 4] = 1.0, y[own] - centre[1], centre[0] - x[own]
-        rows.append(row)
-        below.append(depth_mm - shape.heights_mm(x[own] - at_mm[0], y[own] - at_mm[1]))
-    R, over = np.vstack(rows), np.concatenate(below)
-    at = (squares[:, :2] + squares[:, 2:]) / 2
-    over_square = depth_mm - DESIGN.pad.plate.thickness_mm - shape.heights_mm(at[:, 0] - at_mm[0], at[:, 1] - at_mm[1])
-    spring = RASTER_MM**2 / DESIGN.pad.plate.face_mm_per_mpa
-    on, on_square, m = over > 0, np.zeros(len(squares), dtype=bool), np.zeros(24)
-    p = np.zeros(len(squares))  # forces down
-    for _ in range(STEPS):
-        # m = −C (Rᵀ spring (over + R m) + p): linear for the cells that touch; rise of squares that do is −over
-        K = spring * R[on].T @ R[on]
-        A, rhs = np.eye(24) + C[:24, :24] @ K, -C[:24, :24] @ (spring * R[on].T @ over[on])
-        a = np.flatnonzero(on_square)
-        whole = np.block([[A, C[:24, 24 + a]], [C[24 + a, :24] @ K, C[np.ix_(24 + a, 24 + a)]]])
-        given = np.concatenate([rhs, over_square[a] - C[24 + a, :24] @ (spring * R[on].T @ over[on])])
-        both = np.linalg.solve(whole, given)
-        m, p = both[:24], np.zeros(len(squares))
-        p[a] = both[24:]
-        wrench = spring * R[on].T @ (over[on] + R[on] @ m)
-        rise = -(C[24:, :24] @ wrench + C[24:, 24:] @ p)
-        now, now_square = over + R @ m > 0, np.where(on_square, p > 0, over_square + rise > 1e-9)
-        if (now == on).all() and (now_square == on_square).all():
+def raster_on_plates(pressing: Press, raster_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Points (2, n) of plates' faces near a shape, and their displacements (3, n, 24) by the motions of all plates."""
+    half, t = DESIGN.pad.size_mm / 2, DESIGN.pad.plate.thickness_mm
+    line = np.arange(-half, half - 1e-9, raster_mm) + raster_mm / 2
+    p, q = (each.ravel() for each in np.meshgrid(line, line))
+    one, no = np.ones_like(p), np.zeros_like(p)
+    rows = np.array([[one, no, no, no, t * one, -q], [no, one, no, -t * one, no, p], [no, no, one, q, -p, no]])
+    places, motions = [], []
+    for k, centre in enumerate(unit_centres(DESIGN)):
+        place = np.stack([p, q]) + centre[:, None]
+        near = pressing.above_mm(place) < NEAR * pressing.depth_mm
+        places.append(place[:, near])
+        motions.append(np.zeros((3, near.sum(), 24)))
+        motions[-1][:, :, 6 * k : 6 * k + 6] = rows[:, :, near].transpose(0, 2, 1)
+    return np.concatenate(places, axis=1), np.concatenate(motions, axis=1)
+
+
+def pressed_by_ngsolve(compliance: PeerCompliance, pressing: Press, raster_mm: float) -> PressedPlates:
+    """Press a shape on the plates of `DESIGN`; where it is dragged, its place over plates is found by iteration.
+
+    `ArithmeticError` if it touches rubber that it is dragged over, or if it settles nowhere.
+    """
+    place, moved = raster_on_plates(pressing, raster_mm)
+    drag = np.zeros_like(place)
+    for _ in range(PASSES):
+        m, pressure, on_squares = _balanced(compliance, pressing, raster_mm, place + drag, moved)
+        if not pressing.friction:
             break
+        if on_squares.any():
+            raise ArithmeticError("dragged over rubber between plates: only plates know friction here.")
+        now = moved[:2] @ m
+        if np.abs(now - drag)[:, pressure > 0].max() < SETTLED_MM:
+            break
+        drag = now
+    else:
+        raise ArithmeticError(f"the shape settled nowhere in {PASSES} passes.")
+    way = pressing.friction * pressing.way
+    wrench = moved[2].T @ pressure
+    down = np.stack([wrench[2::6], -wrench[4::6], wrench[3::6]], axis=1)
+    net = np.array([*(way * pressure.sum()), pressure.sum() + on_squares.sum()])
+    return PressedPlates(net, down, electrodes_of(m))
+
+
+def _balanced(
+    compliance: PeerCompliance, pressing: Press, raster_mm: float, place: FloatArray, moved: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Motions (24,) of the plates, and forces down on points of the raster and on squares, by an active set."""
+    C, spring = compliance.matrix, raster_mm**2 / DESIGN.pad.plate.face_mm_per_mpa
+    rising = moved[2]
+    pulled = rising - pressing.friction * np.tensordot(pressing.way, moved[:2], 1)  # what a newton down works on
+    over = pressing.depth_mm - pressing.above_mm(place)
+    middle = (compliance.squares[:, :2] + compliance.squares[:, 2:]) / 2
+    over_square = pressing.depth_mm - DESIGN.pad.plate.thickness_mm - pressing.above_mm(middle.T)
+    on, on_square, m, p = over > 0, np.zeros(len(middle), dtype=bool), np.zeros(24), np.zeros(len(middle))
+    for _ in range(STEPS):
+        # m = −C (Fᵀ spring (over + R m) + p): linear for the points that touch; rise of squares that do is −over
+        K, start = spring * pulled[on].T @ rising[on], spring * pulled[on].T @ over[on]
+        a = 24 + np.flatnonzero(on_square)
+        whole = np.block([[np.eye(24) + C[:24, :24] @ K, C[:24, a]], [C[a, :24] @ K, C[np.ix_(a, a)]]])
+        given = np.concatenate([-C[:24, :24] @ start, over_square[on_square] - C[a, :24] @ start])
+        found = np.linalg.solve(whole, given)
+        m, p[:] = found[:24], 0.0
+        p[on_square] = found[24:]
+        rise = -C[24:, :24] @ (start + K @ m) - C[24:, 24:] @ p
+        now, now_square = over + rising @ m > 0, np.where(on_square, p > 0, over_square + rise > 1e-9)
+        if (now == on).all() and (now_square == on_square).all():
+            return m, spring * np.where(on, over + rising @ m, 0.0), p
         on, on_square = now, now_square
-    found = np.stack([wrench.reshape(4, 6)[:, 2], -wrench.reshape(4, 6)[:, 4], wrench.reshape(4, 6)[:, 3]], axis=1)
-    electrodes = np.zeros((4, len(DESIGN.unit.layout.upper), 3))
-    for k, square in enumerate(electrode_squares(DESIGN)):
-        plate, number = divmod(k, electrodes.shape[1])
-        own, (a, b) = m[6 * plate : 6 * plate + 6], (square[:2] + square[2:]) / 2 - centres[plate]
-        electrodes[plate, number] = own[0] - own[5] * b, own[1] + own[5] * a, own[2] + own[3] * b - own[4] * a
-    return PressedPlates(float(p.sum() + found[:, 0].sum()), found, electrodes.reshape(2, 2, -1, 3), unknowns)
+    raise ArithmeticError(f"the active set did not settle in {STEPS} steps.")
 
 
-def pressed_here(
-    surface: SurfaceCompliance, shape: Shape, depth_mm: float, at_mm: tuple[float, float], cells: int
-) -> PressedPlates:
+def electrodes_of(motions: FloatArray) -> FloatArray:
+    """Displacements (rows, cols, n_upper, 3) of electrodes bonded to plates that move so, (24,)."""
+    squares = electrode_squares(DESIGN).reshape(DESIGN.n_units, -1, 4)
+    arms = (squares[..., :2] + squares[..., 2:]) / 2 - unit_centres(DESIGN)[:, None]
+    shift, turn = motions.reshape(DESIGN.n_units, 2, 1, 3).swapaxes(0, 1)
+    moved = shift + np.cross(turn, np.pad(arms, ((0, 0), (0, 0), (0, 1))))
+    return moved.reshape(DESIGN.array.rows, DESIGN.array.cols, -1, 3)
+
+
+def pressed_here(surface: SurfaceCompliance, pressing: Press, cells: int = CELLS) -> PressedPlates:
     """The same by `fem.contact`."""
-    contact = press(surface, shape, depth_mm, at_mm=at_mm, cells=cells)
-    patch, pressing = contact.patch, contact.cell_force_n[2]
+    contact = press(surface, **vars(pressing), cells=cells)
+    patch, down = contact.patch, contact.cell_force_n[2]
     x, y = np.broadcast_arrays(patch.x_mm, patch.y_mm[:, None])
     wrench = np.zeros((4, 3))
     for k, (plate, (cx, cy)) in enumerate(zip(pad_squares(DESIGN), unit_centres(DESIGN), strict=True)):
-        own = pressing * ((x > plate[0]) & (x < plate[2]) & (y > plate[1]) & (y < plate[3]))
+        own = down * ((x > plate[0]) & (x < plate[2]) & (y > plate[1]) & (y < plate[3]))
         wrench[k] = own.sum(), (own * (x - cx)).sum(), (own * (y - cy)).sum()
-    return PressedPlates(float(pressing.sum()), wrench, contact.electrode_mm, 0)
+    return PressedPlates(contact.net_force_n, wrench, contact.electrode_mm)
 
 
-def main() -> None:
-    """Print both answers, and the differences, as a Markdown table."""
+@dataclass(frozen=True)
+class Comparison:
+    """Both answers to one press."""
+
+    theirs: PressedPlates
+    own: FloatArray  #: what NGSolve's answer errs by, as of `PressedPlates.off`, (3,)
+    off: FloatArray  #: how far ours is from it
+
+
+def compared(fine: Fineness, cells: int) -> dict[str, Comparison]:
+    """Every press by name; takes minutes."""
+    runs = [fine, replace(fine, order=fine.order - 1), fine.coarser()]
     surface, _, _ = surface_compliance(DESIGN)
-    print("| press | NGSolve: force, of it between plates [N] | unknowns | ours off: force, wrenches, electrodes |")
-    print("| --- | --- | ---: | --- |")
-    for name, (shape, depth_mm, at_mm, near_mm) in CASES.items():
-        theirs = pressed_by_ngsolve(shape, depth_mm, at_mm, near_mm)
-        ours = pressed_here(surface, shape, depth_mm, at_mm, CELLS)
-        arms = np.array([1.0, 1 / 6.0, 1 / 6.0])
-        pairs = ((ours.wrench * arms, theirs.wrench * arms), (ours.electrode_mm, theirs.electrode_mm))
-        off = [np.linalg.norm(one - other) / np.linalg.norm(other) for one, other in pairs]
-        print(
-            f"| {name} | {theirs.net_n:.3f}, {theirs.net_n - theirs.wrench[:, 0].sum():.3f} | {theirs.unknowns} "
-            f"| {ours.net_n / theirs.net_n - 1:+.2%}, {', '.join(f'{one:.2%}' for one in off)} |",
-            flush=True,
+    compliances = [compliance_by_ngsolve(run) for run in runs]
+    found = {}
+    for name, pressing in CASES.items():
+        theirs, *others = (
+            pressed_by_ngsolve(compliance, pressing, run.raster_mm)
+            for compliance, run in zip(compliances, runs, strict=True)
         )
+        own, off = [one.off(theirs) for one in others], pressed_here(surface, pressing, cells).off(theirs)
+        found[name] = Comparison(theirs, np.max(own, axis=0), off)
+    return found
+
+
+def compare(
+    cells: Annotated[int, Parameter(help="Cells of our grid along a contact.")] = CELLS,
+    order: Annotated[int, Parameter(help="Order of the peer's elements, 3 or more.", validator=Number(gte=3))] = 4,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/plates.json"),
+) -> None:
+    """Compare presses on 2 × 2 plates with NGSolve's, beside what NGSolve's own answers err by."""
+    rows: list[Row] = [
+        {
+            "press": name,
+            "NGSolve: force down [N]": float(one.theirs.net_n[2]),
+            "of it between plates [N]": float(one.theirs.net_n[2] - one.theirs.wrench[:, 0].sum()),
+            "ours off: net / wrenches / electrodes [%]": (100 * one.off).tolist(),
+            "NGSolve's own error: the same [%]": (100 * one.own).tolist(),
+        }
+        for name, one in compared(replace(FINE, order=order), cells).items()
+    ]
+    report({f"Presses on plates, {cells} cells along a contact": rows}, out, measured_on(("numpy", "ngsolve")))
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(compare)
