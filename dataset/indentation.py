@@ -10,7 +10,7 @@ from threading import Lock
 
 import numpy as np
 
-from dataset.resistance import exact_resistances, largest_strains, pillar_lengths
+from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
@@ -26,23 +26,29 @@ VERSION = 3  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
-def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
+def indented(
+    design: SensorDesign, seed: int, cap: float, block: int, wanted: int
+) -> Callable[[np.ndarray, int], tuple[list[FloatArray], np.ndarray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
     It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
-    (m, n_units, n_upper, 3) [mm] and moments (m, n_units, 2) [N mm]; 0 of numbers from `wanted` on.
+    (m, n_units, n_upper, 3) [mm], moments (m, n_units, 2) [N mm] and, of conduction, forces on tiles (m, 3, ny, nx) [N]
+    for `tiled_lengths`; 0 of numbers from `wanted` on. And which of them strain no pillar beyond the cap, (m,).
     """
 
-    def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
+    def draw(numbers: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
         shapes = (3,), (len(design.unit.layout.upper), 3), (2,)
         traction, displacement, moment = (np.zeros((len(numbers), design.n_units, *shape)) for shape in shapes)
+        tiled = np.zeros((len(numbers), *(surface.on_tiles.shape[:3] if surface.conducted else (0,))), np.float32)
         for place in np.flatnonzero(numbers < wanted):
             contact = drawn_press(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
             traction[place] = contact.force_n.reshape(-1, 3) * per_area
             displacement[place] = contact.electrode_mm.reshape(displacement.shape[1:])
             moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
-        return [traction, displacement, moment]
+            if surface.conducted:
+                tiled[place] = contact.tile_force_n
+        return [traction, displacement, moment, tiled], ~(largest_strains(displacement, design.unit) > cap)
 
     return draw
 
@@ -53,15 +59,36 @@ def samples_of(contacts: Sequence[Contact]) -> Samples:
     force = np.stack([contact.force_n for contact in contacts])
     moved = np.stack([contact.electrode_mm for contact in contacts])
     length = pillar_lengths(moved, design.unit)
+    effective = contact_lengths(contacts)
     return Samples(
         force_n=force,
         traction_mpa=force * np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2,
         displacement_mm=moved,
         moment_nmm=np.stack([contact.unit_moment_nmm for contact in contacts]),
         length_mm=length,
-        resistance_ohm=exact_resistances(length, design),
+        effective_length_mm=effective,
+        resistance_ohm=exact_resistances(length if effective is None else effective, design),
         design=design,
     )
+
+
+def contact_lengths(contacts: Sequence[Contact]) -> FloatArray | None:
+    """Lengths (n, rows, cols, n_pillars) [mm] by which eq. 1 gives the resistances of conduction; None by eq. 1."""
+    array, conducted = contacts[0].design.array, contacts[0].surface.conducted
+    if conducted is None:
+        return None
+    found = conducted_lengths(conducted, np.stack([contact.tile_force_n for contact in contacts]))
+    return found.reshape(len(contacts), array.rows, array.cols, -1)
+
+
+def tiled_lengths(design: SensorDesign, tile_force_n: FloatArray, wanted: int) -> FloatArray | None:
+    """The same (n, n_units, n_pillars) by forces (n, 3, ny, nx) on tiles, at rest from `wanted` on."""
+    conducted = _surface(design).conducted
+    if conducted is None:
+        return None
+    found = np.repeat(conducted_lengths(conducted, 0 * tile_force_n[:1]), len(tile_force_n), axis=0)
+    found[:wanted] = conducted_lengths(conducted, tile_force_n[:wanted])
+    return found
 
 
 def largest_strain(contact: Contact) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 
 from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_ends, pillar_sections, pillar_widths
+from geometry.layout import FloatArray, pillar_ends, pillar_vectors, pillar_widths
+from geometry.prism import Prism, unit_prisms
 from geometry.shares import pillar_shares
 
 SLICES = 40  #: of a unit, in which its pillars are measured
@@ -48,14 +49,14 @@ def castability(design: SensorDesign) -> Castability:
             )
     rows, cols = design.array.rows > 1, design.array.cols > 1
     for right, up in [(1, 0)] * cols + [(0, 1)] * rows + [(1, 1), (-1, 1)] * (rows and cols):
-        moved = outlines + pitch_mm * np.array([right, up, right, up])
+        moved = outlines + pitch_mm * np.array([right, up])
         walls += [_gap(one, other) for one in outlines for other in moved]
     widths, h = pillar_widths(unit), unit.height_mm
-    runs = np.abs(np.diff(pillar_ends(unit), axis=1)[:, 0, :2]).max(axis=1)
+    runs = np.linalg.norm(pillar_vectors(unit)[:, :2], axis=1)
     upright = {pillar.foot: w for pillar, w, run in zip(unit.layout.pillars, widths, runs, strict=True) if not run}
     heels = [
-        (w * math.hypot(run, h) / h - upright[pillar.foot]) / 2
-        for pillar, w, run in zip(unit.layout.pillars, widths, runs, strict=True)
+        w * math.hypot(run, h) / h / 2 - _reach(upright[pillar.foot], w, straight)
+        for pillar, straight, w, run in zip(unit.layout.pillars, unit_prisms(unit), widths, runs, strict=True)
         if run and pillar.foot in upright
     ]
     leaning = runs[runs > 0]
@@ -76,15 +77,38 @@ def conductive_mm3(design: SensorDesign) -> float:
 
 
 def _outlines(unit: Unit) -> FloatArray:
-    """Pillars from above, shape (n_pillars, 4): x0, y0, x1, y1 in the unit's frame [mm]."""
-    ends, half = pillar_ends(unit)[..., :2], pillar_sections(unit) / 2
-    return np.hstack([ends.min(axis=1) - half, ends.max(axis=1) + half])
+    """Rectangles that pillars are from above, or that hold them: corners (n_pillars, 4, 2) in the unit's frame [mm]."""
+    found = []
+    for straight in unit_prisms(unit):
+        ends = straight.own(np.array([straight.base_mm, straight.top_mm])[:, :2])
+        half = np.array(straight.section_mm) / 2
+        (x0, y0), (x1, y1) = ends.min(axis=0) - half, ends.max(axis=0) + half
+        found.append(straight.placed(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])))
+    return np.array(found)
 
 
 def _gap(one: FloatArray, other: FloatArray) -> float:
-    """Distance of two rectangles; 0 if they overlap."""
-    apart = np.maximum(one[:2] - other[2:], other[:2] - one[2:])
-    return math.hypot(*np.maximum(apart, 0.0))
+    """Distance of two convex outlines, corners (n, 2) each; 0 if they overlap."""
+    apart, distances = [], []
+    for a, b in ((one, other), (other, one)):
+        ends = np.roll(a, -1, axis=0)
+        along = (ends - a) / np.linalg.norm(ends - a, axis=1, keepdims=True)
+        out = ((b[:, None] - a) * np.column_stack([along[:, 1], -along[:, 0]])).sum(axis=2)  # anticlockwise
+        apart.append(out.min(axis=0).max())
+        share = (((b[:, None] - a) * along).sum(axis=2) / np.linalg.norm(ends - a, axis=1)).clip(0.0, 1.0)[..., None]
+        distances.append(np.linalg.norm(b[:, None] - (a * (1 - share) + ends * share), axis=2).min())
+    return float(min(distances)) if max(apart) > 0 else 0.0
+
+
+def _reach(upright_mm: float, width_mm: float, straight: Prism) -> float:
+    """How far an upright pillar lies behind the foot of one that leans, where that is least: at its sides' edges.
+
+    Behind a square that the other leans across, its corner lies furthest.
+    """
+    if not straight.is_turned or straight.is_round:
+        return upright_mm / 2
+    back, across = -straight.turn[0], straight.turn[1] * width_mm / 2
+    return float(min(((upright_mm / 2 - np.sign(back) * at) / np.abs(back)).min() for at in (across, -across)))
 
 
 def _is_joined(unit: Unit, one: int, other: int) -> bool:

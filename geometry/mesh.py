@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from trimesh.convex import convex_hull
 from trimesh.util import concatenate
 
-from geometry.design import SensorDesign, positive, require_sound
+from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import MESHED_SIDES, Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
+from geometry.quantity import Sound, positive
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, sealed
@@ -37,7 +38,7 @@ GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from to
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshSettings:
+class MeshSettings(Sound):
     """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
 
     edge_top_mm: float = positive(1.25, "wanted edge length at the touched surface, where loads begin and end")
@@ -47,7 +48,7 @@ class MeshSettings:
     )
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
@@ -219,7 +220,7 @@ def snap_to_side(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sla
     So much that the faces, which cut off the arc between their points, enclose what the side does.
     """
     half = np.array(prism.section_mm) / 2
-    across = (points[:, :2] - prism.axis_at(points[:, 2])) / half  # the side is a cylinder of radius 1 here
+    across = prism.own(points[:, :2] - prism.axis_at(points[:, 2])) / half  # the side is a cylinder of radius 1 here
     radius = np.linalg.norm(across, axis=1)
     along = faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)]
     if not len(along):
@@ -231,7 +232,7 @@ def snap_to_side(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sla
     wanted = np.abs(turn[0] * rise[1] - turn[1] * rise[0]) / 2  # the same on the cylinder: ∫ dθ dz
     moved, ends = points.copy(), np.unique(along)
     ratio = np.sqrt(wanted.sum() / enclosed.sum())
-    moved[ends, :2] = prism.axis_at(points[ends, 2]) + half * ratio * on_side[ends, :2]
+    moved[ends, :2] = prism.axis_at(points[ends, 2]) + prism.placed(half * ratio * on_side[ends, :2])
     return moved
 
 
@@ -266,7 +267,8 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
     """Points with every face along a plane side of a prism, all its points within the slack, moved onto that side."""
     upright = points.copy()
-    upright[:, :2] -= prism.axis_at(points[:, 2])  # the prism's sides are planes of a coordinate here
+    # the prism's sides are planes of a coordinate here
+    upright[:, :2] = prism.own(upright[:, :2] - prism.axis_at(points[:, 2]))
     snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
     (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
     sides = ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high))
@@ -274,7 +276,7 @@ def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sl
         along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
         snapped[along, axis] = plane
         moved[along] = True
-    snapped[:, :2] += prism.axis_at(snapped[:, 2])
+    snapped[:, :2] = prism.placed(snapped[:, :2]) + prism.axis_at(snapped[:, 2])
     return np.where(moved[:, None], snapped, points)
 
 

@@ -17,23 +17,21 @@ import numpy as np
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, pillar_solids, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, positive, quantity, require_sound
+from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import pillar_ends, pillar_sections, pillar_widths, upper_electrodes
 from geometry.prism import unit_prisms
+from geometry.quantity import Sound, positive, quantity
 from geometry.storage.files import require_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mould:
+class Mould(Sound):
     """Settings for printing the mould's parts. Lengths in mm."""
 
     wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough", within=(0, 10))
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
@@ -91,13 +89,14 @@ def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
     for pillar, straight, width in pillars:
         if straight.is_upright:
             continue
-        axis, half = int(straight.lean[1] != 0), width / 2
-        run, b, side = straight.axis_mm[axis], straight.section_mm[axis] / 2, half - clearance_mm
-        s, foot = abs(run), upright_at.get(pillar.foot)
+        s, foot = float(np.linalg.norm(straight.axis_mm[:2])), upright_at.get(pillar.foot)
+        along = straight.axis_mm[:2] / s
+        b = float(np.abs(straight.turn @ along) @ straight.section_mm) / 2  # along x, along y or turned: one extent
+        sideways, side = straight.turn[int(abs(straight.turn[0] @ along) > 0)], width / 2 - clearance_mm
         # corners (distance from the foot's middle, z): a square pillar's upper face rises from (-b, 0) to (s - b, h)
         start = clearance_mm - b if foot is None else foot[1] / 2
         corners = [(start, h), (s - b, h), (start, h * (start + b) / s)]
-        is_flat = not pillar.is_round and foot in (None, (False, width))
+        is_flat = not (pillar.is_round or straight.is_turned) and foot in (None, (False, width))
         if not is_flat:  # from the middle of a round pillar, or of an upright one of another section, up
             start = clearance_mm - b if foot is None else 0.0
             low = (0.0, 0.0) if pillar.is_round else (start, h * (start + b) / s)
@@ -107,10 +106,7 @@ def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
                 low,
                 *([(start, 0.0)] if start < low[0] else []),
             ]
-        outline, across = np.zeros((len(corners), 3)), np.zeros(3)
-        outline[:, [axis, 2]] = corners
-        outline[:, axis] *= np.sign(run)
-        outline[:, 1 - axis], across[1 - axis] = -side, 2 * side
-        wedge = prism((outline + straight.base_mm).tolist(), across.tolist())
+        outline = np.array([[*(x * along - side * sideways), z] for x, z in corners])
+        wedge = prism((outline + straight.base_mm).tolist(), [*(2 * side * sideways), 0.0])
         wedges += [wedge] if is_flat else wedge.cut(*pillar_solids(unit)).solids()
     return wedges

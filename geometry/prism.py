@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.layout import OPTIONAL, FloatArray, pad_squares, pillar_ends, pillar_sections, unit_centres
+from geometry.layout import (
+    FloatArray,
+    leans_both_ways,
+    pad_squares,
+    pillar_ends,
+    pillar_sections,
+    pillar_widths,
+    rest_lengths,
+    unit_centres,
+)
+from geometry.quantity import OPTIONAL
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit
@@ -28,6 +38,7 @@ class Prism:
     top_mm: Triple  #: centre of the upper end
     section_mm: Pair  #: extent of the horizontal section along x and y
     is_round: bool = field(default=False, metadata=OPTIONAL)  #: whether the section is an ellipse
+    is_turned: bool = field(default=False, metadata=OPTIONAL)  #: whether its extents are along its lean and across it
 
     @property
     def is_upright(self) -> bool:
@@ -53,6 +64,28 @@ class Prism:
     def volume_mm3(self) -> float:
         return self.section_mm[0] * self.section_mm[1] * self.height_mm * (math.pi / 4 if self.is_round else 1.0)
 
+    @property
+    def turn(self) -> FloatArray:
+        """Directions of the section's two extents, one a row, (2, 2)."""
+        if not self.is_turned:
+            return np.eye(2)
+        x, y = self.axis_mm[:2] / math.hypot(*self.axis_mm[:2])
+        return np.array([[x, y], [-y, x]])
+
+    def own(self, across_mm: FloatArray) -> FloatArray:
+        """Horizontal offsets (n, 2) along the section's extents."""
+        return across_mm @ self.turn.T if self.is_turned else across_mm
+
+    def placed(self, own_mm: FloatArray) -> FloatArray:
+        """Offsets (n, 2) along the section's extents along x and y."""
+        return own_mm @ self.turn if self.is_turned else own_mm
+
+    @property
+    def extents_mm(self) -> FloatArray:
+        """Of the rectangle along x and y around the section, (2,)."""
+        parts = np.abs(self.turn * np.array(self.section_mm)[:, None])
+        return np.asarray(np.linalg.norm(parts, axis=0) if self.is_round else parts.sum(axis=0))
+
     def axis_at(self, z_mm: FloatArray) -> FloatArray:
         """Centre of the section at heights (n,), shape (n, 2) [mm]."""
         share = (z_mm - self.base_mm[2]) / self.height_mm
@@ -69,7 +102,7 @@ class Prism:
         """
         z, half = points_mm[:, 2], np.array(self.section_mm) / 2
         level = np.clip(z, self.base_mm[2], self.top_mm[2])
-        across = np.abs(points_mm[:, :2] - self.axis_at(level)) - half
+        across = np.abs(self.own(points_mm[:, :2] - self.axis_at(level))) - half
         if self.is_round:
             across = (np.linalg.norm(across / half + 1, axis=1, keepdims=True) - 1) * half.min()
         return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
@@ -86,12 +119,13 @@ class Prism:
         else:
             signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
         half = signs * np.array([*self.section_mm, 0.0]) / 2
+        half[:, :2] = self.placed(half[:, :2])
         return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
 
     def cuts(self, other: "Prism", slack_mm: float) -> bool:
         """True if two prisms share more than faces: penetration by up to the slack counts as touching.
 
-        Of ellipses the rectangles around them count.
+        Of ellipses and of turned sections the rectangles along x and y around them count.
         """
         low = max(self.base_mm[2], other.base_mm[2])
         high = min(self.top_mm[2], other.top_mm[2])
@@ -99,7 +133,7 @@ class Prism:
             return False
         # the offset of the axes is linear in z, so each axis overlaps over one interval of z
         at_low, at_high = (self.axis_at(np.array([z]))[0] - other.axis_at(np.array([z]))[0] for z in (low, high))
-        halves = (np.array(self.section_mm) + np.array(other.section_mm)) / 2 - slack_mm
+        halves = (self.extents_mm + other.extents_mm) / 2 - slack_mm
         first, last = 0.0, 1.0
         for start, end, half in zip(at_low, at_high, halves, strict=True):
             if start == end:
@@ -125,15 +159,19 @@ def pillar_prisms(design: "SensorDesign") -> list[Prism]:
 def unit_prisms(unit: "Unit", centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
     """The pillars of one unit, without references."""
     unit = unit.body
+    widths, turned = np.array(pillar_widths(unit)), leans_both_ways(unit)
+    along_lean = np.column_stack([widths * rest_lengths(unit) / unit.height_mm, widths])
+    sections = np.where(turned[:, None], along_lean, pillar_sections(unit))
     return [
         Prism(
             base_mm=tuple((centre_mm + base).tolist()),
             top_mm=tuple((centre_mm + top).tolist()),
             section_mm=tuple(section.tolist()),
             is_round=pillar.is_round,
+            is_turned=is_turned,
         )
-        for (base, top), section, pillar in zip(
-            pillar_ends(unit), pillar_sections(unit), unit.layout.pillars, strict=True
+        for (base, top), section, pillar, is_turned in zip(
+            pillar_ends(unit), sections, unit.layout.pillars, turned.tolist(), strict=True
         )
     ]
 

@@ -6,15 +6,17 @@ import numpy as np
 
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections
+from geometry.prism import Prism, unit_prisms
 
-ACROSS = 24  #: Gauss points along y of a round section in each box
+ACROSS = 24  #: Gauss points along y of a round or turned section in each box
 
 
 def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
     """Share of each box between lines (nx + 1,), (ny + 1,), (nz + 1,) of the unit's frame that its pillars fill.
 
     Shape (nx, ny, nz). By 8 Gauss points along z of every box: exact where no pillar's face crosses its uprights. Round
-    sections also by `ACROSS` points along y: their area over all boxes is exact, a box's part of it to 0.1 %.
+    and turned sections also by `ACROSS` points along y: their area over all boxes is exact, of turned squares to 0.1 %,
+    as a box's part of it is.
 
     >>> around_z = np.array([-6.0, -4.0]), np.array([-6.0, -4.0])
     >>> round(float(pillar_shares(Unit(), *around_z, np.array([4.0, 6.0]))[0, 0, 0]), 9)
@@ -38,23 +40,22 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
         )
         return np.einsum("xzq,yzq,q->xyz", *along, weights / 2)
 
-    is_round = [one.is_round for one in unit.layout.pillars]
+    prisms = unit_prisms(unit)
+    is_chord = [one.is_round or one.is_turned for one in prisms]
     places, widths = np.polynomial.legendre.leggauss(ACROSS)
 
-    def filled_round(pillars: tuple[int, ...]) -> FloatArray:
-        """The same where some are round, from lines along x at y = c + b sin θ of the first round one."""
-        first = next(k for k in pillars if is_round[k])
+    def filled_chords(pillars: tuple[int, ...]) -> FloatArray:
+        """The same where some are round or turned, from lines along x at y = c + b sin θ of the first such one."""
+        first = next(k for k in pillars if is_chord[k])
         c, b = middle[first, ..., 1], half[first, 0, 0, 1]
         low, high = (np.arcsin(((line[:, None, None] - c) / b).clip(-1, 1)) for line in (y_mm[:-1], y_mm[1:]))
         angle = ((low + high)[..., None] + (high - low)[..., None] * places) / 2  # (ny, nz, 8, ACROSS)
         y = c[..., None] + b * np.sin(angle)
         left, right = np.full(y.shape, -np.inf), np.full(y.shape, np.inf)
         for k in pillars:
-            (a, b), (cx, cy) = half[k, 0, 0], np.moveaxis(middle[k], -1, 0)[..., None]
-            inside = 1 - ((y - cy) / b) ** 2
-            wide = a * np.sqrt(inside.clip(0)) if is_round[k] else np.full(y.shape, a)
-            wide = np.where(inside < 0, -np.inf, wide)
-            left, right = np.maximum(left, cx - wide), np.minimum(right, cx + wide)
+            cx, cy = np.moveaxis(middle[k], -1, 0)[..., None]
+            start, end = _chord(prisms[k], half[k, 0, 0], y - cy)
+            left, right = np.maximum(left, cx + start), np.minimum(right, cx + end)
         weight = half[first, 0, 0, 1] * np.cos(angle) * (high - low)[..., None] / 2 * widths
         return np.stack(
             [
@@ -67,10 +68,34 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
     whole, sign = np.zeros((len(x_mm) - 1, len(y_mm) - 1, len(z_mm) - 1)), 1.0
     groups: list[tuple[int, ...]] = [(k,) for k in range(len(ends))]
     while groups:
-        areas = {group: (filled_round if any(is_round[k] for k in group) else filled)(group) for group in groups}
+        areas = {group: (filled_chords if any(is_chord[k] for k in group) else filled)(group) for group in groups}
         for area in areas.values():
             whole += sign * area
         groups = [(*group, k) for group, area in areas.items() if area.any() for k in range(group[-1] + 1, len(ends))]
         sign = -sign
     found = whole / (np.diff(x_mm)[:, None, None] * np.diff(y_mm)[:, None])
-    return found.clip(0.0, 1.0) if any(is_round) else found
+    return found.clip(0.0, 1.0) if any(is_chord) else found
+
+
+def _chord(prism: Prism, half_mm: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ends along x of a line at y, both from the section's middle; the first above the last where it misses.
+
+    `half_mm` (2,) are half extents of the rectangle along x and y around the section.
+    """
+    if not prism.is_turned:
+        a, b = half_mm
+        inside = 1 - (y / b) ** 2
+        wide = a * np.sqrt(inside.clip(0)) if prism.is_round else np.full(y.shape, a)
+        wide = np.where(inside < 0, -np.inf, wide)
+        return -wide, wide
+    turn, half = prism.turn, np.array(prism.section_mm) / 2
+    if prism.is_round:  # |x p + y q| ≤ 1, with (p, q) the turn over the half extents
+        p, q = (turn / half[:, None]).T
+        inside = 1 - (y / half_mm[1]) ** 2
+        middle, wide = -(p @ q) / (p @ p) * y, np.sqrt(inside.clip(0) / (p @ p))
+        wide = np.where(inside < 0, -np.inf, wide)
+        return middle - wide, middle + wide
+    sides = [
+        np.sort(np.stack([(s * h - y * v) / u for s in (-1, 1)]), axis=0) for (u, v), h in zip(turn, half, strict=True)
+    ]
+    return np.maximum(*(low for low, _ in sides)), np.minimum(*(high for _, high in sides))

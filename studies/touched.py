@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
 from decoupler.touch.assessment import assess_touch
+from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.touch_file import read_model
 from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
@@ -134,7 +135,7 @@ def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int
     )  # fmt: skip
 
 
-def at_rest_and_lightly(decoder: TouchDecoder, scans: int, seed: int) -> dict[str, float]:
+def at_rest_and_lightly(decoder: BareDecoder, scans: int, seed: int) -> dict[str, float]:
     """Errors with nothing on the sensor and under touches of 1 N, of the library's presses made as light as that."""
     generator, library = np.random.default_rng(seed), decoder.library
     rest = np.repeat(decoder.rest_resistances()[None], scans, axis=0)
@@ -187,7 +188,8 @@ def assess_unknown(
             lambda done: advance(done, ""),
         )  # fmt: skip
     none = float(np.sqrt((data.force_n[..., 2] ** 2).mean()))
-    print(json.dumps({"0 N misses fz by": none} | found.plain() | at_rest_and_lightly(decoder, 200, seed), indent=2))
+    lightly = at_rest_and_lightly(decoder, 200, seed) if isinstance(decoder, BareDecoder) else {}
+    print(json.dumps({"0 N misses fz by": none} | found.plain() | lightly, indent=2))
 
 
 if __name__ == "__main__":

@@ -64,25 +64,6 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_NAMES_BY_HOME = {
-    "geometry.design": ["SensorDesign"],
-    "geometry.design_file": ["read_design"],
-    "geometry.errors": ["TriPillarError"],
-    "dataset.samples": ["Samples"],
-    "dataset.stored": ["read_samples"],
-    "decoupler.touch.touch_file": ["read_model"],
-    "hardware.session": ["live"],
-    "hardware.virtual.sensor": ["VirtualSensor"],
-    "tripillar.face.bodies": ["response", "solve"],
-    "tripillar.face.viewing": ["view"],
-    "tripillar.face.samples": ["dataset"],
-    "tripillar.face.learning": ["train", "evaluate"],
-    "tripillar.face.identifying": ["identify"],
-    "tripillar.face.boards": ["record", "replay"],
-    "tripillar.face.simulating": ["board"],
-    "tripillar.face.exporting": ["write"],
-}
-_HOMES = {name: home for home, names in _NAMES_BY_HOME.items() for name in names}
 __all__ = [
     "Samples",
     "SensorDesign",
@@ -108,14 +89,13 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Load a name of the face when it is first used."""
-    from importlib import import_module, metadata
+    from importlib import metadata
 
-    if name == "__version__":
-        value: object = metadata.version("tripillar")
-    elif name in _HOMES:
-        value = getattr(import_module(_HOMES[name]), name)
-    else:
+    from tripillar.face.stages import imported_by
+
+    if name not in ("__version__", *__all__):
         raise AttributeError(f"module 'tripillar' has no attribute '{name}'; it has {', '.join(__all__)}.")
+    value: object = metadata.version("tripillar") if name == "__version__" else imported_by(__file__, name)
     globals()[name] = value
     return value
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from dataset.measurement import ReadingError
-from decoupler.touch.morph import MOVES, PRIOR, Part, Pillars, Sensing, fitted
-from decoupler.touch.plates import PlateDecoder, PlateResponse
+from decoupler.touch.morph import MOVES, PRIOR, BareSensing, Part, fitted
+from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.presses import Grid
+from decoupler.touch.sensing import Pillars
 from fem.contact.surface import endless_surface, require_pressable, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres
@@ -53,7 +54,7 @@ def touch_limits(design: SensorDesign, force_n: float, errors: ReadingError) -> 
 
 def _on_rubber(near: SensorDesign, force_n: float, errors: ReadingError) -> list[tuple[float, float]]:
     """Deviations of net force [%] and place [mm] of touches on bare rubber."""
-    sensing = Sensing(grid=Grid.of(endless_surface(near)), design=near, pillars=Pillars.designed(near))
+    sensing = BareSensing(grid=Grid.of(endless_surface(near)), design=near, pillars=Pillars.designed(near))
     generator, found = np.random.default_rng(SEED), []
     held = np.diag(HELD * (np.arange(len(PRIOR)) >= MOVES))
     for _ in range(TOUCHES):
@@ -70,7 +71,7 @@ def _on_rubber(near: SensorDesign, force_n: float, errors: ReadingError) -> list
 def _through_plates(near: SensorDesign, force_n: float, errors: ReadingError) -> list[tuple[float, float]]:
     """The same of touches on a plate in the middle."""
     require_pressable(near)
-    library, pillars = PlateResponse.of(surface_compliance(near)[0]), Pillars.designed(near)
+    library, pillars = plate_response(surface_compliance(near)[0]), Pillars.designed(near)
     decoder = PlateDecoder(library=library, design=near, pillars=pillars, errors=errors, made_from={})
     generator, found = np.random.default_rng(SEED), []
     centres_mm, middle = unit_centres(near), near.array.rows // 2 * near.array.cols + near.array.cols // 2
@@ -82,9 +83,9 @@ def _through_plates(near: SensorDesign, force_n: float, errors: ReadingError) ->
         moved_mm = load.ravel() @ library.moved_mm.reshape(load.size, -1)
         touched = decoder.touched(decoder.sensing.reading(moved_mm[None])[0])
         arms_mm = centres_mm - centres_mm[middle] - off_mm
-        each = np.dstack([touched.load[:, :, None], touched.factors.reshape(len(load), 5, -1)])
+        each = np.dstack([touched.load[:, :, None], touched.factors.reshape(*load.shape, -1)])
         net_n = each[:, 2].sum(axis=0)
-        moments = (each[:, 3:] + arms_mm[..., None] * each[:, 2:3]).sum(axis=0)  # about the centre of pressure
+        moments = (each[:, 3:5] + arms_mm[..., None] * each[:, 2:3]).sum(axis=0)  # about the centre of pressure
         missed_n = np.hypot(net_n[0] - force_n, np.linalg.norm(net_n[1:]))
         found.append((100 * float(missed_n) / force_n, float(np.linalg.norm(moments) / max(net_n[0], LEAST * force_n))))
     return found

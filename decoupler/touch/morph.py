@@ -9,16 +9,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from dataset.measurement import ReadingError
-from decoupler.model.decoupler import Decoupler
 from decoupler.touch.presses import Grid, middles
-from geometry.design import SensorDesign
-from geometry.errors import DesignError
-from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
+from decoupler.touch.sensing import Sensing
+from geometry.layout import FloatArray
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5] + 5 * [0.15])
@@ -33,87 +30,22 @@ MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pillars:
-    """Eq. 1 of each pillar, R = c l² + o."""
-
-    ohm_per_mm2: FloatArray  #: c, (units·n_pillars,): ρ/V, times the pillar's own gain
-    offset_ohm: FloatArray  #: o, (units·n_pillars,)
-    deviation_ohm: FloatArray  #: (units·n_pillars,): standard deviation of R at rest, as far as pairs leave it open
-
-    @classmethod
-    def designed(cls, design: SensorDesign) -> Self:
-        """As designed."""
-        own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
-        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own + design.electrics.contacts_ohm, deviation_ohm=0.0 * own)
-
-    @classmethod
-    def identified(cls, decoder: Decoupler) -> Self:
-        """Of an identified sensor, by the decoder that `identify` made of it; `DesignError` if of some forces alone."""
-        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
-            raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
-        forward = decoder.inverse.forward
-        at_rest = decoder.ensemble.differences(forward, np.zeros((1, forward.n_forces)))[0]
-        return cls(ohm_per_mm2=forward.ohm_per_mm2, offset_ohm=forward.offset_ohm, deviation_ohm=at_rest.std(axis=0))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Sensing:
-    """Readings of a sensor's pillars by displacements of their electrodes."""
+class BareSensing(Sensing):
+    """The same under bare rubber, whose electrodes are displaced by forces anywhere on it."""
 
     grid: Grid
-    design: SensorDesign
-    pillars: Pillars
-
-    @cached_property
-    def rest_mm(self) -> FloatArray:
-        """Pillars of a unit at rest, (n_pillars, 3)."""
-        bottom, top = pillar_ends(self.design.unit).transpose(1, 0, 2)
-        return np.asarray(top - bottom)
-
-    @cached_property
-    def rest_mm2(self) -> FloatArray:
-        """Squared lengths at rest, (units·n_pillars,)."""
-        return np.tile((self.rest_mm**2).sum(axis=1), self.design.n_units)
-
-    def ohms(self, reading: FloatArray) -> FloatArray:
-        """Resistances [Ω] by readings, both (..., units·n_pillars)."""
-        return (reading + self.rest_mm2) * self.pillars.ohm_per_mm2 + self.pillars.offset_ohm
-
-    def shown(self, ohms: FloatArray) -> FloatArray:
-        """Readings that resistances show, the inverse of `ohms`."""
-        return (ohms - self.pillars.offset_ohm) / self.pillars.ohm_per_mm2 - self.rest_mm2
-
-    def deviation(self, reading: FloatArray, errors: ReadingError) -> FloatArray:
-        """Standard deviation of a reading, of its shape [mm²]."""
-        own = errors.deviation(self.ohms(reading))
-        return np.hypot(own, self.pillars.deviation_ohm) / self.pillars.ohm_per_mm2
-
-    @cached_property
-    def by_electrode(self) -> FloatArray:
-        """Squared lengths of a unit's pillars by its electrodes' displacements and their squares, (2, e, n_pillars)."""
-        layout = self.design.unit.layout
-        found = np.zeros((2, len(layout.upper), 3, len(layout.pillars)))
-        for pillar in layout.loaded:
-            found[:, layout.pillar_top[pillar], :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
-        return found.reshape(2, -1, len(layout.pillars))
-
-    def reading(self, moved_mm: FloatArray) -> FloatArray:
-        """Changes of squared lengths (..., units·n_pillars) [mm²] by displacements (..., e) of electrodes [mm]."""
-        linear, square = self.by_electrode.astype(moved_mm.dtype)
-        tops = moved_mm.reshape(-1, len(linear))
-        return (tops @ linear + tops**2 @ square).reshape(*moved_mm.shape[:-1], -1)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """A press as forces at points of the top, to be changed."""
 
-    sensing: Sensing
+    sensing: BareSensing
     place_mm: FloatArray  #: (2, n)
     force_n: FloatArray  #: (3, n), z positive in compression
 
     @classmethod
-    def of(cls, sensing: Sensing, box_mm: FloatArray, cells: FloatArray) -> "Part":
+    def of(cls, sensing: BareSensing, box_mm: FloatArray, cells: FloatArray) -> "Part":
         """A press on its patch (3, ny, nx); cells of a fine patch are gathered, at their pressure's middle."""
         (ny, nx), (x, y) = cells.shape[1:], middles(box_mm, cells)
         column, row = np.arange(nx) * min(nx, POINTS) // nx, np.arange(ny) * min(ny, POINTS) // ny

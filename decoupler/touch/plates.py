@@ -1,20 +1,18 @@
 """Loads of whatever presses an array of rigid plates: the six components of each by sparse Bayes, no press solved.
 
 A plate tells of what touches it by its six motions, so that its loads are six numbers, whatever the shape. Readings
-follow from these by the array's response and eq. 1. Plates have a prior each: wrenches of contacts somewhere on a pad,
-their size unknown and found by the largest evidence, which takes most plates for untouched.
+follow from these by the array's response and eq. 1 or conduction. Plates have a prior each: wrenches of contacts
+somewhere on a pad, their size unknown and found by the largest evidence, which takes most plates for untouched.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from scipy.special import chdtri, ndtri, stdtrit
+from scipy.special import ndtri, stdtrit
 
-from decoupler.data.columns import Scaling
-from decoupler.touch.decoder import AT_REST, TouchDecoder, Touched
-from decoupler.touch.morph import Sensing
+from decoupler.touch.decoder import TouchDecoder, Touched
+from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.surface import SurfaceCompliance
 from fem.contact.tiles import cell_strips, edges, tiles_per_pitch
 from geometry.layout import FloatArray
@@ -23,7 +21,6 @@ N_LOADS = 6  #: of a plate: see `Touched.load`
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
-OF_MODEL = 1e-3  #: of the largest reading: what touches the rubber between plates
 OF_BETWEEN = 0.01  #: of a force, what the rubber between plates may bear unseen
 FIRST_N, LEAST_N = 10.0, 0.02  #: sizes of wrenches: at first, and of untouched plates
 OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
@@ -31,55 +28,66 @@ STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at whic
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlateResponse:
-    """Displacements of the electrodes by wrenches on plates."""
+class PlateResponse(Displacements):
+    """Displacements (units, 6, e) of the electrodes by each load of `Touched.load`, of an array with stiff pads.
 
-    moved_mm: FloatArray  #: (units, 6, e) [mm/N, 1/N]: by each load of `Touched.load`; e = rows·cols·n_upper·3
-    cache_key: str = ""
+    By conduction of the components of pillars, e = units·n_pillars·n_components.
+    """
 
-    @classmethod
-    def of(cls, surface: SurfaceCompliance) -> "PlateResponse":
-        """Of an array with stiff pads: forces on the tiles of a plate that add up to each load."""
-        design, tiles, own = surface.design, tiles_per_pitch(surface.design), []
-        for axis in (0, 1):
-            strips = cell_strips(design, axis)
-            lines = edges(strips)
-            plate = np.repeat([strip.is_plate for strip in strips], [strip.tiles for strip in strips])
-            own.append((np.flatnonzero(plate), ((lines[:-1] + lines[1:]) / 2)[plate]))
-        (columns, x), (rows, y) = own
-        x, y = (each.ravel() for each in np.meshgrid(x, y))
-        loads = np.zeros((N_LOADS, 3, len(x)))
-        loads[0, 0] = loads[1, 1] = 1.0
-        loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
-        loads[5, :2] = -y, x
-        spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
-        shape = design.array.rows, tiles, design.array.cols, tiles
-        cells = surface.on_electrodes.reshape(*surface.on_electrodes.shape[:5], *shape)
-        plates = cells[:, :, :, :, :, :, rows][..., columns]
-        moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
-        moved = moved.reshape(design.n_units, N_LOADS, -1)
-        moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
-        return cls(moved_mm=moved, cache_key=surface.cache_key)
+    components_mm: FloatArray | None = None  #: at rest, (units, n_pillars, n_components); None by eq. 1
+    sign: FloatArray | None = None  #: of the same shape
+
+
+def plate_response(surface: SurfaceCompliance) -> PlateResponse:
+    """What forces on the tiles of a plate do that add up to each load."""
+    design, tiles, own = surface.design, tiles_per_pitch(surface.design), []
+    for axis in (0, 1):
+        strips = cell_strips(design, axis)
+        lines = edges(strips)
+        plate = np.repeat([strip.is_plate for strip in strips], [strip.tiles for strip in strips])
+        own.append((np.flatnonzero(plate), ((lines[:-1] + lines[1:]) / 2)[plate]))
+    (columns, x), (rows, y) = own
+    x, y = (each.ravel() for each in np.meshgrid(x, y))
+    loads = np.zeros((N_LOADS, 3, len(x)))
+    loads[0, 0] = loads[1, 1] = 1.0
+    loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
+    loads[5, :2] = -y, x
+    spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
+    conducted, shape = surface.conducted, (design.array.rows, tiles, design.array.cols, tiles)
+    by_tiles = surface.on_electrodes if conducted is None else conducted.influence_mm_per_n
+    cells = by_tiles.reshape(*by_tiles.shape[:5], *shape)
+    plates = cells[:, :, :, :, :, :, rows][..., columns]
+    moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
+    moved = moved.reshape(design.n_units, N_LOADS, -1)
+    moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
+    if conducted is None:
+        return PlateResponse(moved_mm=moved, cache_key=surface.cache_key)
+    d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
+    return PlateResponse(moved_mm=moved, cache_key=surface.cache_key, components_mm=d, sign=sign)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlateDecoder(TouchDecoder):
     """A decoder of whatever presses rigid plates; each scan by itself."""
 
-    library: PlateResponse  # type: ignore[assignment]  # in the place of presses, which plates need none of
+    library: PlateResponse
+    n_loads, of_model = N_LOADS, 1e-3
 
     @cached_property
     def sensing(self) -> Sensing:
-        return Sensing(grid=None, design=self.design, pillars=self.pillars)  # type: ignore[arg-type]  # no grid: plates
+        d, sign = self.library.components_mm, self.library.sign
+        if d is None or sign is None:
+            return super().sensing
+        return ConductedSensing(design=self.design, pillars=self.pillars, components_mm=d, sign=sign)
 
     @property
-    def output_scaling(self) -> Scaling:
-        """Centre 0 and the forces that strain a pillar by some 10 %."""
-        return Scaling(np.zeros(3 * self.rows * self.cols), np.full(3 * self.rows * self.cols, FIRST_N))
+    def usual_n(self) -> FloatArray:
+        """Those that strain a pillar by some 10 %."""
+        return np.full(3, FIRST_N)
 
-    def follower(self) -> "PlateDecoder":
-        """Itself: a scan tells all."""
-        return self
+    @property
+    def hidden(self) -> FloatArray:
+        return np.diag(np.tile(LEAST_N * self._scale, self.design.n_units))
 
     @cached_property
     def _scale(self) -> FloatArray:
@@ -87,21 +95,16 @@ class PlateDecoder(TouchDecoder):
         side = self.design.pad.size_mm
         return np.array([FRICTION, FRICTION, 1.0, ARM * side, ARM * side, TWIST * side])
 
-    def touched(self, reading: FloatArray, last: Any = None) -> Touched:
-        """Loads by one reading (m,) [mm²].
+    def pressed(self, reading: FloatArray, deviation: FloatArray, at_rest: float, last: Touched | None) -> Touched:
+        """Loads by the reading alone.
 
         Notes
         -----
         Sparse Bayes (Tipping, J. Mach. Learn. Res. 1 (2001) 211): loads x of a plate have the prior N(0, vₖ A), A of
-        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Eq. 1 is linearised about the
-        last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
+        the contacts; vₖ = xᵀ A⁻¹ x / γ, γ the number of its loads that the reading tells. Readings are linearised about
+        the last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
-        own, n = self.sensing.deviation(reading, self.errors), self.rows * self.cols
-        at_rest = float((reading / own) @ (reading / own))
-        if at_rest < chdtri(len(reading), AT_REST):
-            hidden = np.diag(np.tile(LEAST_N * self._scale, n))
-            return _touched(np.zeros(n * N_LOADS), hidden, at_rest / len(reading))
-        deviation = np.hypot(own, OF_MODEL * np.abs(reading).max())
+        n = self.design.n_units
         size2, told, x = np.full(n, FIRST_N**2), np.zeros(n), np.zeros((n, N_LOADS))
         on = np.ones(n, dtype=bool)  # plates that are not taken for untouched
         for _ in range(STEPS):
@@ -127,31 +130,11 @@ class PlateDecoder(TouchDecoder):
         factors = np.linalg.cholesky(np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel())))
         between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
         factors = np.hstack([factors, between])
-        return _touched(x, factors, float(missed @ missed) / len(reading))
+        return Touched(load=x, factors=factors, chi2=float(missed @ missed) / len(reading))
 
     def _about(self, load: FloatArray, reading: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives (m, units·6) of a reading at loads (units, 6), and what it has beyond theirs, over deviations."""
-        moved = load.ravel() @ self.library.moved_mm.reshape(load.size, -1)
-        missed = reading - self.sensing.reading(moved[None])[0]
-        return self._slopes(moved) / deviation[:, None], missed / deviation
-
-    def _slopes(self, moved_mm: FloatArray) -> FloatArray:
-        """Derivatives (m, units·6) of a reading by loads where electrodes are displaced so, (e,)."""
-        linear, square = self.sensing.by_electrode
-        tops = moved_mm.reshape(-1, len(linear))
-        slopes = linear + 2 * tops[:, :, None] * square  # (units, e of a unit, pillars)
-        return np.asarray((self._by_unit @ slopes).swapaxes(1, 2).reshape(-1, self._by_unit.shape[1]))
-
-    @cached_property
-    def _by_unit(self) -> FloatArray:
-        """Displacements of each unit's electrodes by loads, (units, units·6, e of a unit)."""
-        moved = self.library.moved_mm
-        return np.ascontiguousarray(moved.reshape(moved.shape[0] * N_LOADS, self.rows * self.cols, -1).swapaxes(0, 1))
-
-
-def _touched(load: FloatArray, factors: FloatArray, chi2: float) -> Touched:
-    """Six loads of each plate (units·6,) and factors of their errors as a touch, which has five and a torque."""
-    each, of_each = load.reshape(-1, N_LOADS), factors.reshape(-1, N_LOADS, factors.shape[1])
-    torque = np.stack([each[:, 5], np.sqrt((of_each[:, 5] ** 2).sum(axis=1))], axis=1)
-    kept = of_each[:, :5].reshape(-1, factors.shape[1])
-    return Touched(load=each[:, :5], factors=kept, chi2=chi2, torque_nmm=torque)
+        by_load = self.library.moved_mm.reshape(load.size, -1)
+        moved = load.ravel() @ by_load
+        more, less = (self.sensing.reading(moved + each) for each in (by_load, -by_load))  # exact: squares
+        return (more - less).T / (2 * deviation[:, None]), (reading - self.sensing.reading(moved)) / deviation

@@ -6,6 +6,7 @@ from dataset.measurement import ReadingError
 from decoupler.model import model_file
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import built_of, opened_file, save_file
+from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.plates import PlateDecoder
 from geometry.design_file import design_from_toml, design_to_toml
@@ -50,7 +51,7 @@ def read_model(path: Path) -> AnyDecoder:
             "made_from": dict(header["made_from"]),
             "library.cache_key": str(header["library"]),
         }
-        kind = PlateDecoder if design.pad.kind == "stiff" else TouchDecoder
+        kind = PlateDecoder if design.pad.kind == "stiff" else BareDecoder
         found: TouchDecoder = built_of(kind, arrays, said)
         found.touches(0.99 * found.rest_resistances()[None])  # no decoder is given out that cannot
         return found

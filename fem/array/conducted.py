@@ -26,11 +26,12 @@ from fem.conduction.potentials import (
     unit_conductors,
 )
 from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, rest_lengths
 
 MODES = 40  #: of the displacement gradient, for second derivatives
-COMPONENTS = 8  #: of a pillar's polynomial, at most; see `ConductedPillars`
+COMPONENTS = 8  #: of a pillar's polynomial in loads on pads, at most; see `ConductedPillars`
 SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
+USUAL = np.array([SHEAR, SHEAR, 1.0])  #: loads along x, y, z, relative to each other
 SPREAD = 2500  #: points that choose the modes
 TRUNCATION = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
 
@@ -57,24 +58,50 @@ def conducted_pillars(
     radius = influence_range(design, TRUNCATION)
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     interior = design_interior(design, functionals(design), pad_plate(design), progress)
+    accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
+    found = conducted_by_loads(design, interior, PADS, accurate, (rows, cols), progress)
+    wide = design.array.rows, design.array.cols
+    influence = found.influence_mm_per_n.reshape(*found.sign.shape, rows, cols, 3)
+    return replace(
+        found,
+        rest_mm=representatives(found.rest_mm, *wide),
+        influence_mm_per_n=expanded(influence, *wide, radius),
+        sign=representatives(found.sign, *wide),
+    )
+
+
+def conducted_by_loads(
+    design: SensorDesign,
+    interior: CellInterior,
+    loads: range,
+    accurate: FloatArray,
+    shape: tuple[int, int],
+    progress: Callable[[str], None] = lambda step: None,
+    components: int = COMPONENTS,
+) -> ConductedPillars:
+    """The same in the first of a cell's functionals, `loads`, of every cell of an array of a shape.
+
+    `accurate` (n_cells, n_upper, 3, n) is the displacement of the upper electrodes by the n loads of all cells [mm/N].
+    The influence has shape (rows, cols, n_pillars, n_components, n).
+    """
+    rows, cols = shape
     piezo = Piezoresistivity.of(design.electrics)
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
-    amplitudes, parts = _modes(interior, conductors[0], design)
-    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0])
+    amplitudes, parts = _modes(interior, conductors[0], design, loads)
+    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0], loads)
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
-    n_modes = second.shape[1]
+    n_modes, m = second.shape[1], len(loads)
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
-    electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
-    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), PADS)
+    electrodes = np.hstack([interior.cell.transfer[:, m:].T, interior.cell.compliance[m:, :m]])
+    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), loads)
     seen = seen.reshape(*seen.shape[:2], -1)
-    accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
-    rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
+    rest, n_pillars = pillar_vectors(design.unit), len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
-    scale = np.tile([SHEAR, SHEAR, 1.0], rows * cols)
+    scale = np.tile(USUAL, seen.shape[2] // 3)
     polynomials = [
         _components(
             square_mm2[p],
@@ -82,21 +109,20 @@ def conducted_pillars(
             unit[p],
             (unit[n_pillars : n_pillars + n_modes], second[p]),
             accurate[k, top],
-            unit[n_pillars + n_modes :].reshape(-1, 3, 3 * rows * cols)[top],
+            unit[n_pillars + n_modes :].reshape(-1, 3, seen.shape[2])[top],
             scale,
+            components,
         )
         for k, unit in enumerate(seen)
         for p, top in enumerate(design.unit.layout.pillar_top)
     ]
     signs = np.array([sign for _, sign in polynomials]).reshape(rows, cols, n_pillars, -1)
-    influence = np.array([B for B, _ in polynomials]).reshape(*signs.shape, rows, cols, 3)
-    wide = design.array.rows, design.array.cols
-    rest_mm = np.zeros((*wide, *signs.shape[2:]))
+    rest_mm = np.zeros(signs.shape)
     rest_mm[..., 0] = np.sqrt(square_mm2)
     return ConductedPillars(
         rest_mm=rest_mm,
-        influence_mm_per_n=expanded(influence, *wide, radius),
-        sign=representatives(signs, *wide),
+        influence_mm_per_n=np.array([B for B, _ in polynomials]).reshape(*signs.shape, -1),
+        sign=signs,
         error_estimate=float(at_rest.error_estimate.max()),
     )
 
@@ -124,6 +150,7 @@ def _components(
     influence: FloatArray,
     coarse: FloatArray,
     scale: FloatArray,  # usual loads, relative to each other, (n,)
+    components: int,
 ) -> tuple[FloatArray, FloatArray]:
     """B (n_components, n) and signs of one pillar, by its first and second derivatives in n loads.
 
@@ -143,12 +170,14 @@ def _components(
     core[2 + m :, 2 + m :] = np.diag([1.0] * 3 + [-1.0] * 3)
     Q, R = np.linalg.qr(rows.T)
     value, vector = np.linalg.eigh(R @ core @ R.T)
-    kept = np.argsort(-np.abs(value))[: COMPONENTS - 1]
+    kept = np.argsort(-np.abs(value))[: components - 1]
     others = (Q @ (vector[:, kept] * np.sqrt(np.abs(value[kept])))).T / scale
     return np.vstack([lead, others]), np.concatenate([[1.0], np.where(value[kept] < 0, -1.0, 1.0)])
 
 
-def _modes(interior: CellInterior, conductor: Conductor, design: SensorDesign) -> tuple[FloatArray, FloatArray]:
+def _modes(
+    interior: CellInterior, conductor: Conductor, design: SensorDesign, loads: range
+) -> tuple[FloatArray, FloatArray]:
     """Displacement gradients that loads excite most where current flows.
 
     Principal components under usual loads of an array of at most 3 × 3 units, energy weighted by current. Returns the
@@ -158,11 +187,11 @@ def _modes(interior: CellInterior, conductor: Conductor, design: SensorDesign) -
     some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
     size = np.linalg.norm(conductor.at_rest.gradients[some], axis=1)
     weight = mesh.weight_mm3[some] * sum(size[:, i] * size[:, j] for i, j in mesh.pairs)
-    n = interior.cell.stiffness.shape[0] + 3
+    n = interior.cell.stiffness.shape[0] + len(loads)
     gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
     rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
     shape = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), PADS)[0] * [SHEAR, SHEAR, 1.0]
+    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), loads)[0] * np.tile(USUAL, len(loads) // 3)
     value, vector = np.linalg.eigh(rows.T @ rows)
     value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
     to_energy = np.sqrt(value)[:, None] * vector.T
@@ -172,13 +201,17 @@ def _modes(interior: CellInterior, conductor: Conductor, design: SensorDesign) -
 
 
 def _first_derivatives(
-    interior: CellInterior, conductors: tuple[Conductor, Conductor], piezo: Piezoresistivity, beyond: float
+    interior: CellInterior,
+    conductors: tuple[Conductor, Conductor],
+    piezo: Piezoresistivity,
+    beyond: float,
+    loads: range,
 ) -> FloatArray:
     """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes).
 
     From both meshes; `beyond` is how much of their difference is added to the finer one's.
     """
-    n = interior.cell.stiffness.shape[0] + 3
+    n = interior.cell.stiffness.shape[0] + len(loads)
     found = []
     for conductor in conductors:
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)

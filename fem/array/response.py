@@ -37,7 +37,7 @@ class ConductedPillars:
     """
 
     rest_mm: FloatArray  #: d, (rows, cols, n_pillars, n_components)
-    influence_mm_per_n: FloatArray  #: B, (rows, cols, n_pillars, n_components, rows, cols, 3)
+    influence_mm_per_n: FloatArray  #: B, (rows, cols, n_pillars, n_components, rows, cols, 3), or of other loads
     sign: FloatArray  #: s, (rows, cols, n_pillars, n_components), 1 or −1
     error_estimate: float  #: relative, of the resistances at rest
 

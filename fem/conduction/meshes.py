@@ -20,7 +20,7 @@ from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_p
 from fem.field import IntArray, same_places
 from geometry.design import Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, electrode_centres, pillar_ends, pillar_sections, pillar_widths
+from geometry.layout import FloatArray, electrode_centres, leans_both_ways, pillar_ends, pillar_sections, pillar_widths
 from geometry.prism import unit_prisms
 
 RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
@@ -163,6 +163,11 @@ def unit_hexahedra(
 def _joints(unit: Unit, round_across: int) -> list[Joint]:
     """What lies about each electrode; refusals as of `unit_hexahedra`."""
     layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
+    if (turned := leans_both_ways(unit)).any():
+        names = [name for name, is_turned in zip(layout.pillar_names, turned, strict=True) if is_turned]
+        raise DesignError(
+            f"conduction takes pillars that lean along x or along y, {', '.join(names)} along both: take eq. 1."
+        )
     leans, pairs, widths = ends[:, 1] - ends[:, 0], layout.pillar_terminals, pillar_widths(unit)
     for number, name in enumerate(layout.terminals):
         own = [k for k, pair in enumerate(pairs) if number in pair]

@@ -129,9 +129,13 @@ class Contact(Indentation):
     coarse: "Callable[[], Contact]" = field(repr=False)  #: the same on a coarser grid
 
     @cached_property
+    def _compliance(self) -> PatchCompliance:
+        return PatchCompliance(self.surface, self.patch)
+
+    @cached_property
     def displacement_mm(self) -> FloatArray:
         """Displacement of the cells along x, y, z up, (3, ny, nx)."""
-        return PatchCompliance(self.surface, self.patch).moved_mm(self.cell_force_n * UP)
+        return self._compliance.moved_mm(self.cell_force_n * UP)
 
     @property
     def gap_mm(self) -> FloatArray:
@@ -155,7 +159,12 @@ class Contact(Indentation):
     @cached_property
     def electrode_mm(self) -> FloatArray:
         """Mean displacement of the upper electrodes along x, y, z, (rows, cols, n_upper, 3)."""
-        return PatchCompliance(self.surface, self.patch).electrodes_mm(self.cell_force_n * UP)
+        return self._compliance.electrodes_mm(self.cell_force_n * UP)
+
+    @cached_property
+    def tile_force_n(self) -> FloatArray:
+        """Forces along x, y, z up on the tiles of the rubber, as of `PatchCompliance.tiles_n`."""
+        return self._compliance.tiles_n(self.cell_force_n * UP)
 
     @cached_property
     def _judged(self) -> tuple[float, float]:

@@ -8,15 +8,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fem.contact.balance import State
-from fem.contact.indentation import MAX_FRICTION, PILE_UP, Contact, ContactError
+from fem.contact.indentation import MAX_FRICTION, PILE_UP, SLACK, Contact, ContactError
 from fem.contact.shapes import Shape
-from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance, require_bare
+from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance
+from fem.contact.tiles import plated_grid, rubber_below_mm
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 ACROSS = 10  #: cells along the shorter side of the first window
 MIN_ACROSS, MAX_ACROSS = 6.0, 15.0  #: cells across a contact in the mean, between which its grid is kept
 ALONG = 48  #: cells along it, at most
-COARSEST, FINEST = 3, 11  #: grids have about 2 to this cells along the longer side of the slab
+#: grids have about 2 to this cells along the longer side of the slab; under plates, whose edges their lines meet, more
+COARSEST, FINEST = 3, 11
+WIDEST = 256  #: cells along a window with several contacts, as plates have them: it is not made finer than that
 BLOCK = 8  #: windows have whole numbers of blocks of so many cells
 MARGIN = 2  #: cells around the contact, of a window that is chosen anew
 NORMAL, MAX_SECANTS = 0.01, 20  #: error of a normal force that is asked for, and steps of a search for its depth
@@ -31,8 +35,7 @@ TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 class Stepper:
     """A shape in contact with an array's top, moved step by step; it remembers what sticks.
 
-    Coulomb's coefficient is from 0 to 2, or a `ContactError`; plates, of which a shape may touch several at once, are a
-    `DesignError`.
+    Coulomb's coefficient is from 0 to 2, or a `ContactError`.
 
     Each step is an increment of `press`, from the forces of the step before, on a window of a grid that is fixed to the
     top: cells that stick stay where they are however the shape moves. As the contact grows or shrinks the grid's cells
@@ -42,8 +45,8 @@ class Stepper:
     def __init__(self, surface: SurfaceCompliance, *, friction: float = 0.5) -> None:
         if not 0 <= friction <= MAX_FRICTION:
             raise ContactError(f"friction={friction:g} must be from 0 to {MAX_FRICTION:g}, Coulomb's coefficient.")
-        require_bare(surface.design)
         self.surface, self.friction = surface, friction
+        self._grids = _Grids(surface)
         self.lift()
 
     def lift(self) -> None:
@@ -110,9 +113,9 @@ class Stepper:
         depth_mm, window = pose.depth_mm, None if past is None else past.window
         if depth_mm >= height_mm:
             raise ContactError(f"the shape is {depth_mm:g} mm deep: less than the slab's height, {height_mm:g} mm.")
+        reach = np.array(shape.half_extents_mm(PILE_UP * max(depth_mm, 0.0)))
         if depth_mm > 0 and window is None:
-            reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
-            window = _Window.around(self.surface, place[:2] - reach, place[:2] + reach)
+            window = _Window.around(self._grids, place[:2] - reach, place[:2] + reach)
         if depth_mm <= 0 or window is None:
             self.lift()
             return None
@@ -120,7 +123,8 @@ class Stepper:
         ahead = None if past is None else past.ahead(pose)
         for left in reversed(range(MAX_WINDOWS)):
             after, above_mm = window.balanced(pose, before, self.friction, ahead)
-            better = window.better(before.touches, after.touches)
+            over = place[:2] - before.drag_mm  # the rubber
+            better = window.better(before.touches, after.touches, over - reach, over + reach)
             if better is None or not left:
                 break
             before, ahead = (better.taken_over(window, state) for state in (before, after))
@@ -138,7 +142,7 @@ class Stepper:
             )  # fmt: skip
 
         def coarse() -> Contact:
-            half = _Window.around(self.surface, *window.box_mm, level=window.level - 1)
+            half = _Window.around(self._grids, *window.box_mm, level=window.level - 1)
             assert half is not None
             return contact(half, *half.balanced(pose, half.taken_over(window, before), self.friction))
 
@@ -168,37 +172,69 @@ class _Pose:
         return cls(shape, place_mm, depth_mm, step + rolled, float(z))
 
 
-class _Window:
-    """Some cells of one of the grids that are fixed to the top."""
+class _Grids:
+    """Grids that are fixed to the top, each twice as fine as the one before."""
 
-    def __init__(self, surface: SurfaceCompliance, level: int, first: FloatArray, count: FloatArray) -> None:
-        self.surface, self.level = surface, level
-        slab_mm, self.whole = _grid(surface, level)
+    def __init__(self, surface: SurfaceCompliance) -> None:
+        self.surface, self.slab_mm = surface, np.array(surface.design.slab_mm[:2])
+        coarsest = np.maximum(1, np.rint(2**COARSEST * self.slab_mm / self.slab_mm.max())).astype(int)
+        self._cells = (
+            [coarsest * 2**finer for finer in range(-1, FINEST + 1 - COARSEST)]
+            if not surface.has_plates
+            else (_plated(surface.design, coarsest))
+        )
+
+    def cells(self, level: int) -> FloatArray:
+        """Cells of a level along x and y."""
+        return self._cells[level + 1 - COARSEST]
+
+    def level(self, cell_mm: float) -> int:
+        """The level whose cells are nearest to a size."""
+        longer = int(self.slab_mm.argmax())
+        sizes = [self.slab_mm[longer] / cells[longer] for cells in self._cells[1:]]
+        return COARSEST + int(np.abs(np.log2(np.array(sizes) / cell_mm)).argmin())
+
+
+def _plated(design: SensorDesign, coarsest: FloatArray) -> list[FloatArray]:
+    """Cells of grids with lines at the edges of plates, each at least twice as fine as the one before."""
+    half_mm, found, wanted = np.array(design.slab_mm[:2]) / 2, list[FloatArray](), coarsest // 2
+    for _ in range(COARSEST - 1, FINEST + 1):
+        found.append(np.array([plated_grid(design, k, -half_mm[k], half_mm[k], int(wanted[k]))[2] for k in (0, 1)]))
+        wanted = 2 * found[-1]
+    return found
+
+
+class _Window:
+    """Some cells of one of the grids."""
+
+    def __init__(self, grids: _Grids, level: int, first: FloatArray, count: FloatArray) -> None:
+        self.grids, self.level = grids, level
+        slab_mm, self.whole = grids.slab_mm, grids.cells(level)
         self.cell_mm = slab_mm / self.whole
         blocks = BLOCK * np.ceil(count / BLOCK).astype(int)
         self.count = np.minimum(blocks, self.whole)
         self.first = np.clip(first - (self.count - count) // 2, 0, self.whole - self.count)
         low, high = (-slab_mm / 2 + at * self.cell_mm for at in (self.first, self.first + self.count))
         self.patch = Patch(tuple(low.tolist()), tuple(high.tolist()), *self.count.tolist())
-        self.give = PatchCompliance(surface, self.patch).pressed_mm
+        self.give = PatchCompliance(grids.surface, self.patch).pressed_mm
+        self.below_mm = rubber_below_mm(grids.surface.design, self.patch.x_mm, self.patch.y_mm)
 
     @classmethod
     def around(
-        cls, surface: SurfaceCompliance, low_mm: FloatArray, high_mm: FloatArray, level: int | None = None
+        cls, grids: _Grids, low_mm: FloatArray, high_mm: FloatArray, level: int | None = None
     ) -> "_Window | None":
         """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
-        slab_mm, _ = _grid(surface, COARSEST)
+        slab_mm = grids.slab_mm
         low, high = np.maximum(low_mm, -slab_mm / 2), np.minimum(high_mm, slab_mm / 2)
         size = high - low
         if not (size > 0).all():
             return None
         if level is None:
-            wanted_mm = max(size.min() / ACROSS, size.max() / ALONG)
-            level = int(np.clip(np.rint(np.log2(slab_mm.max() / wanted_mm)), COARSEST, FINEST))
-        cell_mm = slab_mm / _grid(surface, level)[1]
+            level = grids.level(max(size.min() / ACROSS, size.max() / ALONG))
+        cell_mm = slab_mm / grids.cells(level)
         first = np.floor((low + slab_mm / 2) / cell_mm).astype(int) - MARGIN
         last = np.ceil((high + slab_mm / 2) / cell_mm).astype(int) + MARGIN
-        return cls(surface, level, first, last - first)
+        return cls(grids, level, first, last - first)
 
     @property
     def box_mm(self) -> tuple[FloatArray, FloatArray]:
@@ -215,26 +251,41 @@ class _Window:
         if pose.spin_rad:
             step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
         drag = before.drag_mm  # the rubber goes along: over it the shape is elsewhere
-        above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm
-        return before.carried(step).balanced(self.give, above, friction, TOLERANCE, ahead), above
+        above = pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm + self.below_mm
+        slack_mm = pose.depth_mm * SLACK if self.grids.surface.has_plates else np.inf
+        return before.carried(step).balanced(self.give, above, friction, TOLERANCE, ahead, slack_mm), above
 
-    def better(self, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> "_Window | None":
-        """A window that suits what touches, (ny, nx), before and after a step; None if this one does."""
+    def better(
+        self, before: NDArray[np.bool_], after: NDArray[np.bool_], low_mm: FloatArray, high_mm: FloatArray
+    ) -> "_Window | None":
+        """A window that suits what touches, (ny, nx), before and after a step; None if this one does.
+
+        Under plates it holds the whole rectangle in which the shape may touch: one plate after the other, not only what
+        lies beside.
+        """
         if not after.any():
             return None
         touching = before | after
         ends = [np.flatnonzero(touching.any(axis=axis))[[0, -1]] for axis in (0, 1)]
         low, high = np.array(ends).T
+        if self.grids.surface.has_plates:
+            origin_mm, most = np.array(self.patch.low_mm), self.whole - 1
+            first, last = (np.floor((at - origin_mm) / self.cell_mm).astype(int) for at in (low_mm, high_mm))
+            low, high = (
+                np.minimum(low, np.maximum(first, -self.first)),
+                np.maximum(high, np.minimum(last, most - self.first)),
+            )
         inside = (low > 0) | (self.first == 0), (high < self.count - 1) | (self.first + self.count == self.whole)
         along = max(np.ptp(np.flatnonzero(after.any(axis=axis))) + 1 for axis in (0, 1))
         across = after.sum() / along
         is_coarse = across < MIN_ACROSS and 2 * along <= ALONG - BLOCK and self.level < FINEST
+        is_coarse &= 2 * self.count.max() <= WIDEST
         is_fine = (across > MAX_ACROSS or along > ALONG) and self.level > COARSEST
         if np.all(inside) and not is_coarse and not is_fine:
             return None
         origin = np.array(self.patch.low_mm)
         level = self.level + int(is_coarse) - int(is_fine)
-        return _Window.around(self.surface, origin + low * self.cell_mm, origin + (high + 1) * self.cell_mm, level)
+        return _Window.around(self.grids, origin + low * self.cell_mm, origin + (high + 1) * self.cell_mm, level)
 
     def taken_over(self, other: "_Window", state: State) -> State:
         """The state of another window on this one: its forces, and how they displace these cells."""
@@ -248,13 +299,6 @@ class _Window:
             shares.append(np.diff(inside, axis=0) / np.diff(old)[:, None])
         force = shares[1].T @ state.force_n @ shares[0]
         return State(force, self.give(force), 0 * force[:-1])
-
-
-def _grid(surface: SurfaceCompliance, level: int) -> tuple[FloatArray, FloatArray]:
-    """Sides of the slab [mm], and the cells of a grid along them."""
-    slab_mm = np.array(surface.design.slab_mm[:2])
-    coarsest = np.maximum(1, np.rint(2**COARSEST * slab_mm / slab_mm.max())).astype(int)
-    return slab_mm, coarsest * 2 ** (level - COARSEST)
 
 
 @dataclass(frozen=True, eq=False)

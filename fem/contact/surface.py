@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +24,7 @@ from scipy import fft
 
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
+from fem.array.conducted import with_references
 from fem.array.coupled_cells import CoupledArray, endless_influence
 from fem.array.meshed import (
     GRID_DEGREE,
@@ -31,15 +33,16 @@ from fem.array.meshed import (
     MESH_LEVEL,
     CellBody,
     DesignCell,
-    lone_unit,
     pad_plate,
 )
+from fem.array.response import ConductedPillars
 from fem.array.substructured import COMPARED_DEGREE
+from fem.contact.conducting import conducted_by_tiles
 from fem.contact.tiles import (
     MIN_TILES,
     Strip,
+    cell_rectangles,
     cell_strips,
-    edges,
     levers,
     on_plates,
     shares,
@@ -47,7 +50,7 @@ from fem.contact.tiles import (
     tiles_per_pitch,
 )
 from fem.tetrahedra.mixed import taylor_hood
-from geometry.design import Array, Material, Pad, Plate, SensorDesign, bent
+from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
 from geometry.storage.cache import kept, read_arrays, write_arrays
@@ -76,11 +79,12 @@ class SurfaceCompliance:
     design: SensorDesign
     on_tiles: FloatArray  #: (3, ny, nx, 3, ny, nx): what is added to the layer's mean displacement of tiles [mm/N]
     on_electrodes: FloatArray  #: (rows, cols, n_upper, 3, 3, ny, nx): the same of electrodes
-    table: (
-        FloatArray  #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
-    )
+    #: (n, n, 3, 3): an electrode of the layer by a force y and x before its middle [mm/N]; of bare tops
+    table: FloatArray
     step_mm: float  #: of that table
     cache_key: str = ""  #: hash of what it was made from
+    #: of conduction: the pillars' resistances by forces on tiles (3, ny, nx), as `conducted_by_tiles` gives them
+    conducted: ConductedPillars | None = None
 
     def strips(self, axis: int) -> list[Strip]:
         """Strips of tiles along x (0) or y (1)."""
@@ -115,16 +119,25 @@ def surface_compliance(
     `GeometryError` or `SolverError` if the mesh or an answer cannot be trusted.
     """
     require_pressable(design)
-    own, plain = Pad(size_mm=PAD * design.array.pitch_mm), bent(design)
-    if design.pad.kind == "stiff":
-        own = replace(design.pad, plate=Plate())
-    plain = replace(plain, pad=own)
+    plain = _as_solved(design)
+    if design.electrics.is_conduction:
+        moved, path, had = surface_compliance(replace(design, electrics=Electrics()), progress)
+        conducted, key, reused = conducted_by_tiles(plain, moved.on_electrodes, progress)
+        made = replace(moved, design=design, conducted=with_references(conducted, design.unit), cache_key=key)
+        return made, path, had and reused
     cache_key = digest("surface", VERSION, plain)
 
     def make() -> SurfaceCompliance:
         return replace(_solved(plain, progress), design=design, cache_key=cache_key)
 
     return kept("surface.npz", cache_key, make, partial(_read, design), _write)
+
+
+def _as_solved(design: SensorDesign) -> SensorDesign:
+    """What bends of a design, its pad as the compliance knows it, whatever a plate's face."""
+    stiff = design.pad.kind == "stiff"
+    pad = replace(design.pad, plate=Plate()) if stiff else Pad(size_mm=PAD * design.array.pitch_mm)
+    return replace(bent(design), pad=pad)
 
 
 def endless_surface(design: SensorDesign) -> SurfaceCompliance:
@@ -151,8 +164,8 @@ def require_pressable(design: SensorDesign) -> None:
         raise DesignError(
             f"contact by shape is solved at small strain, this rubber is {model}: write model = 'linear'."
         )
-    if design.electrics.is_conduction:
-        raise DesignError("conduction needs loads on pads, contact by shape has other ones: write model = 'eq1'.")
+    if design.electrics.is_conduction and design.pad.kind == "soft":
+        raise DesignError("conduction under contact takes plates: write kind = 'stiff' in [pad], or model = 'eq1'.")
     number = 3 * design.n_units * tiles_per_pitch(design) ** 2
     if number > MAX_FUNCTIONALS:
         raise DesignError(
@@ -190,10 +203,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
 
 def _cells(design: SensorDesign) -> tuple[CondensedCell, CondensedCell]:
     """The sensor's condensed cell, and the same of bare matrix; tiles, row by row, then electrodes are seen."""
-    alone, lines = lone_unit(design), [edges(cell_strips(design, axis)) for axis in (0, 1)]
-    y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
-    y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
-    rectangles, plate = np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(alone)]), pad_plate(alone)
+    rectangles, plate = cell_rectangles(design), pad_plate(design)
     if design.is_homogeneous and plate is None:
         cell = DesignCell(design, rectangles).condensed(GRID_LEVEL, GRID_DEGREE)
         return cell, cell
@@ -228,12 +238,12 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
 
 
 def _write(made: SurfaceCompliance, path: Path) -> None:
-    write_arrays({name: value for name, value in vars(made).items() if name != "design"}, path)
+    write_arrays({name: value for name, value in vars(made).items() if name not in ("design", "conducted")}, path)
 
 
 def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
     """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    arrays = read_arrays(path)
+    arrays: dict[str, Any] = read_arrays(path)
     step_mm, cache_key = float(arrays.pop("step_mm")), str(arrays.pop("cache_key"))
     return SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=cache_key)
 
@@ -320,15 +330,24 @@ class PatchCompliance:
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
         near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
-        given = self._on_tiles(force_n).ravel()
-        if self._faces is not None:
-            given = self._faces.T @ given
-        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ given
+        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
         if self._plates is not None:
             return np.asarray(rest.reshape(near.shape[:4]), np.float64)
         kernels = self.electrode_kernels()
         layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
         return (layer + rest).reshape(near.shape[:4])
+
+    def tiles_n(self, force_n: FloatArray) -> FloatArray:
+        """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
+        found = np.zeros(self.surface.on_tiles.shape[:3], np.float32)
+        own = found[:, self._rows[1], self._columns[1]]
+        own[:] = self._below(force_n).reshape(own.shape)
+        return np.asarray(found)
+
+    def _below(self, force_n: FloatArray) -> FloatArray:
+        """Forces on the patch's own tiles of the rubber, in one row."""
+        given = self._on_tiles(force_n).ravel()
+        return np.asarray(given if self._faces is None else self._faces.T @ given)
 
     def electrode_kernels(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each electrode: shares of the patch's rows in nodes of the table, what forces there do, and of columns.

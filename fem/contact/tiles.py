@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.array.meshed import lone_unit
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
+from geometry.layout import FloatArray, electrode_squares
 
 TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
@@ -43,6 +44,14 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
     )  # as many on both sides: cells are alike
     beside = int(np.clip(beside, MIN_BESIDE, MAX_BESIDE))
     return [Strip(-half, low, beside), Strip(low, high, PLATE_TILES, is_plate=True), Strip(high, half, beside)]
+
+
+def cell_rectangles(design: SensorDesign) -> FloatArray:
+    """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
+    lines = [edges(cell_strips(design, axis)) for axis in (0, 1)]
+    y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
+    y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
+    return np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(lone_unit(design))])
 
 
 def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:

@@ -152,7 +152,8 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
 def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Cells:
     """A straight column between equal rectangles or ellipses at its two ends, smaller by so much all around."""
     axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
-    a, b = np.diag([*prism.section_mm, 0.0])[:2] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
+    extents = prism.turn * np.array(prism.section_mm)[:, None] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
+    a, b = np.column_stack([extents, np.zeros(2)])
     if prism.is_round:
         return _round_surface((np.array(prism.base_mm) + prism.top_mm - axis) / 2, axis, a, b, slices, 8 * around)
     foot = (np.array(prism.base_mm) + prism.top_mm - axis - a - b) / 2

@@ -44,7 +44,11 @@ def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
     cut = any(one.cuts(other, scene.rounding_mm) for one, other in combinations(parts[1:], 2))
     envelope_mm = (WEDGE_SHARE if cut else ENVELOPE_SHARE) * float(extents.min())
     shapes = [
-        [prism.base_mm, prism.top_mm, prism.section_mm, *(["round", MESHED_SIDES] if prism.is_round else [])]
+        [
+            *(prism.base_mm, prism.top_mm, prism.section_mm),
+            *(("round", MESHED_SIDES) if prism.is_round else ()),
+            *(("turned",) if prism.is_turned else ()),
+        ]
         for prism in parts
     ]
     key = digest("scene mesh", METHOD, shapes, edge_mm, envelope_mm, *([len(plates)] if plates else []))

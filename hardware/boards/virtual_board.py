@@ -9,9 +9,8 @@ import sys
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
-from hardware.link.serial_ports import PortError, link_to
+from hardware.link.serial_ports import PortError
 
 _RATES_HZ = range(1, 1001)  # that it can hold
 _TURN_S = 0.05  # longest wait for the host
@@ -92,12 +91,10 @@ class VirtualBoard:
     step_s : float, optional
         How long the board stays at each row of counts [s]; one period of `info.rate_hz` unless given. Counts
         belong to times, not to frames: neither another rate nor overruns change how fast they go by.
-    link : path, optional
-        A symbolic link to keep on the port, so that its name stays the same.
 
     Notes
     -----
-    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full. `dropped_bytes` counts them.
+    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full.
 
     Examples
     --------
@@ -107,24 +104,17 @@ class VirtualBoard:
     1
     """
 
-    def __init__(
-        self, counts: ArrayLike, info: Info, *, step_s: float | None = None, link: Path | str | None = None
-    ) -> None:
+    def __init__(self, counts: ArrayLike, info: Info, *, step_s: float | None = None) -> None:
         if sys.platform == "win32":
             raise PortError(NO_TERMINALS)
         import tty
 
         self._board = CountedPort(counts, info, step_s)
         self.sent = self._board.sent  #: sequence numbers of the last frames, time.perf_counter() when they were sent
-        self.dropped_bytes = 0  #: that nobody read in time
-        self._link = None if link is None else Path(link)
         self._end, self._host_end = os.openpty()  # the board's; the host's, which only stays open
-        self._terminal = os.ttyname(self._host_end)
-        self.port = str(link or self._terminal)  #: for the host to open: the link, if there is one
+        self.port = os.ttyname(self._host_end)  #: for the host to open
         tty.setraw(self._host_end)
         os.set_blocking(self._end, False)
-        if self._link:
-            link_to(self._link, self._terminal)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="virtual board", daemon=True)
         self._thread.start()
@@ -132,9 +122,7 @@ class VirtualBoard:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -143,8 +131,6 @@ class VirtualBoard:
             return
         self._closing.set()
         self._thread.join()
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._terminal:  # not another board's
-            self._link.unlink()
         for end in (self._end, self._host_end):
             os.close(end)
 
@@ -156,8 +142,5 @@ class VirtualBoard:
             if ready:
                 self._board.write(os.read(self._end, 4096))
             wire = self._board.read(self._board.in_waiting) if self._board.in_waiting else b""
-            try:
-                n_sent = os.write(self._end, wire)
-            except BlockingIOError:  # the buffer is full
-                n_sent = 0
-            self.dropped_bytes += len(wire) - n_sent
+            with suppress(BlockingIOError):  # the buffer is full
+                os.write(self._end, wire)

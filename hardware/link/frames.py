@@ -16,7 +16,7 @@ import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
-from geometry.errors import TriPillarError
+from geometry.errors import FileFormatError, TriPillarError
 from geometry.layout import SONG2018, Layout
 from geometry.layout_file import layout_from_text, layout_text
 
@@ -111,6 +111,13 @@ class Info:
     def n_crossings(self) -> int:
         """Counts in each of the board's frames: one a pillar."""
         return len(self.layout.pillars) * self.rows * self.cols
+
+    def require_array(self, owner: str, rows: int, cols: int, layout: Layout, mend: str) -> None:
+        """Refuse what is made for another array than this board's: `FileFormatError` that names its owner."""
+        board = f"{self.rows} × {self.cols} units", f"layout {layout_text(self.layout)}"
+        for there, own in zip(board, (f"{rows} × {cols} units", f"layout {layout_text(layout)}"), strict=True):
+            if there != own:
+                raise FileFormatError(f"the board has {there}, {owner} {own}: {mend}.")
 
     def plain(self) -> dict[str, int | str]:
         """The fields as numbers and text.

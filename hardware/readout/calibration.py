@@ -13,7 +13,6 @@ import numpy as np
 
 from dataset.imperfections import OPEN_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
-from geometry.design import quantity, require_sound
 from geometry.errors import FileFormatError
 from geometry.layout import SONG2018, FloatArray, Layout
 from geometry.layout_file import layout_from_text, layout_text
@@ -31,12 +30,11 @@ BROKEN_TIMES = 20.0  #: a pillar with this many times its designed resistance is
 class Electronics:
     """Properties of a board's crossbar that its INFO frame does not state; see `Crossbar`."""
 
-    switch_ohm: float = quantity(25.0, "resistance of a closed switch")
-    line_ohm: float = quantity(0.0, "resistance of a wire to the pillars")
-    amplifier_gain: float = quantity(1e5, "open-loop gain of the amplifiers")
+    switch_ohm: float = Crossbar.switch_ohm
+    line_ohm: float = Crossbar.line_ohm
+    amplifier_gain: float = Crossbar.amplifier_gain
 
     def __post_init__(self) -> None:
-        require_sound(self)
         self.crossbar(Info())  # refuses what no crossbar has
 
     def crossbar(self, info: Info) -> Crossbar:
@@ -98,15 +96,7 @@ class SensorCalibration:
     def require_for(self, info: Info, source: str = "the calibration") -> None:
         """Refuse a board that this was not made with."""
         rows, cols, _ = self.gain.shape
-        if (rows, cols) != (info.rows, info.cols):
-            raise FileFormatError(
-                f"{source} is of {rows} × {cols} units, the board of {info.rows} × {info.cols}: calibrate this sensor."
-            )
-        if self.layout != info.layout:
-            raise FileFormatError(
-                f"{source} is of a sensor of layout {layout_text(self.layout)}, the board is of "
-                f"{layout_text(info.layout)}: calibrate this sensor."
-            )
+        info.require_array(source, rows, cols, self.layout, "calibrate this sensor")
         if self.serial and info.serial and self.serial != info.serial:
             raise FileFormatError(
                 f"{source} was made with board {self.serial}, this is board {info.serial}: calibrate this sensor."

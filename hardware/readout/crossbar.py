@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from geometry.design import quantity
 from geometry.errors import DesignError
 from geometry.layout import SONG2018, FloatArray, Layout
+from geometry.quantity import quantity, require_sound
 from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires
@@ -39,17 +39,6 @@ SUITED_SENSE_OHM = {
     ScanMode.ZERO_POTENTIAL: 4_700.0,
     ScanMode.FOUR_WIRE: 4_700.0,
 }  #: best for 10 kΩ
-BOUNDS = {
-    "rows": (1, 255),
-    "cols": (1, 255),
-    "sense_ohm": (1, 1e9),
-    "switch_ohm": (0, 1e6),
-    "line_ohm": (0, 1e6),
-    "amplifier_gain": (1, 1e12),
-    "bits": (8, 16),
-    "noise": (0, 0.1),
-    "shunt_siemens": (0, 1),
-}  #: of the fields of `Crossbar`
 Array = Any  #: a NumPy array of float64, or a torch tensor of floats
 
 
@@ -91,27 +80,26 @@ class Crossbar:
     the pillars alone and R the diagonal of series resistances.
     """
 
-    rows: int = 6  #: units along y
-    cols: int = 6  #: units along x
+    rows: int = quantity(6, "units along y", within=(1, 255))
+    cols: int = quantity(6, "units along x", within=(1, 255))
     scan_mode: ScanMode = ScanMode.ZERO_POTENTIAL
-    sense_ohm: float = 4_700.0  #: sense resistor, or the amplifiers' feedback resistor [Ω]
-    switch_ohm: float = 25.0  #: of a closed switch [Ω]
-    line_ohm: float = 0.0  #: of a wire between switch or amplifier and its pillars [Ω]
-    amplifier_gain: float = 1e5  #: of the amplifiers, open-loop
-    bits: int | None = 10  #: of the converter; None reads exactly
-    noise: float = 0.0  #: standard deviation of a reading, as a share of full scale
+    sense_ohm: float = quantity(4_700.0, "sense resistor, or the amplifiers' feedback resistor [Ω]", within=(1, 1e9))
+    switch_ohm: float = quantity(25.0, "resistance of a closed switch [Ω]", within=(0, 1e6))
+    #: of a wire between switch or amplifier and its pillars
+    line_ohm: float = quantity(0.0, "resistance of a wire to the pillars [Ω]", within=(0, 1e6))
+    amplifier_gain: float = quantity(1e5, "open-loop gain of the amplifiers", within=(1, 1e12))
+    bits: int | None = quantity(10, "bits of the converter; None reads exactly", within=(8, 16))
+    noise: float = quantity(0.0, "standard deviation of a reading, as a share of full scale", within=(0, 0.1))
     #: conductances of each unit, through rubber that its pillars share, in the order of `shunts` [S]; none by default
     shunt_siemens: tuple[float, ...] = quantity((), "shunts of a unit", optional=True)
     layout: Layout = quantity(SONG2018, "electrodes and pillars of a unit", optional=True)
 
     def __post_init__(self) -> None:
-        for name, (low, high) in BOUNDS.items():
-            value = getattr(self, name)
-            if value is not None and not all(low <= each <= high for each in np.atleast_1d(value)):
-                raise DesignError(f"{name}={value!r} must be from {low:g} to {high:g}.")
-        if len(self.shunt_siemens) not in (0, len(shunts(self.layout))):
+        require_sound(self)
+        n, given = len(shunts(self.layout)), self.shunt_siemens
+        if len(given) not in (0, n) or not all(0 <= each <= 1 for each in given):
             raise DesignError(
-                f"shunt_siemens has {len(self.shunt_siemens)} numbers, units of this layout {len(shunts(self.layout))}."
+                f"shunt_siemens={given} must be {n} numbers from 0 to 1, as units of this layout have, or none."
             )
 
     @classmethod

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FRAME = "tripillar"  #: name of the frame of the touched surface
 NORMAL = (0.0, 0.0, 1.0)  #: out of the sensor
+OF_BOARD = ("serial", "firmware", "rate_hz", "bits", "scan_mode")  #: what is said of its board
 #: what is said of every sensor
 COMMON: dict[str, Any] = {
     "frame": FRAME,
@@ -45,7 +46,7 @@ class SensorDescription:
     dead: NDArray[np.bool_]  #: (rows, cols, P): pillars that the model does not look at
     design_hash: str = ""  #: empty if the model states no design
     model_hash: str = ""  #: of what the model was made of, its training or its pairs; empty if it does not say
-    board: dict[str, int | str] = field(default_factory=dict)  #: serial, firmware, rate_hz, bits, scan_mode
+    board: dict[str, int | str] = field(default_factory=dict)  #: `OF_BOARD`
     layout: Layout = SONG2018  #: of a unit, whose P pillars stand in its order
 
     @property
@@ -105,12 +106,6 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
         dead=np.zeros(shape, dtype=bool) if model.dead is None else model.dead,
         design_hash=model.design_hash or "",
         model_hash=str(model.made_from.get("recipe") or model.made_from.get("identified_on", "")),
-        board={
-            "serial": info.serial,
-            "firmware": ".".join(map(str, info.firmware)),
-            "rate_hz": info.rate_hz,
-            "bits": info.bits,
-            "scan_mode": info.scan_mode.name,
-        },
+        board={name: info.plain()[name] for name in OF_BOARD},
         layout=info.layout,
     )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
-from geometry.layout_file import layout_text
 from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
@@ -56,7 +55,7 @@ class Forces:
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
     model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
-    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2): of touch, `Touched.moment_nmm`
+    moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
@@ -138,7 +137,7 @@ class Forces:
             variables["deviation_n"] = (over_units, self.deviation_n, {"units": "N", "meaning": meaning})
         if self.moment_nmm is not None:
             attributes = {"units": "N mm", "meaning": "moments of the pressure about the unit's middle, of x p and y p"}
-            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm, attributes)
+            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm[..., :2], attributes)
         if self.chi2 is not None:
             meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
             variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
@@ -177,16 +176,7 @@ class ForceReader:
         crosstalk: bool = True,
         causal: "SensorFilter | None" = None,
     ) -> None:
-        if (model.rows, model.cols) != (info.rows, info.cols):
-            raise FileFormatError(
-                f"the board has {info.rows} × {info.cols} units, the model {model.rows} × {model.cols}: "
-                f"take a model trained for {info.rows} × {info.cols} units."
-            )
-        if model.layout != info.layout:
-            raise FileFormatError(
-                f"the board's units are of layout {layout_text(info.layout)}, the model's of "
-                f"{layout_text(model.layout)}: take a model of that layout."
-            )
+        info.require_array("the model", model.rows, model.cols, model.layout, "take a model trained for this array")
         self.model = model
         self.calibration = calibration or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)
         self.calibration.require_for(info)
@@ -204,15 +194,11 @@ class ForceReader:
                 "calibration that only holds a tare, or a model of the sensor as designed."
             )
         rest_ohm = model.rest_resistances()
-        if self.calibration.rest_ohm is not None and rest_ohm is None:
+        needs = "the tare" if self.calibration.rest_ohm is not None else "the rubber" if causal is not None else ""
+        if needs and rest_ohm is None:
             raise FileFormatError(
-                "the model states no design, so what the sensor should show at rest is unknown: leave the tare out, "
-                "or train on data that state their design."
-            )
-        if causal is not None and rest_ohm is None:
-            raise FileFormatError(
-                "the model states no design, so what the sensor should show at rest is unknown: leave the rubber out, "
-                "or train on data that state their design."
+                f"the model states no design, so what the sensor should show at rest is unknown: leave {needs} out, or "
+                "train on data that state their design."
             )
         contact_ohm = 0.0 if model.design is None else 2.0 * model.design.electrics.contact_ohm
         self.memory = None if causal is None or rest_ohm is None else MemoryReader(causal, rest_ohm, contact_ohm)
@@ -220,7 +206,8 @@ class ForceReader:
             np.ones(self.calibration.gain.shape[-1]) if rest_ohm is None else rest_ohm
         )
         self.description = describe(model, info)
-        self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.knows_touch)
+        moments = model.n_loads - len(AXES) if model.knows_touch else 0
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes, moments)
         self._uncertain = model if model.knows_uncertainty else None
         if rest_ohm is not None and self._uncertain:
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
@@ -251,23 +238,18 @@ class ForceReader:
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
-        known: dict[str, Any] = {}
+        read: dict[str, Any] = {"resistance_ohm": resistance_ohm}
         if self.memory is not None:
-            settled = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
-            resistance_ohm = settled.resistance_ohm
-            known = {"memory_rise": settled.rise, "memory_deviation": settled.deviation}
-        if self.model.knows_touch:
-            decoded = self._touched(resistance_ohm)
-        else:
-            decoded = {"force_n": self.model.forces(resistance_ohm)}
+            read = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
+        ohms = read["resistance_ohm"]
+        decoded = self._touched(ohms) if self.model.knows_touch else {"force_n": self.model.forces(ohms)}
         return Forces(
-            resistance_ohm=resistance_ohm,
             saturated=saturated,
             model=self._uncertain,
             weights=self._weights,
             description=self.description,
+            **read,
             **decoded,
-            **known,
         )
 
     def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Readings of a rubber that remembers, as they would be without its memory."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,15 +12,6 @@ if TYPE_CHECKING:
 RATIOS = (0.02, 50.0)  #: of a resistance to that at rest, beyond which it tells no strain
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Settled:
-    """Readings of n scans without memory."""
-
-    resistance_ohm: FloatArray  #: (n, rows, cols, 3): R₀ (1 + ε)²
-    rise: FloatArray  #: of ln R that is taken for memory, of that shape
-    deviation: FloatArray  #: relative, of the resistances
-
-
 class MemoryReader:
     """Follows the pillars of a sensor, scan by scan: its state is all that it has seen.
 
@@ -32,19 +22,20 @@ class MemoryReader:
         self._rest_ohm, self._contacts_ohm = rest_ohm.ravel() - contacts_ohm, contacts_ohm
         self._follower = causal.start(self._rest_ohm.size)
 
-    def settled(self, resistance_ohm: FloatArray, seconds: FloatArray) -> Settled:
-        """Readings (n, rows, cols, 3) [Ω] that come so many seconds (n,), each, after the one before.
+    def settled(self, resistance_ohm: FloatArray, seconds: FloatArray) -> dict[str, FloatArray]:
+        """What `Forces` has of readings (n, rows, cols, 3) [Ω], each so many seconds (n,) after the one before.
 
-        What is no resistance stays as it is.
+        These are the readings without memory, R₀ (1 + ε)², what of ln R was taken for it, and the relative deviation
+        that this leaves, all of their shape. What is no resistance stays as it is.
         """
         given_ohm = resistance_ohm.reshape(len(resistance_ohm), -1) - self._contacts_ohm
         with np.errstate(invalid="ignore"):
             ratio = np.clip(np.nan_to_num(given_ohm / self._rest_ohm, nan=1.0, neginf=1.0), *RATIOS)
-        found = [self._follower.step(y, dt) for y, dt in zip(np.log(ratio), seconds.tolist(), strict=True)]
-        strain = np.stack([each for each, _ in found])
+        followed = [self._follower.step(y, dt) for y, dt in zip(np.log(ratio), seconds.tolist(), strict=True)]
+        strain = np.stack([each for each, _ in followed])
         without_ohm = self._rest_ohm * (1.0 + strain) ** 2
         settled_ohm = np.where(np.isfinite(given_ohm), without_ohm, given_ohm) + self._contacts_ohm
-        deviation = 2.0 * np.stack([each for _, each in found]) / (1.0 + strain) * without_ohm / np.abs(settled_ohm)
+        deviation = 2.0 * np.stack([each for _, each in followed]) / (1.0 + strain) * without_ohm / np.abs(settled_ohm)
         rise = np.log(ratio) - 2.0 * np.log1p(strain)
-        shaped = [each.reshape(resistance_ohm.shape) for each in (settled_ohm, rise, deviation)]
-        return Settled(resistance_ohm=shaped[0], rise=shaped[1], deviation=shaped[2])
+        found = {"resistance_ohm": settled_ohm, "memory_rise": rise, "memory_deviation": deviation}
+        return {name: each.reshape(resistance_ohm.shape) for name, each in found.items()}

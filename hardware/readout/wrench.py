@@ -28,15 +28,26 @@ def pad_positions(design: SensorDesign, of_units: bool = False) -> FloatArray:
     return places.reshape(design.array.rows, design.array.cols, 3)
 
 
-#: of moments (∫ x p, ∫ y p) of a unit's pressure p about its place, in Fx, Fy, Fz, Mx, My, Mz
-OF_MOMENTS = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
+def on_all_axes(force_n: FloatArray, axes: tuple[str, ...], unknown: float = np.nan) -> FloatArray:
+    """Forces (..., k) along some axes as (..., 3) along x, y, z; what is `unknown` along the others.
+
+    >>> on_all_axes(np.array([2.0]), ("z",)).tolist()
+    [nan, nan, 2.0]
+    """
+    found = np.full((*force_n.shape[:-1], len(AXES)), unknown)
+    found[..., [AXES.index(axis) for axis in axes]] = force_n
+    return found
 
 
-def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool = False) -> FloatArray:
+#: of moments (∫ x p, ∫ y p) of a unit's pressure p about its place and of its torque about z, in Fx, Fy, Fz, Mx, My, Mz
+OF_MOMENTS = np.eye(6)[[4, 3, 5]] * [[1.0], [-1.0], [1.0]]
+
+
+def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: int = 0) -> FloatArray:
     """Weights of the loads in the net force and moment, (rows·cols·k, 6); NaN in columns that need other axes.
 
     Positions (rows, cols, 3) are those of the pads; NaN leaves the moment unknown. Axes are the components of each
-    force, as a model gives them; with `moments` the two moments of its pressure follow, and k counts these, too.
+    force, as a model gives them; two moments of its pressure may follow, or these and its torque, and k counts them.
 
     Columns are Fx, Fy, Fz as reported (Fz positive in compression) [N] and M = Σ r × f [N mm], with f the vector on the
     sensor, (Fx, Fy, -Fz).
@@ -49,7 +60,8 @@ def wrench_weights(position_mm: FloatArray, axes: tuple[str, ...], moments: bool
     weights = np.concatenate([force, np.cross(points, np.diag(SIGNS))], axis=2)[:, [AXES.index(axis) for axis in axes]]
     weights[..., [not needed <= set(axes) for needed in NEEDED]] = np.nan
     if moments:
-        weights = np.concatenate([weights, np.broadcast_to(OF_MOMENTS, (len(points), 2, 6))], axis=1)
+        of_moments = np.broadcast_to(OF_MOMENTS[:moments], (len(points), moments, 6))
+        weights = np.concatenate([weights, of_moments], axis=1)
     return weights.reshape(-1, 6) + 0.0  # no -0
 
 

@@ -1,6 +1,7 @@
 """Opening streams: addresses, who can reach them, and files with room for their own end."""
 
 import shutil
+import socket
 import sys
 from ipaddress import ip_address
 from pathlib import Path
@@ -58,6 +59,19 @@ def reachable(host: str) -> str:
     except ValueError:
         is_here = host == "localhost"
     return "this machine alone" if is_here else "everybody who can reach this address can read it, unencrypted"
+
+
+def listening_on(host: str, port: int) -> socket.socket:
+    """A socket that listens on an address; a `StreamError` if another program does, or it is none of this machine."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        is_both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
+        return socket.create_server(address[:2], family=family, dualstack_ipv6=is_both)
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no name of a machine"
+        raise StreamError(
+            f"cannot listen on {host}, port {port}: {why}: give another address, or end what listens there."
+        ) from None
 
 
 def require_new(path: Path | None) -> None:

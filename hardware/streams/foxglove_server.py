@@ -10,15 +10,15 @@ import http
 import json
 import logging
 import re
+import socket
 import struct
 import threading
 from collections.abc import Mapping
-from concurrent.futures import Future
 from hmac import compare_digest
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from hardware.streams.addresses import StreamError
+from hardware.streams.addresses import listening_on
 from hardware.streams.files import Channel
 
 SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
@@ -55,13 +55,11 @@ class FoxgloveServer:
                 for topic, channel in channels.items()
             ]},
         ]  # fmt: skip
-        started: Future[int] = Future()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(port, started)), daemon=True)
+        listening, began = listening_on(host, port), threading.Event()
+        self.port = listening.getsockname()[1]  #: that it listens on
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(listening, began)), daemon=True)
         self._thread.start()
-        try:
-            self.port = started.result()  #: that it listens on
-        except OSError as error:
-            raise StreamError(f"{host}:{port}: {error.strerror}: give another address.") from None
+        began.wait()
 
     def close(self) -> None:
         """Send all away and listen no more; who has not read what waits within `CLOSING_S` is cut off."""
@@ -89,20 +87,16 @@ class FoxgloveServer:
         if number is not None and client.transport.get_write_buffer_size() < MAX_WAITING:
             broadcast([client], _MESSAGE.pack(1, number, stamp_ns) + data)
 
-    async def _serve(self, port: int, started: "Future[int]") -> None:
+    async def _serve(self, listening: socket.socket, began: threading.Event) -> None:
         from websockets.asyncio.server import serve
 
         self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        began.set()
         silent = logging.Logger("foxglove", logging.CRITICAL + 1)  # the terminal is not for what strangers send
-        try:
-            server = await serve(
-                self._attend, self._host, port, process_request=self._refusal, subprotocols=SUBPROTOCOLS,
-                compression=None, max_size=MAX_TOLD, open_timeout=HANDSHAKE_S, close_timeout=CLOSING_S, logger=silent,
-            )  # fmt: skip
-        except OSError as error:
-            started.set_exception(error)
-            return
-        started.set_result(next(iter(server.sockets)).getsockname()[1])
+        server = await serve(
+            self._attend, sock=listening, process_request=self._refusal, subprotocols=SUBPROTOCOLS, compression=None,
+            max_size=MAX_TOLD, open_timeout=HANDSHAKE_S, close_timeout=CLOSING_S, logger=silent,
+        )  # fmt: skip
         await self._over.wait()
         server.close()
         with contextlib.suppress(TimeoutError):

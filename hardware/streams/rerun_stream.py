@@ -1,8 +1,6 @@
 """Frames for Rerun: a gRPC server that viewers connect to, and an .rrd file. Needs the package ``rerun-sdk``."""
 
 import json
-import os
-import socket
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,7 +10,7 @@ from geometry.errors import needing
 from geometry.layout import AXES
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
-from hardware.streams.addresses import LOOPBACK, StreamError, make_file, require_room
+from hardware.streams.addresses import LOOPBACK, listening_on, make_file, require_room
 from hardware.streams.scene import ARROW_COLOUR, CONTACT_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, scene_of
 
 PORT = 9876  #: where a viewer looks for a server
@@ -40,7 +38,7 @@ class RerunStream:
     def __enter__(self) -> Self:
         rr, sinks = self._rerun, []
         if self._host is not None:
-            require_free(self._host, self._port)
+            listening_on(self._host, self._port).close()  # refuses a port that is taken, which the sink would not
             sinks.append(rr.GrpcServerSink(self._host, self._port, server_memory_limit=KEPT))
         if self._rrd is not None:
             make_file(self._rrd)  # refuses what cannot be written, which the sink would not
@@ -121,17 +119,3 @@ class RerunStream:
         ]
         array = rrb.Spatial3DView(origin="sensor", name="Forces")
         return rrb.Blueprint(rrb.Horizontal(array, rrb.Vertical(*plots)), collapse_panels=True)
-
-
-def require_free(host: str, port: int) -> None:
-    """Refuse an address that cannot be listened on; `StreamError` says why."""
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            if os.name == "posix":  # else the connections of a stream that has just ended count as taken
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OSError as error:
-        raise StreamError(
-            f"{host}:{port}: {error.strerror}: give another address; does another stream or a viewer listen there?"
-        ) from None

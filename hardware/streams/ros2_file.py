@@ -13,7 +13,7 @@ from geometry.errors import needing
 from geometry.layout import AXES, FloatArray
 from hardware.readout.description import FRAME, NORMAL, SensorDescription
 from hardware.readout.forces import Forces
-from hardware.readout.wrench import SIGNS
+from hardware.readout.wrench import SIGNS, on_all_axes
 from hardware.streams.files import Channel, Message
 
 PACKAGE = "tripillar_msgs"
@@ -115,9 +115,7 @@ def _header(stamp_ns: int) -> dict[str, Any]:
 
 def _on_sensor(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
     """Forces (rows, cols, k) as vectors on the sensor, (rows, cols, 3); NaN along axes that are not given."""
-    found = np.full((*force_n.shape[:2], 3), np.nan)
-    found[..., [AXES.index(axis) for axis in axes]] = force_n
-    return found * SIGNS
+    return on_all_axes(force_n, axes) * SIGNS
 
 
 def _vector(values: FloatArray) -> dict[str, float]:

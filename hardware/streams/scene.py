@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.layout import AXES, FloatArray
+from geometry.layout import FloatArray
 from hardware.readout.forces import Forces
-from hardware.readout.wrench import SIGNS
+from hardware.readout.wrench import SIGNS, on_all_axes
 
 HOT = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))  #: the colour map "plasma"
 PAD_HEIGHT = 0.1  #: of a drawn pad, over its side
@@ -47,8 +47,7 @@ def scene_of(scan: Forces) -> Scene:
     """The picture of one scan of a sensor whose pads' places are known."""
     sensor = scan.description
     pad_m, places_m = 1e-3 * sensor.pad_mm, 1e-3 * sensor.position_mm.reshape(-1, 3)
-    vectors = np.zeros((len(places_m), 3))
-    vectors[:, [AXES.index(axis) for axis in sensor.axes]] = scan.force_n.reshape(len(vectors), -1)
+    vectors = on_all_axes(scan.force_n, sensor.axes, unknown=0.0).reshape(-1, 3)
     shown = vectors[:, 2] if "z" in sensor.axes else np.linalg.norm(vectors[:, :2], axis=1)
     vectors *= SIGNS
     per_newton_m = LONGEST * pad_m / sensor.full_scale_n

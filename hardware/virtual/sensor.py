@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dataset.imperfections import OPEN_OHM, Imperfections, log_normal, of_both_ends
 from dataset.measurement import SENSE_OHM
-from dataset.resistance import exact_resistances, pillar_lengths
+from dataset.resistance import conducted_lengths, exact_resistances, pillar_lengths
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
@@ -337,7 +337,7 @@ class VirtualSensor:
     def press(
         self, bodies: Sequence[Mapping[Hashable, "Pressing"]], friction: float = 0.5, seconds: float | None = None
     ) -> Reading:
-        """Bodies pressed into bare rubber to one reading, without derivatives; each goes on from where it was before.
+        """Bodies pressed into rubber or plates to one reading, without derivatives; each goes on from where it was.
 
         Parameters
         ----------
@@ -359,8 +359,7 @@ class VirtualSensor:
         Raises
         ------
         ArgumentError, DesignError, ContactError
-            If environments are not as many, the sensor is a twin or its top is none of bare linear rubber, and as
-            `Stepper.step`.
+            If environments are not as many, the sensor is a twin, and as `surface_compliance` and `Stepper.step`.
         """
         if len(bodies) != self.environments:
             raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")
@@ -370,6 +369,7 @@ class VirtualSensor:
         surface, grid = self._top
         n_upper, n_units = len(self._layout.upper), surface.design.n_units
         force, moved = (np.zeros((self.environments, n_units, k, 3)) for k in (1, n_upper))
+        tiled_n = np.zeros((self.environments, *surface.on_tiles.shape[:3]), np.float32)
         contacts: list[Contact] = []
         for number, own in enumerate(bodies):
             before = self._steppers[number]
@@ -379,11 +379,16 @@ class VirtualSensor:
                 if (contact := steppers[name].step(shape, place_mm, normal_n)) is not None:
                     contacts.append(contact)
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
-                    box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
-                    moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, n_upper, 3)
+                    if grid is None:
+                        moved[number] += contact.electrode_mm.reshape(-1, n_upper, 3)
+                        tiled_n[number] += contact.tile_force_n
+                    else:
+                        box_mm = np.array([*contact.patch.low_mm, *contact.patch.high_mm])
+                        moved[number] += grid.pressed_mm(box_mm, contact.cell_force_n).reshape(-1, n_upper, 3)
         lengths, sizes = pillar_lengths(moved, self.design.unit), self._gain.shape
+        effective = lengths if surface.conducted is None else conducted_lengths(surface.conducted, tiled_n)
         with torch.no_grad():
-            exact_ohm = self._like.new_tensor(exact_resistances(lengths, self.design)).reshape(sizes)
+            exact_ohm = self._like.new_tensor(exact_resistances(effective, self.design)).reshape(sizes)
             exact_ohm = self._remembered(exact_ohm, lambda: self._like.new_tensor(lengths).reshape(sizes), seconds)
             resistance_ohm = self.read(exact_ohm)
             decoded_n = self._decoded(resistance_ohm)
@@ -398,9 +403,10 @@ class VirtualSensor:
         return self._like.new_tensor(np.stack(found)).reshape(*resistance_ohm.shape[:-1], -1)
 
     @cached_property
-    def _top(self) -> tuple[SurfaceCompliance, Grid]:
+    def _top(self) -> tuple[SurfaceCompliance, Grid | None]:
+        """The top, and of bare rubber its grid: plates tell their electrodes at once."""
         surface, *_ = surface_compliance(self.design)
-        return surface, Grid.of(surface)
+        return surface, None if surface.has_plates else Grid.of(surface)
 
     def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)

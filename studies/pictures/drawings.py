@@ -12,8 +12,9 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from dataset.protocols import NORMAL_MPA, PROTOCOLS, TANGENTIAL_MPA
 from geometry.design import SensorDesign, Unit
-from geometry.layout import AXES, FloatArray, electrode_centres, pillar_ends, pillar_sections, unit_centres
-from geometry.wiring import crossings, pillar_of_crossing, unit_wires, wires
+from geometry.layout import AXES, FloatArray, electrode_centres, unit_centres
+from geometry.prism import Prism, unit_prisms
+from geometry.wiring import crossings, pillar_of_crossing, wires
 from studies.charts import new_figure, save
 from tripillar.sweep.judge import own_axes
 from tripillar.terminal.entry import run_alone
@@ -40,8 +41,8 @@ def _unit(axes: Axes3D, unit: Unit) -> None:
     """The pillars of a unit with the names of its electrodes."""
     unit = unit.body
     layout, sensed = unit.layout, [AXES[axis] for axis in own_axes(unit)]
-    for name, axis, *shape in zip(layout.pillar_names, sensed, pillar_ends(unit), pillar_sections(unit), strict=True):
-        axes.add_collection3d(Poly3DCollection(prism_faces(*shape), color=COLOURS[axis], alpha=0.75, lw=0))
+    for name, axis, pillar in zip(layout.pillar_names, sensed, unit_prisms(unit), strict=True):
+        axes.add_collection3d(Poly3DCollection(prism_faces(pillar), color=COLOURS[axis], alpha=0.75, lw=0))
         axes.plot([], [], lw=6, color=COLOURS[axis], label=f"{name} pillar, senses F{axis}")
     for number, (name, (x, y, z)) in enumerate(zip(layout.terminals, electrode_centres(unit), strict=True)):
         up = 1 if number < len(layout.upper) else -1
@@ -54,11 +55,10 @@ def _unit(axes: Axes3D, unit: Unit) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=3, fontsize=8, handlelength=1, frameon=False)
 
 
-def prism_faces(ends_mm: FloatArray, section_mm: FloatArray) -> list[FloatArray]:
-    """The six faces, (4, 3) each [mm], of a pillar between two ends (2, 3) with a horizontal section (2,)."""
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2 * section_mm
-    bottom, top = (np.column_stack([corners, np.zeros(4)]) + end for end in ends_mm)
-    sides = [np.array([bottom[k], bottom[k - 1], top[k - 1], top[k]]) for k in range(4)]
+def prism_faces(prism: Prism) -> list[FloatArray]:
+    """The faces of a pillar, corners (n, 3) each [mm]: both ends and its sides."""
+    bottom, top = np.split(prism.corners(), 2)
+    sides = [np.array([bottom[k], bottom[k - 1], top[k - 1], top[k]]) for k in range(len(bottom))]
     return [bottom, top, *sides]
 
 
@@ -67,7 +67,7 @@ def _wiring(axes: Axes, unit: Unit, rows: int, cols: int) -> None:
     layout, (n_rows, n_columns), n_upper = unit.layout, wires(rows, cols, unit.layout), len(unit.layout.upper)
     of_row, of_column = (
         [[name for name, own in zip(names, each, strict=True) if own == wire] for wire in range(max(each) + 1)]
-        for names, each in zip((layout.upper_names, layout.terminals[n_upper:]), unit_wires(layout), strict=True)
+        for names, each in ((layout.upper_names, layout.row_wires), (layout.terminals[n_upper:], layout.column_wires))
     )
     for wire in range(n_rows):
         i, own = divmod(wire, len(of_row))

@@ -15,7 +15,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from dataset.indentation import samples_of
-from decoupler.touch.decoder import TEMPER, TouchDecoder, Touched
+from decoupler.touch.bare import TEMPER
+from decoupler.touch.decoder import TouchDecoder, Touched
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray

@@ -178,10 +178,10 @@ def test_a_directory_of_series_is_taken_up_again_and_is_the_same(remembering, tm
         make_directory(job, out, count=1, progress=stop)
     made = make_directory(job, out, count=1)
     found = read_samples(out)
-    assert (made.kept, found.leaf_size, found.dtype, len(list(found.blocks()))) == (8, 8, np.float32, 3)
+    assert (made["kept"], found.leaf_size, found.dtype, len(list(found.blocks()))) == (8, 8, np.float32, 3)
     expected = job.whole(lambda _: None)
     assert np.array_equal(found[:].resistance_ohm, expected.resistance_ohm.astype(np.float32))
-    assert make_directory(job, out, count=1).kept == 19
+    assert make_directory(job, out, count=1)["kept"] == 19
     chunk = out / "force_n/1.0.0.0.0"
     chunk.write_bytes(chunk.read_bytes()[:-1])
     assert make_directory(job, out, count=1).kept == 0

@@ -1,7 +1,6 @@
 """Decoders of any layout meet what its readings allow; where its pillars hardly tell a force, deviations say so."""
 
 from dataclasses import replace
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import doubt
 from decoupler.inverse.limits import cramer_rao, exact_inverse
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.touch.morph import Pillars, Sensing
+from decoupler.touch.sensing import Pillars, Sensing
 from decoupler.twin import identify
 from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.identification import readings_of
@@ -92,8 +91,7 @@ def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_t
     if layout in TELLING:
         again = exact_inverse(forward, Columns.of(data, ALL).resistance_ohm, force_n.mean(axis=0))
         assert again == pytest.approx(force_n, rel=1e-7)
-    shared = {"shared": lambda ohm: errors.shared(ohm, 2, 3)}
-    found = cramer_rao(forward, force_n[:2], errors.noise, BITS, **shared)
+    found = cramer_rao(forward, force_n[:2], errors, (2, 3))
     lengths, J = forward.jacobian(force_n[:2])
     ohm = forward.ohm_per_mm2 * lengths**2
     S = errors.shared(ohm, 2, 3) @ errors.shared(ohm, 2, 3).swapaxes(1, 2)
@@ -119,7 +117,7 @@ def test_a_wrong_order_of_pillars_is_named(layout):
 @pytest.mark.parametrize("layout", EVERY)
 def test_touch_reads_squared_lengths_by_every_electrode(layout):
     design = design_of(layout)
-    sensing = Sensing(grid=mock.Mock(), design=design, pillars=Pillars.designed(design))
+    sensing = Sensing(design=design, pillars=Pillars.designed(design))
     moved = np.random.default_rng(0).uniform(-1.0, 1.0, (4, design.n_units, len(design.unit.layout.upper), 3))
     squares = pillar_lengths(moved, design.unit).reshape(4, -1) ** 2
     assert sensing.reading(moved.reshape(4, -1)) == pytest.approx(squares - sensing.rest_mm2, abs=1e-12)

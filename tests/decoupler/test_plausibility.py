@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset import Imperfections
+from dataset import Imperfections, Samples
 from decoupler.data.columns import COMPONENTS, component_named
 from decoupler.evaluation.plausibility import disturbance, doubt, explained, nothing_to_learn
 from decoupler.inverse.sensor_model import SensorModel
+from geometry.design import Unit
+from geometry.layout import Electrode, Layout, Pillar
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 ALL = component_named("all")
@@ -73,6 +75,10 @@ WRONG = {
     "order": (turned(ohm=lambda R: R[SHUFFLED]), NOT_LINKED),
     "of others": (turned(ohm=lambda R: OTHERS.resistance_ohm), NOT_LINKED),
     "constant": (turned(ohm=lambda R: np.repeat(R[:1], 30, axis=0)), NOT_LINKED),
+    "contacts": (
+        replace(PAIRS, made_from={"protocol": "indent"}),
+        "no loads on pads: 'tripillar train --touch'",
+    ),
     "unloaded": (turned(force=lambda F: 0 * F), "every force is 0 N, though the resistances differ by more"),
 }
 
@@ -97,6 +103,10 @@ def test_one_net_alone_is_warned_of_forces_that_it_leaves_out_and_of_what_never_
     fz = COMPONENTS["fz"]
     assert "forces along x and y act as well" in (disturbance(PAIRS, fz, JOINT) or "")
     assert "use the component 'all'" in (disturbance(PAIRS, fz, None) or "")
+    upright = Layout((Electrode("U", (0, 0)),), (Electrode("L", (0, 0)),), (Pillar("p", "L", "U"),))
+    alone = replace(SENSOR, unit=Unit(layout=upright))  # its 'all' would be refused
+    of_one = Samples(force_n=PAIRS.force_n, resistance_ohm=PAIRS.resistance_ohm[..., :1], design=alone)
+    assert "take samples without them, or a layout that tells them" in (disturbance(of_one, fz, None) or "")
     faint = lighter(replace(PAIRS, force_n=PAIRS.force_n * [1e-6, 1e-6, 1.0]), 1.0)
     assert disturbance(faint, fz, JOINT) is None  # a scale's noise is no shear
     assert disturbance(PAIRS, ALL, JOINT) is None

@@ -8,12 +8,13 @@ import pytest
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
-from decoupler.touch.decoder import TouchDecoder
+from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
-from decoupler.touch.morph import PRIOR, Part, Pillars, fitted
-from decoupler.touch.plates import PlateResponse
+from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.presses import Grid, middles
+from decoupler.touch.regression import NEAREST
+from decoupler.touch.sensing import Displacements, Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, Turned, press, surface_compliance
@@ -31,7 +32,7 @@ N = 16
 @pytest.fixture
 def decoder():
     """By a library that is made once a session."""
-    return TouchDecoder(
+    return BareDecoder(
         design=DESIGN, errors=READ, library=touch_library(DESIGN, 150)[0], pillars=Pillars.designed(DESIGN)
     )
 
@@ -128,7 +129,8 @@ def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
     one, two = found.loaded_coverage
     assert 0.6 < one < 0.97
     assert two > 0.9
-    quick = np.stack([decoder.quick(reading)[0][:, 2] for reading in decoder.reading(contacts.resistance_ohm)])
+    readings, fast = decoder.reading(contacts.resistance_ohm), decoder.regression
+    quick = np.stack([fast.answer(each, fast.nearest(each, NEAREST))[0][:, 2] for each in readings])
     missed = np.sqrt(((quick - contacts.force_n[..., 2].reshape(N, -1)) ** 2).mean())
     assert found.by_force["fz"].errors.rmse_n < missed < none
 
@@ -221,7 +223,7 @@ def test_three_pillars_take_a_plate_s_moment_for_a_force_and_six_do_not(monkeypa
     """
     monkeypatch.setattr("decoupler.touch.limits.surface_compliance", lambda design: (design, None, True))
     monkeypatch.setattr(
-        "decoupler.touch.limits.PlateResponse.of", lambda design: PlateResponse(moved_mm=rigid_plates(design))
+        "decoupler.touch.limits.plate_response", lambda design: Displacements(moved_mm=rigid_plates(design))
     )
     three, six = (replace(DESIGN, unit=Unit(layout=LAYOUTS[name]), pad=PLATE) for name in ("song2018", "six-pillar"))
     assert touch_limits(three, 20.0, ReadingError(noise=1e-3, bits=None))[0] > 20.0

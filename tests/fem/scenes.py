@@ -23,6 +23,14 @@ FOUR = Layout(
         PillarOf(*one) for one in (("z", "L1", "U1"), ("y", "L1", "U2"), ("w", "L2", "U2"), ("x", "L2", "U3"))
     ),
 )
+#: an upright and a pillar that leans both ways on L1, another across the unit to the top of a second upright one
+DIAGONAL = Layout(
+    upper=(Electrode("U1", (-1.0, -1.0)), Electrode("U2", (-1.0, 1.0)), Electrode("U3", (-0.2, -0.7))),
+    lower=(Electrode("L1", (-1.0, -1.0)), Electrode("L2", (1.0, -1.0)), Electrode("L3", (-1.0, 1.0))),
+    pillars=tuple(
+        PillarOf(*one) for one in (("z", "L1", "U1"), ("d", "L2", "U2"), ("z2", "L3", "U2"), ("e", "L1", "U3"))
+    ),
+)
 #: the paper's, and a reference beside the slab where its wires leave a crossing free; it leans both ways
 BESIDE = replace(SONG2018, pillars=(*SONG2018.pillars, PillarOf("r", "L2", "U2", width_mm=3.0, reference=True)))
 

@@ -1,39 +1,44 @@
 """Conduction at linear strain: derivatives of resistances against whole solves of the deformed pillars."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fem.array import conducted as module
-from fem.array.conducted import conducted_pillars, displacement_gradients
+from fem.array.conducted import conducted_by_loads, conducted_pillars, displacement_gradients
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import design_interior
-from fem.array.response import ArrayResponse, read_response, write_response
+from fem.array.meshed import design_interior, pad_plate
+from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
+from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
-from geometry.design import Array, Electrics, SensorDesign, Unit
-from geometry.layout import electrode_squares, pad_squares
+from fem.contact.conducting import COMPONENTS
+from fem.contact.tiles import cell_rectangles
+from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
+from geometry.layout import LAYOUTS, electrode_squares, pad_squares
 
-COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
-INERT = Piezoresistivity()
+COARSE, INERT = Conductor(unit_hexahedra(Unit(), 2, 1)), Piezoresistivity()
 
 
-def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT) -> np.ndarray:
-    """R/ρ of the three pillars at displacement gradients (n, 3, 3), the volume changed by div u."""
+def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT, conductor: Conductor = COARSE) -> np.ndarray:
+    """R/ρ of a unit's pillars at displacement gradients (n, 3, 3), the volume changed by div u."""
     C = (np.eye(3) + H).swapaxes(1, 2) @ (np.eye(3) + H)
     E = (C - np.eye(3)) / 2
     resistivity = (1 + piezo.across * np.trace(E, axis1=1, axis2=2))[:, None, None] * C
     resistivity += (piezo.along - piezo.across) * C @ E
-    K = COARSE.stiffness((1 + np.trace(H, axis1=1, axis2=2))[:, None, None] * np.linalg.inv(resistivity))
-    phi = COARSE.potentials(K)
-    return pillars_per_mm(phi.T @ (K @ phi), COARSE.mesh.pairs)
+    K = conductor.stiffness((1 + np.trace(H, axis1=1, axis2=2))[:, None, None] * np.linalg.inv(resistivity))
+    phi = conductor.potentials(K)
+    return pillars_per_mm(phi.T @ (K @ phi), conductor.mesh.pairs)
 
 
-@pytest.fixture(scope="module")
-def pressed():
+@pytest.fixture(scope="module", params=LAYOUTS)
+def pressed(request):
     """The response of a lone unit of one coarse mesh, and the resistances of its pillars under a force."""
-    design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
+    unit = Unit(layout=LAYOUTS[request.param])
+    conductor = Conductor(unit_hexahedra(unit, 2, 1))
+    design = SensorDesign(unit=unit, array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     with pytest.MonkeyPatch.context() as patch:  # all that follows is of this one cell
         patch.setattr("fem.array.meshed.GRID_LEVEL", 1)
         patch.setattr("fem.array.meshed.GRID_DEGREE", 4)
@@ -41,16 +46,16 @@ def pressed():
         n = len(interior.cell.stiffness) + 3
         seen = CoupledArray(interior.cell, 1, 1).seen(np.eye(n), range(3))[0][0, :, 0]
         electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
-        influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)
+        influence = (electrodes @ seen).reshape(1, 1, -1, 3, 1, 1, 3)
         patch.setattr(module, "design_interior", lambda *_: interior)
-        patch.setattr(module, "unit_conductors", lambda unit: (COARSE, COARSE))
-        patch.setattr("fem.conduction.potentials.unit_conductors", lambda unit, strained=False: (COARSE, COARSE))
+        for where in (module, potentials):
+            patch.setattr(where, "unit_conductors", lambda unit, strained=False: (conductor, conductor))
         found = conducted_pillars(design, influence)
     response = ArrayResponse(
         design=design, influence_mm_per_n=influence, conducted=found, residual=0.0, unknowns=1, seconds={}
     )
-    gradients = displacement_gradients(interior, COARSE.mesh.points_mm, seen)
-    return response, lambda force_n: resistances(gradients @ force_n)
+    gradients = displacement_gradients(interior, conductor.mesh.points_mm, seen)
+    return response, lambda force_n: resistances(gradients @ force_n, conductor=conductor)
 
 
 def test_second_derivatives_are_those_of_whole_solves():
@@ -66,16 +71,40 @@ def test_second_derivatives_are_those_of_whole_solves():
 def test_polynomials_follow_whole_solves_of_displaced_pillars(pressed):
     """To the third order in the load: half of it leaves an eighth of the error, here within 0.1 % of R."""
     response, whole = pressed
-    found, misses = response.conducted, []
+    follow_whole_solves(response.conducted, np.array([60.0, -40.0, -240.0]), whole)
+
+
+def follow_whole_solves(found: ConductedPillars, force_n: np.ndarray, whole: Callable[[np.ndarray], np.ndarray]):
+    misses = []
     for size in (0.5, 1.0):
-        force_n = size * np.array([60.0, -40.0, -240.0])
-        parts = found.rest_mm[0, 0] + found.influence_mm_per_n[0, 0, :, :, 0, 0] @ force_n
+        parts = found.rest_mm[0, 0] + found.influence_mm_per_n.reshape(*found.sign.shape[2:], -1) @ (size * force_n)
         ratio = (found.sign[0, 0] * parts**2).sum(axis=1) / found.rest_mm[0, 0, :, 0] ** 2
-        misses.append(np.abs(ratio - whole(force_n) / whole(0 * force_n)))
+        misses.append(np.abs(ratio - whole(size * force_n) / whole(0 * force_n)))
     assert misses[0].max() < 1e-3
     assert misses[0].max() < 0.2 * misses[1].max()
 
 
+def test_polynomials_follow_whole_solves_under_a_plate_and_what_touches_beside_it(monkeypatch: pytest.MonkeyPatch):
+    """Loads on all tiles of a top: pressure that turns the plate, shear, and a finger beside it."""
+    design = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"), electrics=Electrics(model="conduction"))
+    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)
+    monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
+        monkeypatch.setattr(name, lambda unit, strained=False: (COARSE, COARSE))
+    interior, loads = design_interior(design, cell_rectangles(design), pad_plate(design)), range(3 * 7 * 7)
+    amplitudes = CoupledArray(interior.cell, 1, 1).seen(np.eye(len(interior.cell.stiffness) + 147), loads)[0][0, :, 0]
+    electrodes = np.hstack([interior.cell.transfer[:, 147:].T, interior.cell.compliance[147:, :147]])
+    moved = (electrodes @ amplitudes).reshape(1, 2, 3, -1)
+    found = conducted_by_loads(design, interior, loads, moved, (1, 1), components=COMPONENTS)
+    force_n = np.zeros((7, 7, 3))
+    force_n[2:5, 2:5] = np.linspace([1.0, -2.0, -10.0], [3.0, 1.0, -40.0], 3)
+    force_n[3, 6] = 2.0, 0.0, -8.0
+    gradients = displacement_gradients(interior, COARSE.mesh.points_mm, amplitudes @ force_n.reshape(-1, 1))[..., 0]
+    whole_n = force_n.ravel() @ force_n.ravel()
+    follow_whole_solves(found, force_n.ravel(), lambda f: resistances(gradients * (f @ force_n.ravel()) / whole_n))
+
+
+@pytest.mark.parametrize("pressed", ["six-pillar"], indirect=True)
 def test_a_response_file_keeps_conduction(pressed, tmp_path):
     response, _ = pressed
     write_response(response, tmp_path / "response.nc")

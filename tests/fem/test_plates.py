@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
-from fem.contact import surface as surface_module
-from fem.contact.surface import Patch, PatchCompliance
+from fem.contact.indentation import Indentation
+from fem.contact.surface import UP, Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
+from fem.pictures.contact import _draw_plates, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign
-from geometry.errors import DesignError
 from studies.bench.peers.plates import CASES, pressed_here
 from studies.bench.peers.plates import DESIGN as FOUR
+from tests.fem.coarse_plates import coarse_surface
 
 PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 
@@ -21,10 +23,7 @@ PLATED = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 @pytest.fixture(scope="module")
 def plated() -> SurfaceCompliance:
     """The paper's unit twice under plates, on coarse cells."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(2, 4))
-        made = surface_module._solved(PLATED, lambda step: None)
-    return replace(made, design=PLATED)
+    return coarse_surface(PLATED, 2, 4)
 
 
 def on_right_plate(axis: int) -> tuple[Patch, np.ndarray]:
@@ -137,9 +136,55 @@ def test_polynomials_between_tiles_end_at_plates_and_keep_moments():
     assert sum(strip.tiles for strip in cell_strips(PLATED, 1)) == 7
 
 
-def test_shapes_that_move_step_by_step_need_bare_rubber(plated: SurfaceCompliance):
-    with pytest.raises(DesignError, match="bare rubber"):
-        Stepper(plated)
+def test_a_path_of_one_step_is_a_press_on_both_plates(plated: SurfaceCompliance):
+    """On the stepper's own grid to its tolerance, and to estimates by a press, which looks farther for what touches."""
+    ball, at_mm = Sphere(8.0), (0.5, 1.0)
+    found = Stepper(plated, friction=0.0).step(ball, (*at_mm, -0.8))
+    alike: dict = {"design": plated.design, "depth_mm": 0.8, "at_mm": at_mm, "slide_mm": (0.0, 0.0), "friction": 0.0}
+    same, _ = Indentation(shape=ball, **alike).solved(PatchCompliance(plated, found.patch), 1)
+    expected = press(plated, ball, 0.8, at_mm=at_mm)
+    assert min(expected.force_n[0, :, 2]) > 10.0
+    assert found.force_n == pytest.approx(same.force_n, abs=3e-3 * found.force_n.max())
+    bound = found.error_estimate + expected.error_estimate
+    assert np.linalg.norm(found.force_n - expected.force_n) < bound * np.linalg.norm(expected.force_n)
+
+
+def test_there_and_back_friction_takes_its_work_and_forces_balance(plated: SurfaceCompliance):
+    """A ball on a plate that gives by c is a spring before a brake: a loop of half length A takes 4 μF (A − c μF).
+
+    What tiles pass on are the forces on faces and their moments about the middle of the array, at the rubber's top.
+    """
+    half_mm, friction = 0.6, 0.1
+    stepper, there = Stepper(plated, friction=friction), half_mm * np.cos(np.linspace(0.0, 2 * np.pi, 17))
+    for x in there[-5::2]:  # from the middle until all of it slips
+        stepper.step(Sphere(8.0), (7.0 + x, 1.0, -0.4))
+    contacts = [stepper.step(Sphere(8.0), (7.0 + x, 1.0, -0.4)) for x in there]
+    pulls, last = np.array([contact.net_force_n for contact in contacts]), contacts[-1]
+    patch, force, tiles = last.patch, last.cell_force_n * UP, last.tile_force_n
+    share = force[2:] / force[2].sum()
+    c = (PatchCompliance(plated, patch).moved_mm(share * np.array([1.0, 0.0, 0.0])[:, None, None])[0] * share).sum()
+    slips_n = friction * pulls[:, 2].mean()
+    assert np.trapezoid(pulls[:, 0], there) == pytest.approx(4 * slips_n * (half_mm - c * slips_n), rel=0.05)
+    x, y = np.broadcast_arrays(patch.x_mm, patch.y_mm[:, None])
+    columns, rows = ((lines[:-1] + lines[1:]) / 2 for lines in (edges(slab_strips(PLATED, k, 0)) for k in (0, 1)))
+    tile_x, tile_y = np.broadcast_arrays(columns, rows[:, None])
+    one, other = (
+        np.concatenate([F.sum(axis=(1, 2)), np.cross(np.stack([*at], -1), np.moveaxis(F, 0, -1)).sum(axis=(0, 1))])
+        for F, at in ((force, (x, y, 0 * x + PLATED.pad.plate.thickness_mm)), (tiles, (tile_x, tile_y, 0 * tile_x)))
+    )
+    assert one == pytest.approx(other, abs=1e-4 * np.abs(one).max())
+
+
+def test_a_picture_of_a_contact_outlines_the_plates_that_it_shows(plated: SurfaceCompliance, tmp_path):
+    """In array and contact alike, without widening what is shown; it is written whole."""
+    contact = press(plated, Sphere(8.0), 0.3, at_mm=(7.5, 0.0), friction=0.3, cells=16)
+    axes = Figure().subplots()
+    axes.axis((5.0, 9.0, -2.0, 2.0))
+    _draw_plates(axes, contact)
+    assert [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata())] == pytest.approx([12.0, 12.0])
+    assert axes.axis() == (5.0, 9.0, -2.0, 2.0)
+    draw_contact(contact, tmp_path / "contact.png")
+    assert (tmp_path / "contact.png").read_bytes().startswith(b"\x89PNG")
 
 
 #: net force down [N], and force down, ∫ x p and ∫ y p [N mm] of each plate, by `python -m studies.bench.peers.plates`
@@ -159,7 +204,7 @@ NGSOLVE = {
 
 def assert_ngsolve_s(name: str, surface: SurfaceCompliance, tolerance: float) -> None:
     """Net force and wrenches, moments over half a plate, to a tolerance of the norm of all of them."""
-    found, (net_n, wrench) = pressed_here(surface, CASES[name]), NGSOLVE[name]
+    (found, _), (net_n, wrench) = pressed_here(surface, CASES[name]), NGSOLVE[name]
     assert found.net_n[2] == pytest.approx(net_n, rel=tolerance)
     missed, whole = (each * [1.0, 1 / 6.0, 1 / 6.0] for each in (found.wrench - wrench, np.array(wrench)))
     assert np.linalg.norm(missed) < tolerance * np.linalg.norm(whole)
@@ -168,9 +213,7 @@ def assert_ngsolve_s(name: str, surface: SurfaceCompliance, tolerance: float) ->
 @pytest.fixture(scope="module")
 def coarse() -> SurfaceCompliance:
     """The peer's four plates on cells of level 1, which are too stiff by 2 to 3 %."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(1, 4))
-        return replace(surface_module._solved(FOUR, lambda step: None), design=FOUR)
+    return coarse_surface(FOUR, 1, 4)
 
 
 @pytest.mark.parametrize("name", NGSOLVE)

@@ -48,13 +48,13 @@ def nonsense(spec):
 BOUNDED = [(kind, spec.name, *each) for kind in KINDS for spec in fields(kind) for each in nonsense(spec)]
 OFF = "pad size_mm={}.*pads may touch, not overlap; shrink the pad or raise pitch_mm"
 OFFSETS = ({"offset_x_mm": -1.6}, {"offset_y_mm": 1.6})
-MERGED = "span_mm={} lets pillars or electrodes.*it must be above.*widen the span or thin the pillars"
+MERGED = "span_mm={} lets {} of a unit merge: it must be above .*; widen the span, thin them or part their places"
 REFUSED = [
     *((kind, {name: value}, re.escape(f"{name}={reprlib.repr(value)}{says}")) for kind, name, value, says in BOUNDED),
     (Material, {"poisson": 0.5}, "poisson=0.5 must be from 0 to below 0.5.*write 0.49"),
     (Electrics, {"elastoresistance_across": 1.0}, "eq. 1 has no elastoresistance"),
-    (Unit, {"span_mm": 2.02}, MERGED.format("2.02")),
-    (Unit, {"electrode_mm": 10.0}, MERGED.format(10)),
+    (Unit, {"span_mm": 2.02}, MERGED.format("2.02", "pillars z and x")),
+    (Unit, {"electrode_mm": 10.0}, MERGED.format(10, "electrodes L1 and L2")),
     (MeshSettings, {"edge_top_mm": 1.0, "envelope_mm": 0.11}, r"envelope_mm=0.11 must be .* the edges \(1 and 5 mm\)"),
     (SensorDesign, {"array": Array(pitch_mm=12.8)}, "pitch_mm=12.8 is smaller than the unit.*to at least 12.83"),
     (SensorDesign, {"pad": Pad(size_mm=15.1)}, OFF.format(15.1)),

@@ -29,10 +29,10 @@ from geometry.layout import (
     upper_electrodes,
 )
 from geometry.mould import Mould, mould_solids
-from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism
+from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism, unit_prisms
 from geometry.shares import pillar_shares
 from geometry.wiring import unit_crossings
-from tests.fem.scenes import BESIDE, round_of
+from tests.fem.scenes import BESIDE, DIAGONAL, round_of
 
 EXACT = 1e-14  # rounding
 
@@ -129,6 +129,35 @@ def test_round_prisms_hold_what_lies_on_their_ellipses():
     assert prism.distance(np.array([[3.5, 2.0, 5.0], [4.0, 0.0, 7.0]])).tolist() == [1.0, 1.0]
 
 
+@pytest.mark.parametrize("is_round", [False, True], ids=["square", "round"])
+def test_pillars_that_lean_both_ways_are_as_wide_across_as_others(is_round):
+    """w × w or a circle perpendicular to the axis, S·l in volume; points are inside by it as by the hull of corners."""
+    unit = Unit(layout=round_of(DIAGONAL) if is_round else DIAGONAL)
+    for one, volume, extents in zip(unit_prisms(unit), pillar_volumes(unit), pillar_sections(unit), strict=True):
+        corners, axis = one.corners(), one.axis_mm / np.linalg.norm(one.axis_mm)
+        hull = trimesh.convex.convex_hull(corners)
+        assert hull.volume == pytest.approx(volume, rel=1e-12)
+        assert one.volume_mm3 == pytest.approx(volume, rel=1e-12)
+        assert one.extents_mm == pytest.approx(extents, rel=1e-12)
+        for ratio in (0.99, 1.01):  # the rectangles around two sections overlap, or do not
+            step = np.array([ratio * extents[0], 0.0, 0.0])
+            beside = replace(one, base_mm=tuple(one.base_mm + step), top_mm=tuple(one.top_mm + step))
+            assert one.cuts(beside, 1e-9) == (ratio < 1)
+        foot = corners[: len(corners) // 2] - one.base_mm
+        across = foot - (foot @ axis)[:, None] * axis  # of the faces along the axis
+        radii = np.linalg.norm(across, axis=1)
+        assert radii == pytest.approx(np.full(len(foot), radii[0]), rel=1e-12)
+        assert np.cross(across, np.roll(across, -1, axis=0)) @ axis == pytest.approx(
+            np.full(len(foot), 2 * volume / np.linalg.norm(one.axis_mm) / len(foot)), rel=1e-12
+        )
+        points = np.random.default_rng(0).uniform([-3.0, -3.0, -1.0], [3.0, 3.0, 11.0], (3000, 3))
+        points[:, :2] += one.axis_at(points[:, 2])
+        depth = (points @ hull.face_normals.T - (hull.face_normals * hull.triangles[:, 0]).sum(1)).max(axis=1)
+        clear = np.abs(depth) > (0.02 if is_round else 1e-9)  # of a circle and its polygon
+        assert (depth[clear] < 0).sum() > 100
+        assert np.array_equal(one.holds(points)[clear], depth[clear] < 0)
+
+
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
 Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
 WRONG = {
@@ -140,7 +169,8 @@ WRONG = {
     "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
     "no pillar joins electrodes": ((), (), ()),
     "no pillar joins U2: each needs one that is no reference": (UPPER, LOWER, (Z, replace(X, reference=True))),
-    "pillar z leans along x and along y": ((Electrode("U1", (1.0, 1.0)),), LOWER, (Z,)),
+    "pillar z joins L1 and U1: .* end at one of the upper electrodes, of which there are none": ((), LOWER, (Z,)),
+    r"\['L1'\] is no name: give up to 8 letters": (UPPER, LOWER, (Z, Pillar("x", ["L1"], "U2"))),
     "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
         tuple(replace(one, wire="a") for one in UPPER),
         LOWER,
@@ -198,9 +228,9 @@ def test_round_pillars_fill_their_circle_and_widths_of_their_own_count():
     volumes, square = pillar_volumes(Unit(layout=own)), pillar_volumes(Unit(layout=LAYOUTS["six-pillar"]))
     assert volumes / square == pytest.approx([0.25, np.pi / 4, 1, 1, 1, 1], rel=EXACT)
     assert pillar_sections(Unit(layout=own))[0].tolist() == [1.0, 1.0]
-    paper = SONG2018
-    unit = Unit(layout=round_of(paper))
     lines = np.linspace(-7.0, 7.0, 41), np.linspace(0.0, 10.0, 11)
-    shares = pillar_shares(unit, lines[0], lines[0], lines[1])
-    assert 0 <= shares.min() <= shares.max() <= 1
-    assert shares.sum() * 0.35**2 == pytest.approx(unit_solid(unit).volume, rel=1e-4)
+    for layout in (round_of(SONG2018), DIAGONAL, round_of(DIAGONAL)):
+        unit = Unit(layout=layout)
+        shares = pillar_shares(unit, lines[0], lines[0], lines[1])
+        assert 0 <= shares.min() <= shares.max() <= 1
+        assert shares.sum() * 0.35**2 == pytest.approx(unit_solid(unit).volume, rel=1e-4)

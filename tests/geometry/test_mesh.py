@@ -23,12 +23,13 @@ from geometry.mesh import (
     mesh_cache_key,
     outward,
     sensor_mesh,
+    snap_to_prism,
     snap_to_side,
     suited_settings,
 )
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
-from tests.fem.scenes import round_of
+from tests.fem.scenes import DIAGONAL, round_of
 from tests.geometry.closed_forms import union_mm3
 
 COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
@@ -161,10 +162,12 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
 
 def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     """A leaning column of ten unequal chords, its points off the side by 2 %: π a b h/4, whatever the chords."""
-    column = Prism(base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 2.0, 6.0), section_mm=(3.0, 2.0), is_round=True)
+    column = Prism(
+        base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 2.0), is_round=True, is_turned=True
+    )
     generator = np.random.default_rng(0)
     angle = 2 * np.pi * (np.arange(10) + generator.uniform(-0.3, 0.3, 10)) / 10
-    ring = 0.5 * np.array(column.section_mm) * np.column_stack([np.cos(angle), np.sin(angle)])
+    ring = column.placed(0.5 * np.array(column.section_mm) * np.column_stack([np.cos(angle), np.sin(angle)]))
     rings = [
         np.array(end[:2]) + ring * generator.uniform(0.98, 1.02, (10, 1)) for end in (column.base_mm, column.top_mm)
     ]
@@ -176,12 +179,28 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     assert column.volume_mm3 == pytest.approx(np.pi * 1.5 * 6.0)
     assert hull.volume == pytest.approx(column.volume_mm3, rel=1e-9)
     assert np.array_equal(moved[:, 2], points[:, 2])
+    on_side = column.own(moved[:, :2] - column.axis_at(moved[:, 2])) / column.section_mm
+    assert np.ptp(np.linalg.norm(on_side, axis=1)) < 1e-12  # on one ellipse
     assert np.array_equal(snap_to_side(points, faces, column, 1e-3), points)  # further away than the slack
 
 
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_faces_near_the_planes_of_a_prism_are_put_onto_them(is_turned):
+    """A corner lies on three: it comes back whole."""
+    prism = Prism(base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 2.0), is_turned=is_turned)
+    faces = trimesh.convex.convex_hull(prism.corners())
+    off = np.random.default_rng(0).uniform(-0.01, 0.01, faces.vertices.shape)
+    found = snap_to_prism(faces.vertices + off, faces.faces, prism, 0.05)
+    assert found == pytest.approx(np.array(faces.vertices), abs=1e-12)
+    assert np.array_equal(snap_to_prism(faces.vertices + off, faces.faces, prism, 1e-6), faces.vertices + off)
+
+
+SIX = LAYOUTS["six-pillar"]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("layout", [LAYOUTS["six-pillar"], round_of(LAYOUTS["six-pillar"])], ids=["square", "round"])
-def test_six_pillars_are_meshed(layout):
+@pytest.mark.parametrize("layout", [SIX, round_of(SIX), DIAGONAL], ids=["square", "round", "diagonal"])
+def test_pillars_of_a_unit_are_meshed(layout):
     """Their union is drawn by the CAD kernel; crotches of round pillars are not put back."""
     design = replace(SOFT, unit=Unit(layout=layout))
     mesh, _, _ = sensor_mesh(design, suited_settings(design))

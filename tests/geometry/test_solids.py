@@ -18,11 +18,12 @@ from geometry.cad import (
     unit_solid,
     write_solids,
 )
+from geometry.castability import castability
 from geometry.layout import LAYOUTS, pillar_ends, pillar_volumes, unit_centres, upper_electrodes
 from geometry.mould import Mould, mould_solids, write_cad
 from geometry.shares import pillar_shares
 from geometry.surface import check_surface, surface_from_solid
-from tests.fem.scenes import round_of
+from tests.fem.scenes import DIAGONAL, round_of
 from tests.geometry.closed_forms import oblique_width, union_mm3
 
 UNIT = SensorDesign().unit
@@ -159,7 +160,11 @@ def test_the_lid_lifts_straight_off_and_units_lift_out_but_for_the_heel_of_the_y
 
 @pytest.mark.parametrize(
     "layout",
-    [*LAYOUTS.values(), *(pytest.param(round_of(layout), marks=pytest.mark.long) for layout in LAYOUTS.values())],
+    [
+        *LAYOUTS.values(),
+        DIAGONAL,
+        *(pytest.param(round_of(one), marks=pytest.mark.long) for one in (*LAYOUTS.values(), DIAGONAL)),
+    ],
 )
 def test_units_of_every_layout_are_drawn_and_moulded(layout):
     """Lid, block and rubber fill the slab and meet nowhere; rubber lifts out but for heels, as small as square ones."""
@@ -176,7 +181,8 @@ def test_units_of_every_layout_are_drawn_and_moulded(layout):
     assert filled == pytest.approx(room, rel=1e-9)
     on_upright = {one.foot for one in layout.pillars if one.name.startswith("z")}
     heels = sum(one.foot in on_upright for one in layout.pillars if not one.name.startswith("z"))
-    heel = unit.pillar_width_mm * ((oblique_width(unit) - unit.pillar_width_mm) / 2) ** 2 * h / (2 * unit.span_mm)
-    caught = [overlap_mm3(solid.moved(Location((0, 0, lift_mm))), block) for lift_mm in (1.0, 3.0)]
+    run_mm = 2 * h * np.tan(np.radians(castability(design).demould_deg)) if heels else np.inf
+    heel = unit.pillar_width_mm * castability(design).undercut_mm ** 2 * h / run_mm
+    caught = [overlap_mm3(solid.moved(Location((0, 0, lift_mm))), block) for lift_mm in (2.5, 4.5)]
     assert caught[0] <= heels * heel * (1 + 1e-6)
     assert caught[1] == pytest.approx(caught[0], rel=1e-3, abs=1e-9)  # nothing further up is in the way

@@ -149,8 +149,8 @@ def readout_of(mode, state, **faults):
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda: Crossbar(sense_ohm=0.0), r"sense_ohm=0.0 must be from 1 to 1e\+09\."),
-        (lambda: Crossbar(shunt_siemens=(0.0, 2.0, 0.0)), "shunt_siemens=.* must be from 0 to 1"),
+        (lambda: Crossbar(sense_ohm=0.0), r"sense_ohm=0.0 must be from 1 to 1e\+09; sense"),
+        (lambda: Crossbar(shunt_siemens=(0.0, 2.0, 0.0)), "shunt_siemens=.* must be 3 numbers from 0 to 1"),
         (lambda: Crossbar(bits=None).counts(pressed(1)), "bits=None reads exactly and has no counts"),
         (lambda: readout_of(ScanMode.DIVIDER, pressed(1), bits=10), "bits=10, but the readout's converter has 12"),
         (

@@ -112,7 +112,7 @@ OF_ONE = replace(FRESH, made_from={"design_hash": "one"})
 @pytest.mark.parametrize(
     ("info", "model", "calibration", "message"),
     [
-        (Info(), {}, None, r"board has 6 × 6 units, the model 2 × 3: take a model trained for 6 × 6"),
+        (Info(), {}, None, r"board has 6 × 6 units, the model 2 × 3 units: take a model trained for this"),
         (INFO, {}, replace(FRESH, serial=9), "made with board 9, this is board 3"),
         (INFO, {"rest_ohm": None}, FRESH.tared(REST_OHM), r"model states no design, .*: leave the tare out"),
         (INFO, {"design_hash": "two"}, OF_ONE, r"is for a sensor of design one, the model for one of two"),

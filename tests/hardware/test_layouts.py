@@ -74,7 +74,7 @@ def test_readings_go_over_a_terminal_into_a_file_and_come_back_as_forces(layout,
     other = Shortening(SONG2018 if layout != SONG2018 else SHARED)
     for act in (lambda: replay(recording, other), lambda: tared.require_for(replace(info, layout=other.layout))):
         with pytest.raises(
-            FileFormatError, match=r"layout .*: (take a model of that layout|calibrate this sensor)"
+            FileFormatError, match=r"layout .*: (take a model trained for this array|calibrate this sensor)"
         ) as no:
             act()
         assert "\n" not in str(no.value)

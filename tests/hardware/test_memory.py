@@ -118,9 +118,9 @@ def test_contacts_remember_nothing_and_open_pillars_stay_open():
     ohms[0, 0, 0, 0] = np.inf
     reader = MemoryReader(FOLLOWED, REST_OHM + 600.0, 600.0)
     found = reader.settled(ohms, np.zeros(1))
-    assert np.isinf(found.resistance_ohm[0, 0, 0, 0])
+    assert np.isinf(found["resistance_ohm"][0, 0, 0, 0])
     resting = MemoryReader(FOLLOWED, REST_OHM + 600.0, 600.0).settled(REST_OHM[None] + 600.0, np.zeros(1))
-    assert resting.resistance_ohm[0] == pytest.approx(REST_OHM + 600.0)
+    assert resting["resistance_ohm"][0] == pytest.approx(REST_OHM + 600.0)
 
 
 def test_deviations_of_memory_go_through_the_decoder(pressed):

@@ -16,7 +16,7 @@ from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError, is_beginning, link_to
+from hardware.link.serial_ports import PortError, is_beginning
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
@@ -122,7 +122,9 @@ def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(session, "APPEARS_S", 0.0)
     monkeypatch.setattr(session, "is_beginning", lambda port: port == str(link))
     with VirtualBoard(COUNTS, INFO) as board:
-        monkeypatch.setattr(session.time, "sleep", lambda seconds: looked.append(seconds) or link_to(link, board.port))
+        monkeypatch.setattr(
+            session.time, "sleep", lambda seconds: looked.append(seconds) or link.symlink_to(board.port)
+        )
         with session.connect(str(link)) as (scanner, _):
             assert scanner.info == INFO
     for port in (str(tmp_path), "missing.frames", "socket://127.0.0.1:9", "", str(tmp_path / "never")):

@@ -9,7 +9,7 @@ import torch
 from dataset import OPEN_OHM, DatasetSettings, simulate
 from dataset.imperfections import Imperfections
 from dataset.indentation import samples_of
-from dataset.resistance import pillar_resistances
+from dataset.resistance import exact_resistances, pillar_resistances
 from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.pairs import Pairs
 from decoupler.model.model_file import write_model
@@ -18,12 +18,14 @@ from decoupler.twin.twin_file import read_twin
 from fem.array.closed_forms import layer_response
 from fem.array.sensitivities import ResponseSensitivities
 from fem.contact import Capsule, press, surface_compliance
-from geometry.design import Array, SensorDesign, Unit
+from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.errors import ArgumentError, DesignError
 from geometry.layout import LAYOUTS, SONG2018, pillar_volumes, rest_lengths
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.virtual import VirtualSensor
+from tests.dataset.conftest import made_up_response
+from tests.fem.coarse_plates import coarse_surface
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=3))
 STEP_N = 1e-3  #: of finite differences; their error is of its square
@@ -183,6 +185,25 @@ def test_bodies_pressed_into_bare_rubber_read_as_contacts_do():
     gone = virtual.press([{}, {"tool": (ball, (-6.0, 0.0, 7.0), None)}])
     assert not gone.force_n.any()
     assert gone.resistance_ohm[0].numpy() == pytest.approx(np.broadcast_to(rest, (1, 2, 3)))
+
+
+def test_bodies_pressed_on_plates_read_by_conduction_as_contacts_do(monkeypatch: pytest.MonkeyPatch):
+    """A ball across the gap, in one step without friction as `press` has it: forces to 2 %, readings to 2 % as well."""
+    pair = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"), electrics=Electrics(model="conduction"))
+    surface = coarse_surface(pair, 1, 3)
+    monkeypatch.setattr("hardware.virtual.sensor.surface_compliance", lambda design: (surface, None, True))
+    held = surface.conducted
+    pads = replace(held, influence_mm_per_n=np.zeros((*held.sign.shape, 1, 2, 3)))  # which presses do not ask
+    virtual = VirtualSensor(pair, response=replace(made_up_response(pair), conducted=pads))
+    reading = virtual.press([{"ball": (Capsule(8.0), (0.5, 1.0, 7.2), None)}], friction=0.0)
+    expected = samples_of([press(surface, Capsule(8.0), 0.8, at_mm=(0.5, 1.0))])
+    rest = exact_resistances(held.rest_mm[0, 0, :, 0], pair)
+    for found, known in (
+        (reading.force_n[0].numpy(), expected.force_n[0]),
+        (reading.resistance_ohm[0].numpy() - rest, expected.resistance_ohm[0] - rest),
+    ):
+        assert np.linalg.norm(found - known) < 0.02 * np.linalg.norm(known)
+    assert np.linalg.norm(expected.effective_length_mm - expected.length_mm) > 0.1
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,19 @@ def test_it_is_the_resultant_of_the_vectors_on_the_pads():
     assert np.cross(at, found.vector_n * (0, 0, 1))[:, :2] == pytest.approx(found.moment_nmm[:, :2], abs=1e-9)
 
 
+@pytest.mark.parametrize("moments", [2, 3])
+def test_moments_of_units_count_too(moments):
+    """Forces at points of each unit, by its three sums, its pressure's moments and its torque: as term by term."""
+    random = np.random.default_rng(0)
+    force_n, off_mm = random.normal(10.0, 5.0, (6, 6, 9, 3)), random.uniform(-5.0, 5.0, (6, 6, 9, 2))
+    vectors, (x, y), (fx, fy, fz) = force_n * SIGNS, np.moveaxis(off_mm, 3, 0), np.moveaxis(force_n, 3, 0)
+    of_units = np.stack([x * fz, y * fz, x * fy - y * fx], axis=-1)[..., :moments]
+    load = np.concatenate([force_n, of_units], axis=-1).sum(axis=2)
+    found = net_wrench(load[None], wrench_weights(PLACES, AXES, moments)).moment_nmm[0]
+    expected = np.cross(PLACES[:, :, None] + np.pad(off_mm, [(0, 0)] * 3 + [(0, 1)]), vectors).sum(axis=(0, 1, 2))
+    assert found[:moments] == pytest.approx(expected[:moments], rel=1e-12)
+
+
 def test_there_is_no_centre_of_what_hardly_presses():
     force_n = np.zeros((3, 6, 6, 3))
     force_n[:, 2, 3, 2] = 0.9 * MIN_NORMAL_N, 1.1 * MIN_NORMAL_N, 5.0

@@ -62,6 +62,20 @@ def test_the_peer_s_ball_on_a_plate_is_two_springs_in_series_wherever_it_is_drag
     assert not found.electrode_mm[0].any()
 
 
+def test_strains_by_ngsolve_add_up_to_what_each_plate_moves_by():
+    """∫ ∂u/∂z dz from the clamped base to a plate, in all four quarters; 2e-3 for the jumps between 400 points."""
+    pytest.importorskip("ngsolve")
+    slab, count = plates.NgsolvePlates(plates.Fineness(order=2, levels=1, square_mm=1.5, raster_mm=0.1)), 400
+    found = plates.pressed_by_ngsolve(slab.compliance, plates.CASES["ball over a crossing"], 0.1)
+    assert found.net_n[2] == pytest.approx(160.7, rel=0.02)  # by fourth order
+    p, q, height_mm = -3.9, 1.1, plates.DESIGN.unit.height_mm
+    z = (np.arange(count) + 0.5) * height_mm / count
+    for (x, y), motion in zip(unit_centres(plates.DESIGN), found.amplitudes[:24].reshape(4, 2, 3), strict=True):
+        slopes = slab.gradients(found.amplitudes, np.column_stack([0 * z + x + p, 0 * z + y + q, z]))[:, :, 2]
+        moved = motion[0] + np.cross(motion[1], [p, q, 0.0])
+        assert slopes.mean(axis=0) * height_mm == pytest.approx(moved, abs=2e-3 * np.abs(moved).max())
+
+
 @pytest.mark.long
 def test_presses_on_plates_are_ngsolve_s_to_two_percent():
     pytest.importorskip("ngsolve")

@@ -241,9 +241,7 @@ def test_a_board_of_another_layout_is_named_and_its_recording_is_none_of_the_mod
         ("record", "six.bin", "--out", "six.frames", *MODEL),
     ):
         said = house.refusal(*words, "-q")
-        assert (
-            "the board's units are of layout six-pillar, the model's of song2018: take a model of that layout" in said
-        )
+        assert "the board has layout six-pillar, the model layout song2018: take a model trained for" in said
     assert not (house.folder / "six.frames").exists()
     house.result("tare", "six.bin", "-o", "six.json", "--force")
     calibration = read_calibration(house.folder / "six.json")

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import tripillar as tp
-from dataset import Samples, read_samples
+from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler import read_model
+from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
+from tripillar.face.caller import Caller, called_by
 
 READ = ("--noise", "0.001", "--bits", "12")
 
@@ -52,6 +54,21 @@ def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
     assert f"layout: model {layout}, data song2018" in said
 
 
+def test_who_picks_uprights_alone_hears_what_their_shear_is_worth(tmp_path):
+    """From `design`, `train` and `evaluate`, of the components that are asked for; leaning pillars need no word."""
+    house, told = House(tmp_path), "no pillar leans along x or y: forces that way are told by tilt alone"
+    assert told in house.tripillar("design", "--layout", "upright-four", "-o", "four.toml").stderr
+    assert "tilt" not in house.tripillar("design", "--layout", "eight-pillar", "-o", "eight.toml").stderr
+    design = SensorDesign(unit=Unit(layout=LAYOUTS["upright-four"]), array=Array(rows=1, cols=2))
+    response, said = layer_response(design), list[str]()
+    with called_by(Caller(say=said.append)):
+        for protocol, count in (("three-axis", 2), ("contact-fz", 0)):
+            samples = simulate(response, DatasetSettings(protocol=protocol, samples=40, seed=1, noise=1e-3))
+            tp.evaluate(tp.train(samples, hidden=2, response=response), samples, response=response)
+            assert sum(told in line for line in said) == count
+            said.clear()
+
+
 def test_forces_that_pillars_do_not_tell_are_not_trained():
     upright = Layout((Electrode("U", (0, 0)),), (Electrode("L", (0, 0)),), (Pillar("p", "L", "U"),))
     design = SensorDesign(unit=Unit(layout=upright), array=Array(rows=1, cols=1))
@@ -60,3 +77,54 @@ def test_forces_that_pillars_do_not_tell_are_not_trained():
     samples = Samples(force_n=force_n, resistance_ohm=resistance_ohm, design=design)
     with pytest.raises(DesignError, match="pillars p do not tell forces along x and y from others"):
         tp.train(samples, component="all")
+
+
+def table(pillars: str, electrodes: str = "U1 -1 -1, U2 -1 1, L1 -1 -1, L2 1 -1") -> str:
+    """Electrodes by name and place and pillars by name, foot and top, with more keys after them, as a file has them."""
+    levels = {"U": "upper", "L": "lower"}
+    words = [each.split(None, 3) for each in electrodes.split(", ")]
+    text = [f'{{name="{n}", level="{levels[n[0]]}", place=[{x}, {y}]{"".join(more)}}}' for n, x, y, *more in words]
+    words = [each.split(None, 3) for each in pillars.split(", ")]
+    joined = [f'{{name="{n}", from="{foot}", to="{top}"{"".join(more)}}}' for n, foot, top, *more in words]
+    return f"electrode = [{', '.join(text)}]\npillar = [{', '.join(joined)}]\n"
+
+
+PAPERS = "z L1 U1, x L2 U1, y L1 U2"
+LINE = "U1 -1 0, U2 1 0, U3 0 1, L1 -1 0, L2 0 -1"
+GRID = [(x, y) for x in range(10) for y in range(10)]
+HUNDRED = table(
+    ", ".join(f"p{k} L{k} U{k}" for k in range(100)),
+    ", ".join(f"{level}{k} {0.2 * x - 0.9} {0.2 * y - 0.9}" for level in "UL" for k, (x, y) in enumerate(GRID)),
+)
+BAD = [
+    (table("z L1 U1, x L2 U9, y L1 U2"), "pillar x joins L2 and U9: it must stand on one of L1, L2"),
+    (table("z L1 U1, x L2 U1"), "no pillar joins U2: each needs one that is no reference"),
+    (table(PAPERS + ", r L2 U2 ,reference=true") + "[unit]\nlayout = 'song2018'\n", "unknown key 'layout' in [unit]"),
+    (table("z L1 U1, x L2 U1, y L1 U2 ,reference=true"), "no pillar joins U2: each needs one that is no reference"),
+    (table(PAPERS + ", r L1 U1 ,reference=true"), "two pillars join ('L1', 'U1')"),
+    (table(PAPERS + ", z L2 U2"), "two pillars are named z: give each its own"),
+    (table(PAPERS, "U1 -1 -1, U2 -1 1, L1 -1 -1, L2 -1 -1"), "two lower electrodes lie at (-1.0, -1.0)"),
+    (table("x L1 U2, y L2 U3, z L1 U1", LINE), "pillars x and y cross between their electrodes at span_mm=10"),
+    (
+        table("z L1 U1, y L1 U2", "U1 -1 -1 ,wire='a', U2 -1 1 ,wire='a', L1 -1 -1"),
+        "want one crossing of wires: give U1 and U2",
+    ),
+    *((table(f"z L1 U1 ,width_mm={w}, x L2 U1, y L1 U2"), f"width_mm={w} must be") for w in ("0", "-1", "nan", "'2'")),
+    (table("z L1 U1 ,width_mm=20, x L2 U1, y L1 U2"), "lets pillars z and x of a unit merge: it must be above 11.41"),
+    (table("z L1 U1", "U1 3 0, L1 3 0"), "pitch_mm=15 is smaller than the unit, whose pillars take 32 mm"),
+    (table("z L1 U1", "U1 nan 0, L1 0 0"), "place=[nan, 0] must be 2 finite numbers"),
+    (table("z. L1 U1", "U1 0 0, L1 0 0"), "'z.' is no name: give up to 8 letters and digits"),
+    ("electrode = []\npillar = []\n", "no pillar joins electrodes"),
+    ('pillar = [{name="z", from=["L"], to="U"}]\n', "['L'] is no name"),
+    ('pillar = [{name="z", from="L", to="U"}]\n', "end at one of the upper electrodes, of which there are none"),
+    (table(PAPERS + " ,length_mm=3"), "unknown key 'length_mm' in [[pillar]] 3; known are name, from, to"),
+    ("layout = 'song2018'\n" + table(PAPERS), "layout = 'song2018' and [[electrode]]: give one of"),
+    (HUNDRED, "span_mm=10 lets pillars p1 and p2 of a unit merge: it must be above 20"),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), BAD, ids=[said for _, said in BAD])
+def test_a_bad_layout_is_one_line_and_nothing_is_written(tmp_path, text, said):
+    house = House(tmp_path)
+    (tmp_path / "bad.toml").write_text('extends = "paper"\n' + text)
+    assert said in house.refusal("response", "--design", "bad.toml", "--out", "r.nc")

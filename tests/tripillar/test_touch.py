@@ -95,12 +95,16 @@ def test_what_a_decoder_of_touch_cannot_is_refused_and_one_of_pads_says_that_con
         (("export", "--model", "touch.safetensors", "-o", "m.h"), "is a decoder of touch: export takes a model of"),
         (("train", "--touch", "--shape", "text.stl", "-o", "n.safetensors"), "holds no triangles"),
         (("train", "--data", "indent.nc", "--shape", "tool.stl", "-o", "n.safetensors"), "is of decoders of touch"),
+        (("train", "--data", "indent.nc", "-o", "n.safetensors"), "'tripillar train --touch' decodes these"),
     ):
         assert told in house.refusal(*words)
     pads = simulate(layer_response(tp.read_design(house.folder / "small.toml")), TRACTIONS)
     tp.write(pads, house.folder / "pads.nc")
     house.result("train", "--data", "pads.nc", "-o", "pads.safetensors", "-q")
     said = house.tripillar(*EVALUATE, "pads.safetensors", "--data", "indent.nc").stderr
+    assert "warning: indent.nc: the protocol 'indent' presses shapes" in said
+    tp.write(replace(read_samples(house.folder / "indent.nc"), made_from={}), house.folder / "measured.nc")
+    said = house.tripillar(*EVALUATE, "pads.safetensors", "--data", "measured.nc").stderr
     assert "of these readings, so errors of pads.safetensors are large" in said
     assert "seem" not in said  # no mistake is named that explains nothing
 

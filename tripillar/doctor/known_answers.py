@@ -6,7 +6,6 @@ installation stays below.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cache
 from time import perf_counter
 
@@ -35,44 +34,20 @@ MIDDLE_MM_PER_N = [
 TOLERANCE = 1e-2  #: of the response: what the pictures and sweeps use, and the quickest
 
 
-@dataclass(frozen=True)
-class KnownAnswer:
-    """Something whose answer is known."""
-
-    name: str
-    limit: float  #: the largest error of a sound installation
-    advice: str  #: what is wrong if the error is larger
-    error: Callable[[], float]
-
-
-KNOWN: list[KnownAnswer] = []  #: in the order of the pipeline
-
-
-def known(name: str, limit: float, advice: str) -> Callable[[Callable[[], float]], Callable[[], float]]:
-    """Put a function that gives an error among the known answers."""
-
-    def put(error: Callable[[], float]) -> Callable[[], float]:
-        KNOWN.append(KnownAnswer(name, limit, advice, error))
-        return error
-
-    return put
-
-
 def check_answers() -> Iterator[Check]:
     """Compute each known answer; one that fails, in whatever way, is a line and not the end."""
-    for one in KNOWN:
+    for name, limit, advice, computed in KNOWN:
         start = perf_counter()
         try:
-            error = one.error()
+            error = computed()
         except Exception as fault:  # whatever is broken here is what the doctor is asked about
             found, sound = f"{type(fault).__name__}: {fault}", False
         else:
-            found = f"error {error:.1e}, {one.limit:.0e} allowed, {perf_counter() - start:.1f} s"
-            sound = error <= one.limit
-        yield judged(one.name, found, "" if sound else one.advice)
+            found = f"error {error:.1e}, {limit:.0e} allowed, {perf_counter() - start:.1f} s"
+            sound = error <= limit
+        yield judged(name, found, "" if sound else advice)
 
 
-@known("column under pressure", 1e-9, "the linear solver is broken: pip install --force-reinstall pypardiso.")
 def column_under_pressure() -> float:
     """A column with ν = 0 under σ on its whole top shortens by σ h/E, to the rounding of a factored system."""
     material, size_mm, pressure_mpa = Material(young_mpa=6.1, poisson=0.0), (4.0, 4.0, 10.0), 1.0
@@ -84,7 +59,6 @@ def column_under_pressure() -> float:
     return float(abs(solution.probes["top"][2] / expected - 1))
 
 
-@known("response of the paper's array", TOLERANCE, "finite elements do not hold their tolerance: please report it.")
 def response_of_the_papers_array() -> float:
     """The middle pad's own electrodes against NGSolve's converged solution."""
     middle = _paper_response().influence_mm_per_n[3, 3, :, :, 3, 3]  # (electrode, axis, load axis)
@@ -92,7 +66,6 @@ def response_of_the_papers_array() -> float:
     return float((misfit / np.linalg.norm(MIDDLE_MM_PER_N, axis=(1, 2))).max())
 
 
-@known("resistance of a shorter pillar", 1e-12, "eq. 1 does not hold: please report it.")
 def resistance_of_a_shorter_pillar() -> float:
     """A z pillar of 10 kΩ pressed to 0.9 of its length has 8.1 kΩ: R = ρ l²/V, eq. 1."""
     design = SensorDesign()
@@ -101,7 +74,6 @@ def resistance_of_a_shorter_pillar() -> float:
     return float(abs(ohm[0] / 8100.0 - 1))
 
 
-@known("forces back from resistances", 1e-7, "the response is not inverted: please report it.")
 def forces_back_from_resistances() -> float:
     """108 forces -> resistances -> forces again: Gauss-Newton's last step of 1e-12, times a condition number of 2e4."""
     forward = SensorModel.of(_paper_response(), component_named("all"))
@@ -112,7 +84,6 @@ def forces_back_from_resistances() -> float:
     return float(np.abs(again - force_n).max() / np.abs(force_n).max())
 
 
-@known("network of 200 samples", 0.0186, "training does worse than the paper: please report it.")
 def network_of_200_samples() -> float:
     """Relative error of eq. 17 on samples that the network never saw; the paper has 1.86 %, table 2."""
     from decoupler import train
@@ -140,10 +111,6 @@ def scans_over_a_terminal() -> float:
     return float(np.mean([not np.array_equal(scan.frame.counts, counts) for scan in scans]))
 
 
-if os.name == "posix":  # a simulated board needs a pseudo-terminal
-    known("scans over a terminal", 0.0, "scans are lost: is the machine very busy?")(scans_over_a_terminal)
-
-
 @cache
 def _paper_response() -> ArrayResponse:
     """Solved anew: a cached one would tell nothing of this machine."""
@@ -153,3 +120,31 @@ def _paper_response() -> ArrayResponse:
 def _samples(protocol: str, samples: int, seed: int = 0) -> Samples:
     settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed)
     return measured_again(simulate(_paper_response(), settings), settings, seed)
+
+
+#: what is computed, in the order of the pipeline: its name, the largest error of a sound installation, what is wrong
+#: if it is larger, and the function that gives it
+KNOWN: list[tuple[str, float, str, Callable[[], float]]] = [
+    (
+        "column under pressure",
+        1e-9,
+        "the linear solver is broken: pip install --force-reinstall pypardiso.",
+        column_under_pressure,
+    ),
+    (
+        "response of the paper's array",
+        TOLERANCE,
+        "finite elements do not hold their tolerance: please report it.",
+        response_of_the_papers_array,
+    ),
+    ("resistance of a shorter pillar", 1e-12, "eq. 1 does not hold: please report it.", resistance_of_a_shorter_pillar),
+    (
+        "forces back from resistances",
+        1e-7,
+        "the response is not inverted: please report it.",
+        forces_back_from_resistances,
+    ),
+    ("network of 200 samples", 0.0186, "training does worse than the paper: please report it.", network_of_200_samples),
+]
+if os.name == "posix":  # a simulated board needs a pseudo-terminal
+    KNOWN.append(("scans over a terminal", 0.0, "scans are lost: is the machine very busy?", scans_over_a_terminal))

@@ -24,7 +24,6 @@ def info(
     *,
     seconds: float | None = None,
     model: ModelLike | None = None,
-    calibration: File | None = None,
     **link: Annotated[Any, LINK],
 ) -> dict[str, Any]:
     """List the serial ports of this machine; or ask a board what it is: size, rate, circuit, firmware.
@@ -40,11 +39,8 @@ def info(
         Time to measure the link for [s]; default: only ask the board.
     model : Decoupler or path, optional
         Model file for the latency of forces, with seconds; default: frames are only read.
-    calibration : path, optional
-        Calibration file of this sensor; default: as designed, switches of 25 Ω.
-
     **link
-        Fields of `inputs.Link`: baud and timeout.
+        Fields of `inputs.Link`: calibration, baud and timeout.
 
     Returns
     -------
@@ -52,7 +48,7 @@ def info(
         What was found, as JSON has it.
     """
     caller = current()
-    if seconds is None and (model is not None or calibration is not None):
+    if seconds is None and (model is not None or link.get("calibration") is not None):
         raise DesignError("model= and calibration= are for measuring the link: add seconds= too, or leave them out.")
     if port is None:
         found = [
@@ -65,7 +61,7 @@ def info(
         caller.answer(lambda: result, "\n".join("  ".join(each.values()) for each in found))
         return result
     decoupler = None if model is None else model_of(model)
-    with stages.connect(port, calibration, **link) as (scanner, known):
+    with stages.connect(port, **link) as (scanner, known):
         if seconds is not None:
             sensor = None if decoupler is None else stages.LiveSensor(scanner, decoupler, known)
             measured = stages.measure_link(scanner, sensor, seconds)
@@ -77,7 +73,7 @@ def info(
     shown = {name: value for name, value in measured.items() if name not in ("latency_ms", "statistics")}
     shown |= {f"latency_{name}_ms": value for name, value in (measured["latency_ms"] or {}).items()}
     tables = {"The board's link": shown, "What was met": measured["statistics"]}
-    caller.answer(lambda: measured, lambda: [stages.plain_table(title, [row]) for title, row in tables.items()])
+    caller.answer(lambda: measured, lambda: [stages.plain_table(title, row) for title, row in tables.items()])
     return measured
 
 
@@ -87,7 +83,6 @@ def watch(
     /,
     model: ModelLike,
     *,
-    calibration: File | None = None,
     rubber: File | None = None,
     seconds: float = math.inf,
     rate_hz: int | None = None,
@@ -105,8 +100,6 @@ def watch(
         Serial port, socket://host:port, or a recording.
     model : Decoupler or path
         Model file.
-    calibration : path, optional
-        Calibration file of this sensor; default: as designed, switches of 25 Ω.
     rubber : path, optional
         Rubber file (.toml) whose memory is taken out of the readings; default: that of the model's design, if any.
     seconds : float
@@ -125,7 +118,7 @@ def watch(
         raise DesignError("describe=True prints a line of JSON: add --json, or leave describe=True out.")
     asked = AskedStreams(**STREAMS.of(more))
     asked.require()
-    with stages.live(port, model, calibration, rubber=rubber, **LINK.of(more)) as sensor:
+    with stages.live(port, model, rubber=rubber, **LINK.of(more)) as sensor:
         if rate_hz is not None:
             sensor.scanner.set_rate(rate_hz)
         with asked.opened(sensor.description) as streams:
@@ -143,7 +136,6 @@ def record(
     seconds: float = math.inf,
     *,
     model: ModelLike | None = None,
-    calibration: File | None = None,
     append: bool = False,
     **link: Annotated[Any, LINK],
 ) -> int:
@@ -161,12 +153,10 @@ def record(
         Seconds after which to stop; default: on Ctrl-C.
     model : Decoupler or path, optional
         Model file that the recording is meant for: its hash goes along.
-    calibration : path, optional
-        Calibration file of this sensor, kept with the scans; default: as designed, switches of 25 Ω.
     append : bool
         Continue the recording, of the same board.
     **link
-        Fields of `inputs.Link`.
+        Fields of `inputs.Link`; the calibration is kept with the scans.
 
     Returns
     -------
@@ -186,12 +176,12 @@ def record(
     True
     """
     caller, path, decoupler = current(), Path(out), None if model is None else model_of(model)
-    with stages.connect(port, calibration, queue=stages.RECORDING_QUEUE, **link) as (scanner, known):
+    with stages.connect(port, queue=stages.RECORDING_QUEUE, **link) as (scanner, known):
         if decoupler is not None:
             stages.LiveSensor(scanner, decoupler, known)  # refuses a model of another sensor
         hashes = {} if decoupler is None else stages.hashes_of(decoupler)
         advance = _progress if caller.is_typed and not caller.bars.is_quiet else None
-        kept = known if calibration else None
+        kept = known if link.get("calibration") else None
         n, met = stages.record_scans(scanner, path, seconds, kept, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
@@ -215,7 +205,7 @@ def other_counts(met: "stages.LinkStatistics") -> list[str]:
 
 
 def _progress(seconds: float, scans: int, trouble: str | None) -> None:
-    """Show a recording's progress on one line of stderr."""
+    """Show a recording's progress on one line of stderr, also of one that is kept in a file."""
     print(f"\r{seconds:.0f} s  {scans} scans  {trouble or ''}\033[K", end="", file=sys.stderr, flush=True)
 
 
@@ -328,7 +318,6 @@ def tare(
     /,
     *,
     out: File,
-    calibration: File | None = None,
     seconds: float = 2.0,
     force: bool = False,
     **more: Annotated[Any, WIRES, LINK],
@@ -343,25 +332,23 @@ def tare(
         Serial port, socket://host:port, or a recording.
     out : path
         Calibration file to write (.json).
-    calibration : path, optional
-        Calibration file of this sensor to build on; default: as designed, switches of 25 Ω.
     seconds : float
         Time to average over [s].
     force : bool
         Write the file even if the readings cannot be what they should be.
     **more
-        Fields of `inputs.Wires` and `inputs.Link`.
+        Fields of `inputs.Wires` and `inputs.Link`, whose calibration is built on.
 
     Returns
     -------
     SensorCalibration
         What was known of the sensor, and its rest.
     """
-    path = Path(out)
+    path, calibration = Path(out), more.get("calibration")
     to_write("out", path)
     if path.exists() and (calibration is None or path.resolve() != Path(calibration).resolve()):
         raise FileFormatError(f"{path}: the file exists: build on it by calibration={path}, or give another name.")
-    with stages.connect(port, calibration, **LINK.of(more)) as (scanner, known):
+    with stages.connect(port, **LINK.of(more)) as (scanner, known):
         electronics = replace(known.electronics, **WIRES.of(more))
         crossbar, counts = electronics.crossbar(scanner.info), stages.counts_within(scanner, seconds)
         if not force:

@@ -13,7 +13,7 @@ from geometry.errors import DesignError, FileFormatError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
-    LINK,
+    BARE_LINK,
     WIRES,
     DesignLike,
     File,
@@ -60,7 +60,7 @@ def identify(
     have: str | None = None,
     seconds: float = 1.0,
     force: bool = False,
-    **more: Annotated[Any, WIRES, LINK],
+    **more: Annotated[Any, WIRES, BARE_LINK],
 ) -> "stages.Twin | stages.SensorCalibration | tuple[stages.NextLoad, ...]":
     """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
 
@@ -110,7 +110,7 @@ def identify(
     force : bool
         Go on although the pairs look wrong; the decoder remembers why they did.
     **more
-        Fields of `inputs.Wires` and `inputs.Link`.
+        Fields of `inputs.Wires`, and baud and timeout of `inputs.Link`.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def identify(
         else:
             beside = None if path is None or as_designed else path.with_suffix(".csv")
             kept = beside if keep is None else Path(keep)
-            measured, serial = stages.measured_live(*board, seconds, force, kept, **LINK.of(more))
+            measured, serial = stages.measured_live(*board, seconds, force, kept, **BARE_LINK.of(more))
     if as_designed:
         if not isinstance(measured, stages.Pairs):
             raise DesignError(
@@ -326,12 +326,9 @@ def _checked_pairs(
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
-    component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
-    judge, doubted = stages.joint_model(response), None
-    if pairs.made_from.get("protocol") == stages.INDENT:
-        doubted = f"the protocol '{stages.INDENT}' presses shapes, and a sensor is identified from loads on its pads: "
-        doubted += "measure such"
-    forced = stages.heed(doubted or stages.doubt(pairs, component, judge), name, force)
+    component = stages.component_named(stages.acting_component(pairs.force_n))
+    judge = stages.joint_model(response)
+    forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
     stages.mention(pairs, name, component, judge)
     stages.mention_another_sensor(pairs, name, component, judge)
     own = None if response is None else stages.SensorModel.of(response, component)

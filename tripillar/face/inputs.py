@@ -12,9 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
 
-from geometry.design import SensorDesign, quantity
+from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError, FileFormatError
+from geometry.quantity import quantity
 from geometry.storage.files import require_file, require_folder
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -64,8 +65,9 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Reach of a board, as `hardware.Scanner` takes it."""
+    """Reach of a board, as `hardware.Scanner` takes it, and what is known of its sensor."""
 
+    calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
 
@@ -79,6 +81,7 @@ class Wires:
 
 
 LINK, WIRES = Options(Link), Options(Wires)
+BARE_LINK = Options(Link, "baud", "timeout")  #: of a board whose calibration is yet to be found
 
 
 def options_of(parameter: inspect.Parameter) -> list[Options]:
@@ -206,11 +209,6 @@ def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
     return model
 
 
-def scene_of(source: "SceneLike") -> "stages.Scene":
-    """A scene, or that of a file."""
-    return stages.read_scene(Path(source)) if isinstance(source, Path | str) else source
-
-
 def name_of(source: object, otherwise: str) -> str:
     """Name of what a job was given, for messages: its file, if it is one."""
     return str(source) if isinstance(source, Path | str) else otherwise
@@ -219,13 +217,13 @@ def name_of(source: object, otherwise: str) -> str:
 def require_pool(workers: int | None, scheduler: str | None) -> None:
     """Refuse workers here and a scheduler at once, and a scheduler without the package that reaches it."""
     if scheduler is not None:
-        require_packages("dask", "distributed")
+        require_packages("sweep", "dask", "distributed")
         if workers is not None:
             raise DesignError("workers= are begun on this machine, scheduler= has its own: give one of them.")
 
 
-def require_packages(*names: str) -> None:
-    """Refuse to begin without the packages of the extra `sweep`."""
+def require_packages(extra: str = "", *names: str) -> None:
+    """Refuse to begin without packages of an extra."""
     absent = [name for name in names if find_spec(name) is None]
     if absent:
-        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[sweep]'.")
+        raise DesignError(f"{', '.join(absent)} not installed: pip install 'tripillar[{extra}]'.")

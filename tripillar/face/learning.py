@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, require_type
-from geometry.layout import require_told
+from geometry.layout import require_told, told_by_tilt
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -256,6 +256,8 @@ def evaluate(
     assert model is not None  # there are no folds
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
+    if sensor := samples.design or decoupler.design:
+        caller.say(told_by_tilt(sensor.unit, decoupler.component.axes))
     if isinstance(decoupler, stages.TouchDecoder):
         return _assessed_touch(decoupler, data)
     for label, known in ((name, samples.design), (named, decoupler.design)):
@@ -265,8 +267,7 @@ def evaluate(
     stages.warn_of_test(decoupler, named, samples, name, solved)
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
     _mention_untrusted(decoupler)
-    plain, table = stages.as_plain, stages.assessment_table
-    caller.answer(lambda: plain(assessed), lambda: [table(assessed)])
+    caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
 
 
@@ -282,8 +283,8 @@ def _cross_validated(
     parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
     advance = current().bars.begin(f"{folds} folds", total=folds)
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
-    summary, table = stages.summary, stages.crossval_table
-    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [table(tested)])
+    result = {"feature": network.feature} | stages.summary(tested)
+    current().answer(lambda: result, lambda: [stages.crossval_table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
@@ -304,27 +305,22 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
     of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
     of_sensor |= {"pillars": pillars, "made_from": made_from}
+    decoder: stages.TouchDecoder
     if is_plated:
         advance = caller.bars.begin("compliance of the top", total=1)
         surface, _, reused = stages.surface_compliance(design, lambda step: advance(0, step))
-        plates = stages.PlateDecoder(library=stages.PlateResponse.of(surface), **of_sensor)
-        result = {"file": str(out), "plates": design.n_units, "reused": reused}
-        return _kept_touch(plates, out, result, f"{design.n_units} plates")
-    advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
-    library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
-    result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
-    text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
-    return _kept_touch(stages.TouchDecoder(library=library, **of_sensor), out, result, text)
-
-
-def _kept_touch(
-    decoder: "stages.TouchDecoder", out: Path | None, result: dict[str, Any], text: str
-) -> "stages.TouchDecoder":
-    """Write a decoder of touches, and answer."""
+        decoder = stages.PlateDecoder(library=stages.plate_response(surface), **of_sensor)
+        result, text = {"plates": design.n_units}, f"{design.n_units} plates"
+    else:
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+        decoder = stages.BareDecoder(library=library, **of_sensor)
+        result = {"presses": len(library.presses.size), "rows": len(library.source)}
+        text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
     if out is not None:
         stages.write_touch(decoder, out)
-    bars = current().bars
-    current().answer(lambda: result | {"seconds": bars.seconds()}, text, out)
+    made = {"file": str(out)} | result | {"reused": reused, "seconds": caller.bars.seconds()}
+    caller.answer(lambda: made, text, out)
     return decoder
 
 
@@ -333,8 +329,7 @@ def _assessed_touch(decoder: "stages.TouchDecoder", data: "SamplesLike") -> "dic
     samples = stages.in_memory(samples_of(data, labels_only=False))
     advance = current().bars.begin("touches", total=len(samples))
     found = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
-    tables = stages.assessed_touch_tables
-    current().answer(found.plain, lambda: tables(found))
+    current().answer(found.plain, lambda: stages.assessed_touch_tables(found))
     return found.by_force
 
 
@@ -368,7 +363,7 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
-    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
+    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.acting_component(samples.force_n)
     parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
@@ -376,6 +371,7 @@ def _checked(
         sensor = SensorDesign()
     if sensor is not None:
         require_told(sensor.unit, parts.axes)
+        current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if net == "skip" if is_automatic else feature == "inverse":

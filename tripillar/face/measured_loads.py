@@ -91,11 +91,8 @@ def measured_in_recording(
 
 
 def _require_design(design: SensorDesign, info: Info) -> None:
-    if (design.array.rows, design.array.cols) != (info.rows, info.cols):
-        raise FileFormatError(
-            f"the board has {info.rows} × {info.cols} units, the design {design.array.rows} × {design.array.cols}: "
-            "give design= of this sensor."
-        )
+    array = design.array
+    info.require_array("the design", array.rows, array.cols, design.unit.layout, "give design= of this sensor")
 
 
 def _typed(design: SensorDesign) -> Iterator[KnownLoad]:

@@ -1,7 +1,7 @@
 """Make labelled samples: of pads or of contacts, by linear or by finite strain, in one file or in a zarr directory."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -158,7 +158,7 @@ def dataset(
         advance = caller.bars.begin("dataset", total=samples)
         leaves = stages.LeafJob(response=solved, settings=settings, readout=readout, twin=twin, only=names, dtype=dtype)
         if path is not None and in_leaves:
-            story = asdict(stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, "")))
+            story = stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, ""))
             made = stages.read_samples(path)
         else:
             made = leaves.whole(lambda n: advance(n, ""))

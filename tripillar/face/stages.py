@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
-    from decoupler.data.columns import Columns, component_named
+    from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
@@ -44,16 +44,17 @@ if TYPE_CHECKING:
     from decoupler.rubber.silicones import surrounded
     from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import assess_touch
+    from decoupler.touch.bare import BareDecoder
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
-    from decoupler.touch.morph import Pillars
-    from decoupler.touch.plates import PlateDecoder, PlateResponse
+    from decoupler.touch.plates import PlateDecoder, plate_response
+    from decoupler.touch.sensing import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
-    from decoupler.training.suited import suited_component, suited_feature, without_stuck
+    from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
-    from decoupler.twin.identification import LOADS, Twin, acting, identify
+    from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
     from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
@@ -63,7 +64,11 @@ if TYPE_CHECKING:
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
+    from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
+    from fem.pictures.deformation import DeformedPicture
+    from fem.pictures.parts import Parts
+    from fem.pictures.scenery import QUANTITIES
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import Solution, solution_as_plain, write_field
@@ -77,6 +82,7 @@ if TYPE_CHECKING:
     from hardware.boards.virtual_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
+    from hardware.link.serial_ports import linked, require_link
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -87,7 +93,7 @@ if TYPE_CHECKING:
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
     from hardware.session import record_scans
-    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, reachable, require_new
+    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
@@ -109,24 +115,31 @@ if TYPE_CHECKING:
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
+    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
-    from tripillar.viewer.page.opening import open_page
-    from tripillar.viewer.showing import require_shown, show_deformed
-    from tripillar.viewer.sights import largest_mm, linear_note, read_body
+    from tripillar.viewer.page.page import Subject
+    from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
+    from tripillar.viewer.page.server import serve
+    from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
+    from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
 @cache
-def _homes() -> dict[str, tuple[str, str]]:
-    """Module and name there of each name that is imported above."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+def _homes(file: str) -> dict[str, tuple[str, str]]:
+    """Module and name there of each name that a file imports."""
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     return {each.asname or each.name: (str(node.module), each.name) for node in imported for each in node.names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _homes():
+def imported_by(file: str, name: str) -> Any:
+    """What a file imports under a name for type checkers alone."""
+    if name not in _homes(file):
         raise AttributeError(f"no stage has the name {name}")
-    module, own = _homes()[name]
+    module, own = _homes(file)[name]
     return getattr(import_module(module), own)
+
+
+def __getattr__(name: str) -> Any:
+    return imported_by(__file__, name)

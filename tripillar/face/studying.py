@@ -49,9 +49,8 @@ def run(
     caller, sensor = current(), design_of(design)
     with last_words(f"interrupted; the files in {out} are kept: give the same command again to go on."):
         result = stages.run_pipeline(sensor, Path(out), caller.bars, until_dataset=until == "dataset")
-    comparison, stage = stages.comparison_table, stages.stage_table
-    of_errors = [comparison(result.comparisons)] if result.comparisons else []
-    caller.answer(result.as_plain, lambda: [*of_errors, stage(result.stages)], *result.files)
+    of_errors = [stages.comparison_table(result.comparisons)] if result.comparisons else []
+    caller.answer(result.as_plain, lambda: [*of_errors, stages.stage_table(result.stages)], *result.files)
     return result
 
 
@@ -106,7 +105,7 @@ def sweep(
     asked = replace(asked, samples=trials or asked.samples)
     if optimize:
         return _optimized(asked, source, folder, workers, scheduler)
-    require_packages("pyarrow", "matplotlib")
+    require_packages("sweep", "pyarrow", "matplotlib")
     samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
     found = stages.kept_rows(samples, journal, retry)
     missing = [sample for sample in samples if sample.cache_key not in found]
@@ -126,8 +125,7 @@ def sweep(
         "best": [row.flat(asked.metrics) for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
-    table = stages.best_table
-    caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
+    caller.answer(lambda: result, lambda: stages.best_tables(rows, asked, best), *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
@@ -139,7 +137,7 @@ def _optimized(
     asked: "stages.Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None
 ) -> "list[stages.Row]":
     """The designs within bounds that a search tried, the best one first."""
-    require_packages("optuna")
+    require_packages("sweep", "optuna")
     journal = Journal(folder / f"{source.stem}-rows")
     with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
         rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))
@@ -150,9 +148,8 @@ def _optimized(
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics)}
-    table = stages.best_table
-    current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
+    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics), "file": str(path)}
+    current().answer(lambda: result, lambda: stages.best_tables(rows, asked, 5), path)
     return best
 
 

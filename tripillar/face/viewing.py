@@ -1,19 +1,27 @@
 """Show a deformed sensor or scene: in a window, a file or a page."""
 
+import asyncio
+import json
 import math
+import os
+import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from geometry.errors import DesignError
+from geometry.design import SensorDesign, with_model
+from geometry.errors import DesignError, FileFormatError
+from geometry.quantity import quantity
+from geometry.storage.files import digest
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import BodyLike, DesignLike, File, design_of, job
+from tripillar.face.inputs import BodyLike, DesignLike, File, Options, design_of, job, model_of, require_packages
 from tripillar.terminal.interrupts import leave_at_once
-from tripillar.viewer.showing import Camera, Colour, LoadKind
 
 if TYPE_CHECKING:
     Pressures = float | Sequence[float] | None
@@ -24,7 +32,39 @@ else:
 
 PRESSURES = (3.0,)  #: [MPa] where none is asked for
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
+FILM_STEPS = 5  #: loads solved for a film at finite strain, between which it interpolates
 MEND = "write model = 'neo-hookean' in the rubbers for finite strain"
+#: kinds of files that are written, with the extra and the packages that each needs
+NEEDS = {
+    ".png": (),
+    ".html": ("page", "trame", "trame_vtk", "trame_pyvista"),
+    ".mp4": ("film", "imageio", "imageio_ffmpeg"),
+    ".vtm": (),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Served:
+    """The page of an array: where it is served, and the sensor that it shows."""
+
+    host: str = quantity("127.0.0.1", "address that the page is served on; by default for this machine alone")
+    http_port: int = quantity(8080, "port of the page; 0: any free one")
+    port: str | None = quantity(None, "sensor to show on the page: a port as of 'live', or a recording")
+    model: File | None = quantity(None, "model file that reads the forces of the sensor on the page, which needs one")
+    calibration: File | None = quantity(None, "calibration file of that sensor")
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.http_port < 2**16:
+            raise DesignError(f"http_port={self.http_port} must be from 0 (any free one) to {2**16 - 1}.")
+        if not self.host:
+            raise DesignError("host= is empty: give an address of this machine, such as 127.0.0.1.")
+        if self.port is not None and self.model is None:
+            raise DesignError("port= needs model=: the model that turns the sensor's resistances into forces.")
+        if self.port is None and self.calibration is not None:
+            raise DesignError("calibration= is of a sensor: give its port= too, or a recording of it.")
+
+
+PAGE = Options(Served)
 
 
 @job(save="")
@@ -34,17 +74,15 @@ def view(
     *,
     save: File | None = None,
     pressure_mpa: Pressures = None,
-    load: LoadKind | None = None,
-    colour: Annotated[Colour, Parameter(name=("--colour", "--color"))] = "displacement",
+    load: Literal["indenter", "uniform"] | None = None,
+    colour: Annotated[
+        Literal["displacement", "vertical", "mises", "pressure"], Parameter(name=("--colour", "--color"))
+    ] = "displacement",
     scale: Scale = "true",
-    camera: Camera = "iso",
+    camera: Literal["iso", "top", "front", "side"] = "iso",
     serve: bool = False,
-    host: str | None = None,
-    http_port: int | None = None,
-    port: str | None = None,
-    model: File | None = None,
-    calibration: File | None = None,
     design: DesignLike | None = None,
+    **page: Annotated[Any, PAGE],
 ) -> dict[str, float]:
     """Show a sensor or a scene deformed: in a window, a file or a web page.
 
@@ -67,18 +105,10 @@ def view(
         Direction to look from.
     serve : bool
         Serve a page with sliders, on which the array deforms live.
-    host : str, optional
-        Address that the page is served on; default: 127.0.0.1, this machine alone.
-    http_port : int, optional
-        Port of the page; 0: any free one; default: 8080.
-    port : str, optional
-        Sensor to show on the page: a port as of `live`, or a recording.
-    model : path, optional
-        Model file that reads the forces of the sensor on the page, which needs one.
-    calibration : path, optional
-        Calibration file of that sensor.
     design : SensorDesign or path, optional
         Design file (TOML), in place of the argument.
+    **page
+        Fields of `viewing.Served`, with serve: host, http_port, port, model, calibration.
 
     Returns
     -------
@@ -98,28 +128,23 @@ def view(
     caller, start = current(), perf_counter()
     if body is not None and design is not None:
         raise DesignError(f"{body} and design={design} both say what to show: give one of them.")
-    defaults = {"save": None, "pressure_mpa": None, "load": None, "colour": "displacement", "scale": "true"}
-    of_pictures = dict(save=save, pressure_mpa=pressure_mpa, load=load, colour=colour, scale=scale, camera=camera)
-    of_pictures = {name: value for name, value in of_pictures.items() if value != defaults.get(name, "iso")}
-    named = (("model", model), ("calibration", calibration))
-    files = {name: None if path is None else Path(path) for name, path in named}
-    of_page: dict[str, Any] = dict(host=host, http_port=http_port, port=port, **files)
-    of_page = {name: value for name, value in of_page.items() if value is not None}
-    if surplus := ", ".join(f"{name}=" for name in (of_pictures if serve else of_page)):
+    served, usual = PAGE.of(page), {"colour": "displacement", "scale": "true", "camera": "iso"}
+    drawn = {"save": save, "pressure_mpa": pressure_mpa, "load": load, "colour": colour, "scale": scale}
+    drawn = {name: each for name, each in (drawn | {"camera": camera}).items() if each != usual.get(name)}
+    if surplus := ", ".join(f"{name}=" for name in (drawn if serve else served)):
         if serve:
             raise DesignError(f"the page of serve=True has controls of its own: leave {surplus} out.")
         raise DesignError(f"add serve=True, whose page these are for, or leave {surplus} out.")
     if serve:
-        _serve(of_page, design if body is None else body)
+        options, shown = Served(**served), body if design is None else design_of(design)
+        _serve(stages.read_body(Path(shown)) if isinstance(shown, Path | str) else shown, str(shown), options)
         return {}
     pressures, factor, file = _pressures(pressure_mpa), _factor(scale), None if save is None else Path(save)
-    stages.require_shown(file)
-    given = design_of(design) if body is None else _read(body)
+    _require_shown(file)
+    given = stages.read_body(Path(body)) if isinstance(body, Path | str) else body or design_of(design)
     if isinstance(given, stages.Scene) and (pressure_mpa is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave pressure_mpa= and load= out.")
-    panels, factor = stages.show_deformed(
-        given, file, pressures, load or "indenter", colour, factor, camera, caller.bars
-    )
+    panels, factor = _shown(given, file, pressures, load or "indenter", colour, factor, camera)
     lines, largest = [], {}
     for name, parts in panels.items():
         moved = {part_name: stages.largest_mm(part.displacement_mm) for part_name, part in parts.items()}
@@ -136,18 +161,95 @@ def view(
     return largest
 
 
-def _read(body: "BodyLike") -> Any:
-    return stages.read_body(Path(body)) if isinstance(body, Path | str) else body
+def _require_shown(save: Path | None) -> None:
+    """Refuse a window without a display, or a file that cannot be written, before anything is computed."""
+    if save is None:
+        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+            raise DesignError("there is no display to open a window on: give save=FILE.png, .html, .mp4 or .vtm.")
+        return
+    if save.suffix not in NEEDS:
+        raise DesignError(f"save={save} must end in {', '.join(NEEDS)}.")
+    if save.suffix == ".vtm" and save.with_suffix("").exists() and not save.exists():
+        raise FileFormatError(
+            f"{save.with_suffix('')} exists, but no {save.name} that it belongs to: give another name."
+        )
+    require_packages(*NEEDS[save.suffix])
 
 
-def _serve(of_page: dict[str, Any], source: "BodyLike | None") -> None:
-    """Serve the page of a design until Ctrl-C."""
-    design = None if source is None else _read(source)
-    if isinstance(design, stages.Scene):
-        raise DesignError(f"{source} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
-    stages.open_page(design, current().bars, current().as_json, **of_page)
-    if current().is_typed:
+def _shown(
+    body: "SensorDesign | stages.Scene", save: Path | None, pressures_mpa: Sequence[float], load: str, colour: Any,
+    scale: float | None, camera: Any,
+) -> "tuple[dict[str, stages.Parts], float]":  # fmt: skip
+    """Solve for what is shown, and show it until its window is closed or write it; its parts by picture, the scale."""
+    kind, bars = "" if save is None else save.suffix, current().bars
+    advance = bars.begin("fields", total=4)
+    stress = kind == ".vtm" or stages.QUANTITIES[colour].of_stress
+    panels = stages.panels_of(body, pressures_mpa, load, stress, lambda step: advance(1, step))
+    factor = stages.suited_scale(panels) if scale is None else scale
+    warning = stages.linear_note(body, panels)
+    steps = 1 if kind != ".mp4" or stages.is_linear(body) else FILM_STEPS
+    before = [stages.panels_of(body, pressures_mpa, load, stress, share=step / steps) for step in range(1, steps)]
+    advance(1, "")
+    if save is None:
+        stages.DeformedPicture(panels, colour, factor, camera, "window", warning=warning).plotter.show()
+        return panels, factor
+    drawn = bars.begin("picture", total=stages.FRAMES if kind == ".mp4" else 1)
+    if kind == ".vtm":
+        stages.save_blocks(panels, save)
+        return panels, factor
+    medium, write = stages.SAVERS[kind]
+    picture = stages.DeformedPicture(panels, colour, factor, camera, medium, warning=warning, before=before)
+    write(picture, save, lambda: drawn(1, ""))
+    return panels, factor
+
+
+def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served) -> None:
+    """Serve the page of a design, by default the model's or the paper's, until Ctrl-C; prints its address."""
+    if isinstance(body, stages.Scene):
+        raise DesignError(f"{name} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
+    require_packages("page", "aiohttp")
+    caller = current()
+    with ExitStack() as stack:
+        # a taken port is refused before anything takes time
+        listening = stack.enter_context(stages.listening_on(page.host, page.http_port))
+        decoder = None if page.model is None else model_of(page.model)
+        design = body or (decoder.design if decoder is not None else None) or SensorDesign()
+        if decoder is not None:
+            _require_model(decoder, str(page.model), design)
+        if design.matrix_material.model != "linear":
+            caller.say("the page shows linear rubber: take save= for a picture at finite strain")
+        feed = None
+        if page.port is not None and decoder is not None:
+            feed = stack.enter_context(stages.SensorFeed(page.port, decoder, page.calibration))
+        with caller.bars:
+            _, response = stages.respond(with_model(design, "linear"), caller.bars)
+            advance = caller.bars.begin("page", total=2)
+            field = stages.solve_array_field(response.design, lambda step: advance(0, step)).prepared()
+            advance(1, "decoupler")
+            forces = stages.inverse_forces(response) if decoder is None else stages.net_forces(decoder)
+            by = "the response's inverse" if decoder is None else f"the model {page.model}"
+            sensor = stages.PressedSensor(response, forces)
+            subject = stages.Subject(field=field, sensor=sensor, decoupler=by, feed=feed)
+            advance(1, "")
+
+        def tell(url: str) -> None:
+            print(json.dumps({"url": url}) if caller.as_json else url, flush=True)
+            caller.say("" if caller.as_json else "Ctrl-C ends it")
+
+        asyncio.run(stages.serve(subject, page.host, listening, tell))
+    if caller.is_typed:
         leave_at_once()
+
+
+def _require_model(model: "stages.AnyDecoder", name: str, design: SensorDesign) -> None:
+    """Refuse a model of an array of another size; warn of one of another design."""
+    rows, cols = design.array.rows, design.array.cols
+    if (model.rows, model.cols) != (rows, cols):
+        raise FileFormatError(
+            f"{name} is of {model.rows} × {model.cols} units, the design has {rows} × {cols}: give its design=."
+        )
+    if model.design_hash not in (None, digest(design)):
+        current().say("warning: the model was trained for another design: its forces are those of that design")
 
 
 def _pressures(given: "Pressures") -> tuple[float, ...]:

@@ -79,19 +79,7 @@ class PipelineResult:
 
 
 def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: bool = False) -> PipelineResult:
-    """Run every stage, or stop after the datasets.
-
-    Parameters
-    ----------
-    design : SensorDesign
-        Design of the sensor.
-    out : Path
-        Folder for all files; meshes and responses also stay in the cache.
-    bars : Bars
-        Progress bars.
-    until_dataset : bool
-        Stop after the datasets.
-    """
+    """Run every stage, or stop after the datasets; files go to a folder, meshes and responses into the cache, too."""
     stages = [draw(design, out / "cad", bars)]
     stage, response = respond(design, bars)
     stages.append(stage)

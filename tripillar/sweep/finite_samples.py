@@ -42,16 +42,10 @@ def simulate_finite(
     scheduler: str | None = None,
     progress: Callable[[int, str], None] = lambda groups, said: None,
 ) -> Samples:
-    """Samples at finite strain by workers, those of earlier runs taken up again.
+    """Samples at finite strain, as of `dataset.finite_strain.samples_of`, by the workers of `open_pool`.
 
-    Parameters
-    ----------
-    response, settings, readout
-        As of `dataset.finite_strain.samples_of`.
-    count, scheduler
-        As of `open_pool`.
-    progress : function
-        Called with the number of groups that were added and a word on them, those of earlier runs first.
+    Those of earlier runs are taken up again. `progress` is called with the number of groups that were added and a word
+    on them, those of earlier runs first.
 
     Raises
     ------

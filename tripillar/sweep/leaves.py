@@ -95,23 +95,16 @@ def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
     return packed(arrays, number, chunk, job.dtype), samples.made_from["redrawn"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Made:
-    """A finished data set."""
-
-    recipe: str
-    redrawn: int
-    kept: int  #: samples of earlier runs
-
-
 def make_directory(
     job: LeafJob,
     out: Path,
     count: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda samples: None,
-) -> Made:
+) -> dict[str, Any]:
     """Make a data set of any size; a run that was stopped or killed is taken up again.
+
+    Gives its ``recipe``, the draws that were ``redrawn``, and how many samples of earlier runs were ``kept``.
 
     Parameters
     ----------
@@ -139,7 +132,7 @@ def make_directory(
     if is_current(out, recipe):
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
-        return Made(recipe=recipe, redrawn=int(read_samples(out).made_from["redrawn"]), kept=job.settings.samples)
+        return {"recipe": recipe, "redrawn": int(read_samples(out).made_from["redrawn"]), "kept": job.settings.samples}
     journal, numbers = Journal(folder), job.numbers
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
     with reported(out, folder / "any"), journal.alone(), last_words(f"stopped; {go_on}"):
@@ -169,7 +162,7 @@ def make_directory(
                 raise NotWrittenError(f"{error} {go_on[0].upper()}{go_on[1:]}") from None
             raise
     shutil.rmtree(folder, ignore_errors=True)
-    return Made(recipe=recipe, redrawn=redrawn, kept=kept)
+    return {"recipe": recipe, "redrawn": redrawn, "kept": kept}
 
 
 def unfinished(out: Path, job: LeafJob) -> Path:

@@ -13,7 +13,6 @@ from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all, kept_rows
 from tripillar.sweep.sampling import sample_at
 from tripillar.sweep.sweep_file import Sweep
-from tripillar.sweep.variables import Variable
 
 START = 16  #: trials drawn evenly before the search leans on any
 BATCH = 4  #: trials asked for at a time
@@ -40,9 +39,9 @@ def search(sweep: Sweep, pool: Pool, journal: Journal, progress: Callable[[Row],
     rows: dict[str, Row] = {}
     for first in range(0, sweep.samples, BATCH):
         trials = [study.ask(space) for _ in range(min(BATCH, sweep.samples - first))]
-        samples = [
-            sample_at(sweep, [_value(each, trial.params[each.name]) for each in sweep.variables]) for trial in trials
-        ]
+        tried = [[(each, trial.params[each.name]) for each in sweep.variables] for trial in trials]
+        # of a choice one of its texts, else a share of its range
+        samples = [sample_at(sweep, [at if isinstance(at, str) else each.at(at) for each, at in one]) for one in tried]
         new = {sample.cache_key: sample for sample in samples if sample.cache_key not in rows}
         rows |= kept_rows(new.values(), journal)
         missing = [sample for key, sample in new.items() if key not in rows]
@@ -51,11 +50,6 @@ def search(sweep: Sweep, pool: Pool, journal: Journal, progress: Callable[[Row],
             study.tell(trial, value(rows[sample.cache_key], sweep))
             progress(rows[sample.cache_key])
     return list(rows.values())
-
-
-def _value(variable: Variable, tried: float | str) -> float | str:
-    """The value of a variable by what the search tried: one of its texts, or a share of its range."""
-    return tried if isinstance(tried, str) else variable.at(tried)
 
 
 def value(row: Row, sweep: Sweep) -> float:

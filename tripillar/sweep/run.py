@@ -10,7 +10,7 @@ from fem.array.substructured import cell_cache_key
 from geometry.mesh import mesh_cache_key, suited_settings
 from geometry.pool import Pool
 from geometry.storage.journal import Journal
-from tripillar.sweep.judge import failed_row, row_of
+from tripillar.sweep.judge import row_of, row_with
 from tripillar.sweep.rows import Row
 from tripillar.sweep.sampling import Sample
 from tripillar.sweep.sweep_file import Judging
@@ -39,11 +39,11 @@ def judge_all(
         If a file cannot be written, here or by a worker.
     """
     rows: dict[str, Row] = {}
-    unsound = [(sample, failed_row(sample, sample.reason)) for sample in samples if sample.design is None]
+    unsound = [(sample, row_with(sample, reason=sample.reason)) for sample in samples if sample.design is None]
     sound = different_first([sample for sample in samples if sample.design is not None], judging)
     for sample, row in chain(unsound, pool.done(row_of, sound, judging)):
         if isinstance(row, Exception):  # whatever it is, it is this design's, and the others go on
-            row = failed_row(sample, f"{type(row).__name__}: {row}".splitlines()[0])
+            row = row_with(sample, reason=f"{type(row).__name__}: {row}".splitlines()[0])
         journal.keep(row.cache_key, vars(row))
         rows[row.cache_key] = row
         progress(row)

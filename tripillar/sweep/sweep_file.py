@@ -5,21 +5,21 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from dataset import Imperfections
 from fem.array.solving import ResponseSettings
-from geometry.design import SensorDesign, quantity, require_sound
+from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.errors import DesignError
 from geometry.layout import Layout
 from geometry.layout_file import layout_from_tables
+from geometry.quantity import positive, quantity, require_sound
 from geometry.storage.text_file import StrictTables, read_text, tables_of
 from tripillar.sweep.rows import Metric, metrics_for
 from tripillar.sweep.variables import CHOICES, Variable
 
 STRICT = StrictTables(DesignError)
-SAMPLINGS = ("sobol", "latin-hypercube", "grid")
 MAX_SAMPLES = 100_000  #: rows of one sweep
 
 
@@ -30,8 +30,8 @@ class Judging:
     tolerance: float = quantity(1e-2, "relative error wanted of the response")
     noise: float = quantity(1e-3, "relative standard deviation of a resistance")
     bits: int | None = None  #: of the converter; None reads exactly
-    cap: float = quantity(0.3, "largest strain of a pillar")
-    touch_n: float = quantity(0.0, "normal force of a touch on bare rubber; 0: touches are not judged")
+    cap: float = positive(0.3, "largest strain of a pillar; the paper uses 0.2 and 0.3", within=(0, 1), below=True)
+    touch_n: float = quantity(0.0, "normal force of a touch on bare rubber; 0: touches are not judged", within=(0, 1e6))
 
     def __post_init__(self) -> None:
         require_sound(self)
@@ -39,10 +39,6 @@ class Judging:
         Imperfections(noise=self.noise, bits=self.bits)
         if not self.noise and self.bits is None:
             raise DesignError("noise=0 and no bits leave no error to compare designs by: give noise = 0.001.")
-        if self.touch_n < 0:
-            raise DesignError(f"touch_n={self.touch_n:g} must be 0 or more; 20 is a finger that presses.")
-        if not 0 < self.cap < 1:
-            raise DesignError(f"cap={self.cap:g} must be above 0 and below 1; the paper uses 0.2 and 0.3.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +69,15 @@ class Sweep:
 
     base: SensorDesign
     variables: tuple[Variable, ...]
-    sampling: Literal["sobol", "latin-hypercube", "grid"] = "sobol"
-    samples: int = 64  #: designs, except for a grid; trials of `optimize`
-    seed: int = 0
+    sampling: str = quantity("sobol", "order in which designs are drawn", of=("sobol", "latin-hypercube", "grid"))
+    samples: int = quantity(64, "designs, except for a grid; trials of a search", within=(1, MAX_SAMPLES))
+    seed: int = quantity(0, "seed of the sampling", within=(0, 2**32), below=True)
     least: str = "error_n"  #: the metric to minimise
     judging: Judging = field(default_factory=Judging)
     bounds: dict[str, Bound] = field(default_factory=dict)  #: by metric
 
     def __post_init__(self) -> None:
+        require_sound(self)
         if not self.variables:
             raise DesignError("nothing is varied: give at least one [[vary]] with key, low and high.")
         keys = list(chain.from_iterable(variable.key for variable in self.variables))
@@ -91,12 +88,6 @@ class Sweep:
         chained = next((variable for variable in self.variables if variable.of in shares), None)
         if chained is not None:
             raise DesignError(f"{chained.name} is a share of {chained.of}, itself a share: name the key that is not.")
-        if self.sampling not in SAMPLINGS:
-            raise DesignError(f"sampling={self.sampling!r} is unknown; choose {', '.join(SAMPLINGS)}.")
-        if not _whole(self.samples) or not 1 <= self.samples <= MAX_SAMPLES:
-            raise DesignError(f"samples={self.samples!r} must be a whole number from 1 to {MAX_SAMPLES}.")
-        if not _whole(self.seed) or not 0 <= self.seed < 2**32:
-            raise DesignError(f"seed={self.seed!r} must be a whole number from 0 to below 2³².")
         for name in (self.least, *self.bounds):
             if not isinstance(name, str) or name not in self.metrics:
                 raise DesignError(f"no metric {name!r}; known are {', '.join(self.metrics)}.")
@@ -179,7 +170,3 @@ def _bound(name: str, entry: Any) -> Bound:
         raise DesignError(f"[bounds]: {name} must be written {{least = 1.0}}, {{most = 2.0}} or both.")
     bound: Bound = STRICT.filled(f"[bounds] {name}", Bound, entry, ("least", "most"))
     return bound
-
-
-def _whole(number: Any) -> bool:
-    return isinstance(number, int) and not isinstance(number, bool)

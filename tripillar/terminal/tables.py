@@ -12,11 +12,10 @@ def show(table: Table) -> None:
     console.print(table) if console.is_terminal else Console(width=140).print(table)
 
 
-def plain_table(title: str, rows: list[dict[str, Any]]) -> Table:
-    """Rows of the same keys, numbers to three digits."""
+def plain_table(title: str, row: dict[str, Any]) -> Table:
+    """A row of values under their names, numbers to three digits."""
     table = Table(title=title)
-    for header, value in rows[0].items():
+    for header, value in row.items():
         table.add_column(header, justify="left" if isinstance(value, str) else "right")
-    for row in rows:
-        table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
+    table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
     return table

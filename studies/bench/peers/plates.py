@@ -5,7 +5,8 @@ cell, no ports, no tiles, no kernel and no grid in common. The slab is its own m
 quarter is solved in four parities. Plates move by six numbers each; these and forces on small squares of the rubber
 between plates make one compliance. Contact is then found by an active set of these squares and of springs on a raster
 of the plates' faces, which give as `fem.contact` says. Each press is solved three times, as `reference.py` does: as
-finely as `FINE` says, with an order less, and coarser; the larger distance from the first is the peer's own error.
+finely as `FINE` says, with an order less, and coarser; the larger distance from the first is the peer's own error. Its
+displacements then deform the pillars of the unit that is pressed most, in which it solves conduction on another mesh.
 """
 
 from dataclasses import dataclass, replace
@@ -19,10 +20,14 @@ from cyclopts.validators import Number
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from dataset.indentation import contact_lengths
+from dataset.resistance import exact_resistances, pillar_lengths, rest_resistances
+from fem.conduction.potentials import pillars_per_mm
 from fem.contact import Convex, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
 from fem.contact.indentation import CELLS
-from geometry.design import Array, Pad, Plate, SensorDesign
+from geometry.design import Array, Electrics, Pad, Plate, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_centres
+from studies.bench.peers.conduction import VOXEL_MM, Deformed, NgsolveUnit
 from studies.tables import Row, measured_on, report
 from tripillar.terminal.entry import run_alone
 
@@ -93,6 +98,12 @@ class PressedPlates:
     net_n: FloatArray  #: along x and y, and down, (3,)
     wrench: FloatArray  #: (plates, 3): force down [N], and ∫ x p, ∫ y p about the plate's middle [N mm]
     electrode_mm: FloatArray  #: (rows, cols, n_upper, 3)
+    amplitudes: FloatArray | None = None  #: of the peer: motions of plates (24), and forces down on squares (n)
+
+    @property
+    def most(self) -> int:
+        """Number of the unit that is pressed most."""
+        return int(self.wrench[:, 0].argmax())
 
     def off(self, other: "PressedPlates") -> FloatArray:
         """Relative differences from another: of the net force, wrenches (moments over half a plate), electrodes.
@@ -121,25 +132,57 @@ class PeerCompliance:
     squares: FloatArray  #: (n, 4)
 
 
-def compliance_by_ngsolve(fine: Fineness) -> PeerCompliance:
-    """The whole compliance, from one quarter in four parities.
+class NgsolvePlates:
+    """The slab with its plates and squares between them, as NGSolve solves a quarter of it in four parities.
 
     A force on one quarter is the sum of four patterns of forces on all quarters, even or odd in each mirror.
     """
-    import ngsolve as ng
 
-    ng.SetNumThreads(1)
-    quarter = squares_between(fine.square_mm)
-    mesh, n, signs = _quarter_mesh(quarter, fine.levels), len(quarter), np.sign(unit_centres(DESIGN))
-    motion = [np.diag(np.prod(MIRRORED[sign < 0], axis=0)) for sign in signs]
-    whole = np.zeros((24 + 4 * n, 24 + 4 * n))
-    for parity in product((1, -1), repeat=2):
-        pattern = [np.prod(np.array(parity)[sign < 0]) for sign in signs]
-        plates = np.concatenate([way * one for way, one in zip(pattern, motion, strict=True)])
-        all_quarters = block_diag(plates, np.concatenate([way * np.eye(n) for way in pattern]))
-        whole += all_quarters @ _of_parity(mesh, parity, fine.order, n) @ all_quarters.T / 4
-    rectangles = [np.sort(quarter.reshape(n, 2, 2) * sign, axis=1).reshape(n, 4) for sign in signs]
-    return PeerCompliance(whole, np.concatenate(rectangles))
+    def __init__(self, fine: Fineness) -> None:
+        import ngsolve as ng
+
+        ng.SetNumThreads(1)
+        quarter = squares_between(fine.square_mm)
+        mesh, n = _quarter_mesh(quarter, fine.levels), len(quarter)
+        self._parts = [(parity, _Parity(mesh, parity, fine.order, n)) for parity in product((1, -1), repeat=2)]
+        signs = np.sign(unit_centres(DESIGN))
+        rectangles = [np.sort(quarter.reshape(n, 2, 2) * sign, axis=1).reshape(n, 4) for sign in signs]
+        patterns = [(_on_all_quarters(parity, n), part.compliance) for parity, part in self._parts]
+        whole = np.sum([pattern @ C @ pattern.T / 4 for pattern, C in patterns], axis=0)
+        self.compliance = PeerCompliance(whole, np.concatenate(rectangles))
+
+    def gradients(self, amplitudes: FloatArray, places: FloatArray) -> FloatArray:
+        """Of displacements (k, 3, 3) at places (k, 3) of a quarter, by motions of plates (24), forces down (4 n)."""
+        n, mirror = (len(amplitudes) - 24) // 4, np.append(np.sign(places[0, :2]), 1.0)
+        H = np.zeros((len(places), 3, 3))
+        for parity, part in self._parts:
+            motions, down_n = np.split(_on_all_quarters(parity, n).T @ amplitudes / 4, [6])
+            own = part.gradient(motions, -down_n, places * mirror)
+            H += np.prod(np.array(parity)[mirror[:2] < 0]) * mirror[:, None] * own * mirror
+        return H
+
+    def deformed(self, amplitudes: FloatArray, unit: int) -> Deformed:
+        """Gradients on a lattice around a unit.
+
+        They are scaled so that J F⁻¹F⁻ᵀ has the volume change of linear elasticity, div u, as ours has.
+        """
+        reach, height = DESIGN.unit.footprint_mm / 2, DESIGN.unit.height_mm
+        ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))
+        lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
+        places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+        H = self.gradients(amplitudes, places + np.append(unit_centres(DESIGN)[unit], 0.0))
+        F = np.eye(3) + H
+        scale = (1 + np.trace(H, axis1=-2, axis2=-1)) / np.linalg.det(F)
+        shape = *(len(line) for line in lines), 3, 3
+        return Deformed(lines, (F * scale[:, None, None]).reshape(shape), np.zeros(3))
+
+
+def _on_all_quarters(parity: tuple[int, ...], n: int) -> FloatArray:
+    """What one of x, y > 0 with a plate and n squares is on all four, (24 + 4 n, 6 + n)."""
+    signs = np.sign(unit_centres(DESIGN))
+    pattern = [np.prod(np.array(parity)[sign < 0]) for sign in signs]
+    motion = [np.diag(way * np.prod(MIRRORED[sign < 0], axis=0)) for way, sign in zip(pattern, signs, strict=True)]
+    return block_diag(np.concatenate(motion), np.concatenate([way * np.eye(n) for way in pattern]))
 
 
 def _quarter_mesh(squares: FloatArray, levels: int) -> Any:
@@ -167,45 +210,56 @@ def _quarter_mesh(squares: FloatArray, levels: int) -> Any:
     return mesh
 
 
-def _of_parity(mesh: Any, parity: tuple[int, ...], order: int, n: int) -> FloatArray:
-    """Compliance (6 + n, 6 + n) of a quarter's plate and its n squares in fields of a parity."""
-    import ngsolve as ng
+class _Parity:
+    """A quarter's fields, even or odd in each mirror, of motions of its plate and forces up on its n squares."""
 
-    held = {axis: ["base", "plate"] for axis in "xyz"}
-    for normal, even in zip("xy", parity, strict=True):
-        for axis in held:
-            if (axis == normal) == (even > 0):
-                held[axis].append(f"mirror_{normal}")
-    clamps = {f"dirichlet{axis}": "|".join(names) for axis, names in held.items()}
-    space = ng.VectorH1(mesh, order=order, **clamps) * ng.L2(mesh, order=order - 2)
-    lame, mu = DESIGN.matrix_material.lame_mpa
-    (u, pressure), (v, other) = space.TnT()
-    a = ng.BilinearForm(space, symmetric=True, condense=True)  # pressures and what else is inside elements
-    a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) * ng.dx
-    a += (ng.div(u) * other + ng.div(v) * pressure - pressure * other / lame) * ng.dx
-    a.Assemble()
-    inverse = a.mat.Inverse(space.FreeDofs(True), "sparsecholesky")
-    x, y = (ng.CF(float(place)) for place in unit_centres(DESIGN)[-1])
-    p, q = ng.x - x, ng.y - y
-    moved, pull = [], []
-    for motion in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, q), (0, 0, -p), (-q, p, 0)]:
-        field = ng.GridFunction(space)
-        field.components[0].Set(ng.CF(motion), definedon=mesh.Boundaries("plate"))
-        field.vec.data -= inverse * (a.mat * field.vec).Evaluate()
-        moved.append(field.vec)
-        pull.append((a.mat * field.vec).Evaluate())
-    area = ng.Integrate(1, mesh, definedon=mesh.Boundaries("square0"))
-    loads = [ng.LinearForm(v[2] / area * ng.ds(f"square{k}")).Assemble().vec for k in range(n)]
-    K = np.array([[ng.InnerProduct(one, other) for other in moved] for one in pull])
-    B = np.array([[ng.InnerProduct(one, load) for load in loads] for one in moved])
-    held_still = np.zeros((len(loads), len(loads)))
-    for row, load in zip(held_still, loads, strict=True):
-        answer = (inverse * load).Evaluate()
-        row[:] = [ng.InnerProduct(other, answer) for other in loads]
-    # of motions m and forces p: w = K m − B p, rise = Bᵀ m + C p
-    by_wrench = np.linalg.inv(K)
-    half = by_wrench @ B
-    return np.block([[by_wrench, half], [half.T, held_still + B.T @ half]])
+    def __init__(self, mesh: Any, parity: tuple[int, ...], order: int, n: int) -> None:
+        import ngsolve as ng
+
+        held = {axis: ["base", "plate"] for axis in "xyz"}
+        for normal, even in zip("xy", parity, strict=True):
+            for axis in held:
+                if (axis == normal) == (even > 0):
+                    held[axis].append(f"mirror_{normal}")
+        clamps = {f"dirichlet{axis}": "|".join(names) for axis, names in held.items()}
+        self._space = space = ng.VectorH1(mesh, order=order, **clamps) * ng.L2(mesh, order=order - 2)
+        lame, mu = DESIGN.matrix_material.lame_mpa
+        (u, pressure), (v, other) = space.TnT()
+        self._a = a = ng.BilinearForm(space, symmetric=True, condense=True)  # pressures and all inside elements
+        a += 2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) * ng.dx
+        a += (ng.div(u) * other + ng.div(v) * pressure - pressure * other / lame) * ng.dx
+        a.Assemble()
+        inverse = a.mat.Inverse(space.FreeDofs(True), "sparsecholesky")
+        x, y = (ng.CF(float(place)) for place in unit_centres(DESIGN)[-1])
+        p, q = ng.x - x, ng.y - y
+        self._moved, pull = [], []
+        for motion in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, q), (0, 0, -p), (-q, p, 0)]:
+            field = ng.GridFunction(space)
+            field.components[0].Set(ng.CF(motion), definedon=mesh.Boundaries("plate"))
+            field.vec.data -= inverse * (a.mat * field.vec).Evaluate()
+            self._moved.append(field.vec)
+            pull.append((a.mat * field.vec).Evaluate())
+        area = ng.Integrate(1, mesh, definedon=mesh.Boundaries("square0"))
+        loads = [ng.LinearForm(v[2] / area * ng.ds(f"square{k}")).Assemble().vec for k in range(n)]
+        K = np.array([[ng.InnerProduct(one, other) for other in self._moved] for one in pull])
+        B = np.array([[ng.InnerProduct(one, load) for load in loads] for one in self._moved])
+        self._answers = [(inverse * load).Evaluate() for load in loads]  # with the plate held
+        held_still = np.array([[ng.InnerProduct(load, answer) for answer in self._answers] for load in loads])
+        # of motions m and forces p: w = K m − B p, rise = Bᵀ m + C p
+        by_wrench = np.linalg.inv(K)
+        half = by_wrench @ B
+        #: motions and rise by wrenches and forces up, (6 + n, 6 + n)
+        self.compliance = np.block([[by_wrench, half], [half.T, held_still + B.T @ half]])
+
+    def gradient(self, motions: FloatArray, up_n: FloatArray, places: FloatArray) -> FloatArray:
+        """Displacement gradient (k, 3, 3) at places (k, 3)."""
+        import ngsolve as ng
+
+        field = ng.GridFunction(self._space)
+        for share, vector in zip([*motions, *up_n], [*self._moved, *self._answers], strict=True):
+            field.vec.data += float(share) * vector
+        field.vec.data += self._a.harmonic_extension * field.vec
+        return np.array(ng.Grad(field.components[0])(self._space.mesh(*places.T))).reshape(-1, 3, 3)
 
 
 def raster_on_plates(pressing: Press, raster_mm: float) -> tuple[FloatArray, FloatArray]:
@@ -248,7 +302,7 @@ def pressed_by_ngsolve(compliance: PeerCompliance, pressing: Press, raster_mm: f
     wrench = moved[2].T @ pressure
     down = np.stack([wrench[2::6], -wrench[4::6], wrench[3::6]], axis=1)
     net = np.array([*(way * pressure.sum()), pressure.sum() + on_squares.sum()])
-    return PressedPlates(net, down, electrodes_of(m))
+    return PressedPlates(net, down, electrodes_of(m), np.concatenate([m, on_squares]))
 
 
 def _balanced(
@@ -288,8 +342,16 @@ def electrodes_of(motions: FloatArray) -> FloatArray:
     return moved.reshape(DESIGN.array.rows, DESIGN.array.cols, -1, 3)
 
 
-def pressed_here(surface: SurfaceCompliance, pressing: Press, cells: int = CELLS) -> PressedPlates:
-    """The same by `fem.contact`."""
+def resistance_by_ngsolve(slab: NgsolvePlates, found: PressedPlates) -> FloatArray:
+    """Of the pillars of the unit that is pressed most, over that at rest, (n_pillars,), on another mesh."""
+    unit, pairs = NgsolveUnit(DESIGN.unit), DESIGN.unit.layout.pillar_terminals
+    states = (slab.deformed(found.amplitudes, found.most), None)
+    loaded, rest = (pillars_per_mm(unit.conductances(state), pairs) for state in states)
+    return np.asarray(loaded / rest)
+
+
+def pressed_here(surface: SurfaceCompliance, pressing: Press, cells: int = CELLS) -> tuple[PressedPlates, FloatArray]:
+    """The same by `fem.contact`: the press, and resistances by the design's own equation."""
     contact = press(surface, **vars(pressing), cells=cells)
     patch, down = contact.patch, contact.cell_force_n[2]
     x, y = np.broadcast_arrays(patch.x_mm, patch.y_mm[:, None])
@@ -297,7 +359,11 @@ def pressed_here(surface: SurfaceCompliance, pressing: Press, cells: int = CELLS
     for k, (plate, (cx, cy)) in enumerate(zip(pad_squares(DESIGN), unit_centres(DESIGN), strict=True)):
         own = down * ((x > plate[0]) & (x < plate[2]) & (y > plate[1]) & (y < plate[3]))
         wrench[k] = own.sum(), (own * (x - cx)).sum(), (own * (y - cy)).sum()
-    return PressedPlates(contact.net_force_n, wrench, contact.electrode_mm)
+    found = PressedPlates(contact.net_force_n, wrench, contact.electrode_mm)
+    of_conduction = contact_lengths([contact])
+    lengths = pillar_lengths(contact.electrode_mm, DESIGN.unit)[None] if of_conduction is None else of_conduction
+    resistance = exact_resistances(lengths, contact.design).reshape(4, -1)[found.most]
+    return found, resistance / rest_resistances(contact.design)
 
 
 @dataclass(frozen=True)
@@ -307,21 +373,28 @@ class Comparison:
     theirs: PressedPlates
     own: FloatArray  #: what NGSolve's answer errs by, as of `PressedPlates.off`, (3,)
     off: FloatArray  #: how far ours is from it
+    resistance: FloatArray  #: by NGSolve, of the pillars of the unit that is pressed most, over that at rest
+    resistance_off: FloatArray  #: how far ours by conduction, and by eq. 1, is from it, (2, n_pillars)
 
 
 def compared(fine: Fineness, cells: int) -> dict[str, Comparison]:
     """Every press by name; takes minutes."""
     runs = [fine, replace(fine, order=fine.order - 1), fine.coarser()]
-    surface, _, _ = surface_compliance(DESIGN)
-    compliances = [compliance_by_ngsolve(run) for run in runs]
-    found = {}
+    surfaces = [
+        surface_compliance(replace(DESIGN, electrics=Electrics(model=model)))[0] for model in ("conduction", "eq1")
+    ]
+    slab, found = NgsolvePlates(fine), {}
+    compliances = [slab.compliance, *(NgsolvePlates(run).compliance for run in runs[1:])]
     for name, pressing in CASES.items():
         theirs, *others = (
             pressed_by_ngsolve(compliance, pressing, run.raster_mm)
             for compliance, run in zip(compliances, runs, strict=True)
         )
-        own, off = [one.off(theirs) for one in others], pressed_here(surface, pressing, cells).off(theirs)
-        found[name] = Comparison(theirs, np.max(own, axis=0), off)
+        (ours, by_conduction), (_, by_eq1) = (pressed_here(surface, pressing, cells) for surface in surfaces)
+        own = np.max([one.off(theirs) for one in others], axis=0)
+        resistance = resistance_by_ngsolve(slab, theirs)
+        missed = np.array([by_conduction, by_eq1]) - resistance
+        found[name] = Comparison(theirs, own, ours.off(theirs), resistance, missed)
     return found
 
 
@@ -331,17 +404,29 @@ def compare(
     out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/plates.json"),
 ) -> None:
     """Compare presses on 2 × 2 plates with NGSolve's, beside what NGSolve's own answers err by."""
-    rows: list[Row] = [
-        {
-            "press": name,
-            "NGSolve: force down [N]": float(one.theirs.net_n[2]),
-            "of it between plates [N]": float(one.theirs.net_n[2] - one.theirs.wrench[:, 0].sum()),
-            "ours off: net / wrenches / electrodes [%]": (100 * one.off).tolist(),
-            "NGSolve's own error: the same [%]": (100 * one.own).tolist(),
-        }
-        for name, one in compared(replace(FINE, order=order), cells).items()
-    ]
-    report({f"Presses on plates, {cells} cells along a contact": rows}, out, measured_on(("numpy", "ngsolve")))
+    presses: list[Row] = []
+    pillars: list[Row] = []
+    for name, one in compared(replace(FINE, order=order), cells).items():
+        down_n = float(one.theirs.net_n[2])
+        presses.append(
+            {
+                "press": name,
+                "NGSolve: force down [N]": down_n,
+                "of it between plates [N]": down_n - float(one.theirs.wrench[:, 0].sum()),
+                "ours off: net / wrenches / electrodes [%]": (100 * one.off).tolist(),
+                "NGSolve's own error: the same [%]": (100 * one.own).tolist(),
+            }
+        )
+        by_conduction, by_eq1 = (100 * one.resistance_off).tolist()
+        change = (100 * (one.resistance - 1)).tolist()
+        pillars.append(
+            {"press": name, "NGSolve: R over rest − 1 [%]": change, "ours off": by_conduction, "eq. 1": by_eq1}
+        )
+    tables = {
+        f"Presses on plates, {cells} cells along a contact": presses,
+        "Conduction in the pillars of the unit that is pressed most": pillars,
+    }
+    report(tables, out, measured_on(("numpy", "ngsolve")))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from geometry.design import Unit
 from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Electrode, Layout, pillar_volumes, rest_lengths
 from geometry.shares import pillar_shares
-from tests.fem.scenes import round_of
+from tests.fem.scenes import DIAGONAL, round_of
 
 
 def graded(start, end, *singular):
@@ -102,6 +102,7 @@ def test_round_units_at_rest():
     assert max(estimates) < 2e-3
     thin = replace(paper.layout.pillars[0], width_mm=1.0)
     for unit, says in (
+        (Unit(layout=DIAGONAL), "lean along x or along y, d, e along both: take eq. 1"),
         (replace(paper, electrode_mm=1.5), "raise electrode_mm from 1.5 to 2, or take eq. 1"),
         (replace(paper, layout=replace(paper.layout, pillars=(thin, *paper.layout.pillars[1:]))), "U1 has two: take"),
     ):

@@ -50,18 +50,18 @@ def test_taken_up_again_it_is_to_the_last_bit_the_same(tmp_path):
     chunk = unfinished(out, job(9)) / "data.zarr/force_n/0.0.0.0"
     chunk.write_bytes(b"\0" * chunk.stat().st_size)  # as a crash of the machine may leave it
     made = make_directory(job(samples), out, count=2, progress=told.append)
-    assert told[0] == made.kept == LEAF
+    assert told[0] == made["kept"] == LEAF
     assert sum(told) == samples
     expected = simulate(RESPONSE, job(samples).settings)
     for block, whole in zip(read_samples(out).blocks(), expected.blocks(), strict=True):
         for name, values in whole.arrays().items():
             assert np.array_equal(getattr(block, name), values)
-    assert read_samples(out).made_from["redrawn"] == made.redrawn == expected.made_from["redrawn"] > 0
+    assert read_samples(out).made_from["redrawn"] == made["redrawn"] == expected.made_from["redrawn"] > 0
     assert [path.name for path in tmp_path.iterdir()] == ["data.zarr"]
-    assert make_directory(job(samples), out, count=1).kept == samples
+    assert make_directory(job(samples), out, count=1)["kept"] == samples
     chunk = out / "length_mm/1.0.0.0"
     chunk.write_bytes(chunk.read_bytes()[:-1])
-    assert make_directory(job(samples), out, count=1).kept == 0
+    assert make_directory(job(samples), out, count=1)["kept"] == 0
     assert len(read_samples(out)[:]) == samples
 
 
@@ -73,7 +73,7 @@ def test_less_is_kept_on_request_and_is_the_same(tmp_path):
     assert np.array_equal(few[:].resistance_ohm, more[:9].resistance_ohm)
     exact = simulate(RESPONSE, job(9).settings, only=())
     assert np.array_equal(few[:].force_n, exact.force_n.astype(np.float32))
-    assert few.made_from["recipe"] == made[0].recipe != made[1].recipe
+    assert few.made_from["recipe"] == made[0]["recipe"] != made[1]["recipe"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs the device of a full disk")
@@ -90,7 +90,7 @@ def test_a_full_disk_keeps_what_there_is(tmp_path, monkeypatch):
     with pytest.raises(NotWrittenError, match=r"disk is full.* are kept: give the same command again"):
         make_directory(job(2 * LEAF), out, count=1)
     monkeypatch.undo()
-    assert make_directory(job(2 * LEAF), out, count=1).kept == LEAF
+    assert make_directory(job(2 * LEAF), out, count=1)["kept"] == LEAF
 
 
 def test_nothing_is_left_of_what_cannot_begin(tmp_path):

@@ -10,10 +10,11 @@ import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
+from hardware.streams.addresses import listening_on
 from tripillar.viewer import sights
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.sensing import PressedSensor, inverse_forces
-from tripillar.viewer.page.server import Server, listening_on
+from tripillar.viewer.page.server import Server
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 CHROMIUM = "/usr/bin/chromium"

@@ -25,7 +25,8 @@ from hardware.readout.calibration import Electronics
 from tests.house import House
 from tests.tripillar.viewer.conftest import DESIGN
 from tests.tripillar.viewer.visitor import Visitor
-from tripillar.viewer import saving, showing, sights
+from tripillar.face import inputs
+from tripillar.viewer import saving, sights
 
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=100)
 RECTANGLE = "center_mm = [6.0, 6.0]\nsize_mm = [6.0, 6.0]"
@@ -67,7 +68,7 @@ def test_a_scene_is_drawn_under_its_own_load_and_a_missing_package_is_named_with
     done = house.tripillar("view", "scene.toml", "--save", "scene.vtm", "--color", "mises", "-q")
     assert done.stdout.startswith("the scene's load: largest displacement 0."), done.stderr
     assert pv.read(house.folder / "scene.vtm")["body"]["von_mises_mpa"].max() > 0.1
-    monkeypatch.setattr(showing, "find_spec", lambda name: None)
+    monkeypatch.setattr(inputs, "find_spec", lambda name: None)
     assert "pip install 'tripillar[film]'" in house.refusal("view", "scene.toml", "--save", "picture.mp4")
 
 

@@ -63,11 +63,6 @@ class Page:
     "turn" [right, up] in degrees, "nearer" factor, "move" [right, up] in pictures' heights, "size" [wide, high] in
     pixels, and "restore", a state. To it: "facts", "show" with what has changed, and "refused" with the reason.
     Pictures are the binary messages.
-
-    Parameters
-    ----------
-    subject : Subject
-        The array that the page shows.
     """
 
     def __init__(self, subject: Subject) -> None:

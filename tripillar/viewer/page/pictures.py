@@ -45,15 +45,7 @@ class Grade:
 
 
 class Pictures:
-    """The pictures of one browser.
-
-    Parameters
-    ----------
-    plotter : pyvista.Plotter
-        The scene.
-    on_resize : callable
-        Called once the window has another size.
-    """
+    """The pictures of one browser: of the plotter's scene; `on_resize` is called once its window has another size."""
 
     def __init__(self, plotter: pv.Plotter, on_resize: Callable[[], None]) -> None:
         self._plotter, self._window = plotter, plotter.render_window

@@ -53,20 +53,10 @@ class ArrayScene:
     def show(
         self, traction_mpa: FloatArray, change: FloatArray, colour: Shown, scale: float, chosen: int, is_dark: bool
     ) -> Bar:
-        """Bring the scene to a load; returns the colour bar of the pillars.
+        """Bring the scene to tractions (n_units, 3); returns the colour bar of the pillars.
 
-        Parameters
-        ----------
-        traction_mpa : array, shape (n_units, 3)
-        change : array, shape (rows, cols, n_pillars)
-            Relative change from rest of the pillars' resistances.
-        colour : str
-            One of `TITLES`.
-        scale : float
-            Factor of displacements as drawn.
-        chosen : int
-            Unit whose pad is marked.
-        is_dark : bool
+        The relative change of their resistances from rest is (rows, cols, n_pillars), the colour one of `TITLES`, the
+        scale a factor of displacements as drawn; the pad of the unit `chosen` is marked.
         """
 
         def of_resistance(part: Part) -> FloatArray:

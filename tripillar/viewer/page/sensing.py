@@ -12,7 +12,7 @@ import numpy as np
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import (
-    conducted_lengths,
+    effective_lengths,
     exact_resistances,
     largest_factors,
     pillar_lengths,
@@ -29,6 +29,7 @@ from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
+from hardware.readout.wrench import on_all_axes
 from hardware.session import live
 from tripillar.terminal.force_view import RATE_OVER, contact_lines, notes_on, pace
 
@@ -61,38 +62,33 @@ class PressedSensor:
     def read(self, traction_mpa: FloatArray, noise: float, draw: np.random.Generator) -> Reading:
         """Reading under tractions (n_units, 3) [MPa] with relative noise of the resistances."""
         design = self.response.design
-        lengths_mm, strain = self._deformed(traction_mpa)
-        if self.response.conducted is not None:
-            newtons = traction_mpa[None] * design.pad.size_mm**2
-            lengths_mm = by_unit(conducted_lengths(self.response.conducted, newtons)[0], design)
-        exact_ohm = exact_resistances(lengths_mm, design)
-        ohm = measured(exact_ohm, noise, None, draw)
+        moved_mm, newtons = displacements(self.response, traction_mpa[None]), traction_mpa[None] * design.pad.size_mm**2
+        lengths_mm = by_unit(effective_lengths(self.response, moved_mm, newtons)[0], design)
+        ohm = measured(exact_resistances(lengths_mm, design), noise, None, draw)
         return Reading(
             traction_mpa=traction_mpa, applied_n=by_unit(forces(traction_mpa, design), design), resistance_ohm=ohm,
-            change=ohm / rest_resistances(design) - 1.0, force_n=self.decouple(ohm), strain=strain,
+            change=ohm / rest_resistances(design) - 1.0, force_n=self.decouple(ohm),
+            strain=self._strains(moved_mm[0]),
         )  # fmt: skip
 
     def follow(self, scan: Forces) -> Reading:
         """Reading of a sensor's scan; strains are those under the forces found, since nobody knows what acts."""
         traction_mpa, rest_ohm = tractions(scan.force_n, self.response.design), rest_resistances(self.response.design)
-        _, strain = self._deformed(traction_mpa)
+        strain = self._strains(displacements(self.response, traction_mpa[None])[0])
         return Reading(
             traction_mpa=traction_mpa, applied_n=np.full_like(scan.force_n, np.nan), resistance_ohm=scan.resistance_ohm,
             change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
         )  # fmt: skip
 
-    def _deformed(self, traction_mpa: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lengths [mm] and strains of all pillars, each (rows, cols, P)."""
-        design = self.response.design
-        moved_mm = displacements(self.response, traction_mpa[None])[0]
-        lengths_mm = pillar_lengths(moved_mm, design.unit)
-        strains = pillar_strains(moved_mm, lengths_mm, design.unit)
-        return by_unit(lengths_mm, design), by_unit(strains, design)
+    def _strains(self, moved_mm: FloatArray) -> FloatArray:
+        """Strains (rows, cols, P) of all pillars whose electrodes moved."""
+        unit = self.response.design.unit
+        return by_unit(pillar_strains(moved_mm, pillar_lengths(moved_mm, unit), unit), self.response.design)
 
 
 def net_forces(model: AnyDecoder) -> Decouple:
     """The forces of a trained model."""
-    return lambda resistance_ohm: with_all_axes(model.forces(resistance_ohm[None])[0], model.component.axes)
+    return lambda resistance_ohm: on_all_axes(model.forces(resistance_ohm[None])[0], model.component.axes)
 
 
 def inverse_forces(response: ArrayResponse) -> Decouple:
@@ -113,13 +109,6 @@ def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:
     return values.reshape(*values.shape[:-2], design.array.rows, design.array.cols, values.shape[-1])
 
 
-def with_all_axes(force_n: FloatArray, axes: tuple[str, ...]) -> FloatArray:
-    """Forces (rows, cols, k) along some axes as (rows, cols, 3) along x, y, z; NaN along the others."""
-    full = np.full((*force_n.shape[:2], len(AXES)), np.nan)
-    full[..., [AXES.index(axis) for axis in axes]] = force_n
-    return full
-
-
 def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
     """Tractions (n_units, 3) [MPa] on the pads from forces (rows, cols, 3) [N]; unknown forces count as 0."""
     return np.nan_to_num(force_n).reshape(-1, 3) / forces(np.ones(3), design)
@@ -133,7 +122,7 @@ class SensorFeed:
     Parameters and errors are those of `hardware.session.live`.
     """
 
-    def __init__(self, port: str, model: AnyDecoder, calibration: Path | None = None, **settings: Any) -> None:
+    def __init__(self, port: str, model: AnyDecoder, calibration: Path | str | None = None, **settings: Any) -> None:
         self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
@@ -163,7 +152,7 @@ class SensorFeed:
                 found = self._sensor.forces(last)
                 self.faults, self.contacts, self.trouble = notes_on(found), contact_lines(found), ""
                 axes = self._sensor.model.component.axes
-                self.scan = replace(found, force_n=with_all_axes(found.force_n, axes))
+                self.scan = replace(found, force_n=on_all_axes(found.force_n, axes))
         except TriPillarError as error:  # of one scan; the next may be sound
             self.trouble, last = str(error), None
         told = f"{pace(self._newest):.0f} scans/s, {scanner.stats.lost} lost"

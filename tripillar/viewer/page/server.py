@@ -14,7 +14,6 @@ from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
-from geometry.errors import TriPillarError
 from hardware.session import ended_by_signal
 from tripillar.viewer.page.page import Page, Subject
 
@@ -53,30 +52,7 @@ logging.getLogger("aiohttp.server").addFilter(
 HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:@/]+))(?::[0-9]+)?")
 
 
-class AddressError(TriPillarError, OSError):
-    """The server cannot listen on an address."""
-
-
 # where it listens
-
-
-def listening_on(host: str, port: int) -> socket.socket:
-    """A socket that listens on an address.
-
-    Raises
-    ------
-    AddressError
-        If the host is none of this machine, or another program listens on that port.
-    """
-    try:
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        is_both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
-        return socket.create_server(address[:2], family=family, dualstack_ipv6=is_both)
-    except (OSError, UnicodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "no name of a machine"
-        raise AddressError(
-            f"cannot listen on {host}, port {port}: {why}; give another --host or --http-port."
-        ) from None
 
 
 def page_url(host: str, port: int, token: str) -> str:
@@ -95,10 +71,7 @@ def page_url(host: str, port: int, token: str) -> str:
 class Guard:
     """Lets in whoever has the page's token, under a name of this machine, from the page itself.
 
-    Parameters
-    ----------
-    host : str
-        The address to listen on as the user gave it; where it is a name, the page may be called by it.
+    The host is the address to listen on as the user gave it; where it is a name, the page may be called by it.
 
     Notes
     -----
@@ -152,15 +125,7 @@ class Guard:
 
 
 class Server:
-    """Serves the page on one port, with bounds on all that a stranger can ask for.
-
-    Parameters
-    ----------
-    subject : Subject
-        The array that all browsers look at.
-    host : str
-        As the user gave it.
-    """
+    """Serves the page on one port, with bounds on all that a stranger can ask for; the host is as the user gave it."""
 
     def __init__(self, subject: Subject, host: str) -> None:
         self._subject, self._host, self._guard = subject, host, Guard(host)
@@ -172,7 +137,7 @@ class Server:
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=GOODBYE_S)
 
     async def start(self, listening: socket.socket) -> str:
-        """Serve on a socket of `listening_on`; returns the page's address."""
+        """Serve on a socket of `hardware.streams.addresses.listening_on`; returns the page's address."""
         await self._runner.setup()
         http, loop = self._runner.server, asyncio.get_running_loop()
         assert http is not None
@@ -232,14 +197,8 @@ class Server:
 async def serve(subject: Subject, host: str, listening: socket.socket, on_ready: Callable[[str], None]) -> None:
     """Serve the page, and look at its sensor, until Ctrl-C or a termination; a second one interrupts.
 
-    Parameters
-    ----------
-    subject : Subject
-        The array that all browsers look at.
-    host, listening : str, socket
-        Where to listen as the user gave it, and the socket of `listening_on`.
-    on_ready : callable
-        Called with the page's address, which holds its token, once browsers can come.
+    The host is as the user gave it, the socket one of `hardware.streams.addresses.listening_on`. `on_ready` is called
+    with the page's address, which holds its token, once browsers can come.
     """
     server = Server(subject, host)
     with ended_by_signal() as is_ended:
