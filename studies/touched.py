@@ -20,7 +20,7 @@ from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press,
 from fem.contact.shapes import Upright
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 from tripillar.terminal.progress import Bars
 
 MAX_STRAIN = 0.3

@@ -118,19 +118,19 @@ class _SocketPort(protocol_socket.Serial):
             self.is_open = False
 
 
-def require_link(link: Path | None) -> None:
+def require_symlink(link: Path | None) -> None:
     """Refuse to put a link in the place of something else: `DesignError`."""
     if link is not None and link.exists() and not link.is_symlink():
         raise DesignError(f"link={link} exists and is no link: give another name for the link to the port.")
 
 
 @contextlib.contextmanager
-def linked(link: Path | None, port: str) -> Iterator[str]:
+def symlinked(link: Path | None, port: str) -> Iterator[str]:
     """Keep a link on a port, whatever it pointed to before, until the block ends or another takes it over.
 
-    Gives the name to open: the link's, or the port's own without one. Errors as of `require_link`.
+    Gives the name to open: the link's, or the port's own without one. Errors as of `require_symlink`.
     """
-    require_link(link)
+    require_symlink(link)
     if link is None:
         yield port
         return

@@ -17,8 +17,8 @@ from geometry import DesignError
 from geometry.design import Memory, Prony
 from geometry.layout import pillar_volumes, rest_lengths
 from tests.house import House
+from tripillar.datasets.leaves import LeafJob, make_directory
 from tripillar.face.inputs import samples_of
-from tripillar.sweep.leaves import LeafJob, make_directory
 
 MEMORY = Memory(a=(0.4, 0.3), b_lengthen=2.0, b_shorten=9.0, tau_s=(6.0, 90.0), g1=1.0, g2=-2.0)
 PRONY = Prony(share=(0.05, 0.04), tau_s=(1.0, 40.0))

@@ -64,7 +64,7 @@ class Options:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Link:
+class Board:
     """Reach of a board, as `hardware.Scanner` takes it, and what is known of its sensor."""
 
     calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
@@ -80,8 +80,8 @@ class Wires:
     line_ohm: float | None = quantity(None, "resistance of a wire to the pillars [Ω]; default: 0")
 
 
-LINK, WIRES = Options(Link), Options(Wires)
-BARE_LINK = Options(Link, "baud", "timeout")  #: of a board whose calibration is yet to be found
+BOARD, WIRES = Options(Board), Options(Wires)
+BARE_BOARD = Options(Board, "baud", "timeout")  #: of a board whose calibration is yet to be found
 
 
 def options_of(parameter: inspect.Parameter) -> list[Options]:

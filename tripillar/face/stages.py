@@ -79,10 +79,10 @@ if TYPE_CHECKING:
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,
     )  # fmt: skip
     from hardware.boards.sensor_header import sensor_header
-    from hardware.boards.virtual_board import NO_TERMINALS
+    from hardware.boards.python_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
-    from hardware.link.serial_ports import linked, require_link
+    from hardware.link.serial_ports import require_symlink, symlinked
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
     from hardware.session import record_scans
-    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
+    from hardware.streams.stream import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
@@ -108,8 +108,8 @@ if TYPE_CHECKING:
         stage_table,
     )  # fmt: skip
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
-    from tripillar.sweep.finite_samples import simulate_finite
-    from tripillar.sweep.leaves import LeafJob, make_directory
+    from tripillar.datasets.finite_samples import simulate_finite
+    from tripillar.datasets.leaves import LeafJob, make_directory
     from tripillar.sweep.optimize import search
     from tripillar.sweep.rows import Row, write_parquet
     from tripillar.sweep.run import judge_all, kept_rows
@@ -122,7 +122,7 @@ if TYPE_CHECKING:
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import serve
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-    from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
+    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
 @cache

@@ -17,8 +17,8 @@ from hardware.link.reception import LinkStatistics, Scan
 from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench
 from hardware.session import scans_within
-from hardware.streams.addresses import Stream
 from hardware.streams.scene import colours
+from hardware.streams.stream import Stream
 from hardware.streams.topics import wrench_content
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x

@@ -39,7 +39,7 @@ def a_frame(info: Info, counts: NDArray[Any], number: int, time_us: int, overrun
 
 
 class CountedPort(BoardPort):
-    """A board in memory of known counts, `info.rate_hz` times a second; parameters as of `VirtualBoard`, `BoardPort`.
+    """A board in memory of known counts, `info.rate_hz` times a second; parameters as of `PythonBoard`, `BoardPort`.
 
     A scan that is late by more than a period is skipped and counted in the frames' overruns.
     """
@@ -79,7 +79,7 @@ class CountedPort(BoardPort):
         return encode(self.info)
 
 
-class VirtualBoard:
+class PythonBoard:
     """Sends frames of known counts `info.rate_hz` times a second on a pseudo-terminal, until closed.
 
     Parameters
@@ -98,7 +98,7 @@ class VirtualBoard:
 
     Examples
     --------
-    >>> with VirtualBoard(np.full(108, 512), Info(rate_hz=100)) as board:
+    >>> with PythonBoard(np.full(108, 512), Info(rate_hz=100)) as board:
     ...     with open(board.port, "rb", buffering=0) as port:
     ...         len(port.read(1))
     1
