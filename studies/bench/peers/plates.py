@@ -9,7 +9,7 @@ finely as `FINE` says, with an order less, and coarser; the larger distance from
 displacements then deform the pillars of the unit that is pressed most, in which it solves conduction on another mesh.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,8 +28,8 @@ from fem.contact.indentation import CELLS
 from geometry.design import Array, Electrics, Pad, Plate, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_centres
 from studies.bench.peers.conduction import VOXEL_MM, Deformed, NgsolveUnit
+from studies.program import run_alone
 from studies.tables import Row, measured_on, report
-from tripillar.terminal.entry import run_alone
 
 LARGEST_MM = 5.0  #: of elements before they are refined
 RATIO = 0.15  #: of the distances of neighbouring levels
@@ -98,7 +98,8 @@ class PressedPlates:
     net_n: FloatArray  #: along x and y, and down, (3,)
     wrench: FloatArray  #: (plates, 3): force down [N], and ∫ x p, ∫ y p about the plate's middle [N mm]
     electrode_mm: FloatArray  #: (rows, cols, n_upper, 3)
-    amplitudes: FloatArray | None = None  #: of the peer: motions of plates (24), and forces down on squares (n)
+    #: of the peer: motions of the plates (24), and forces down on squares (n)
+    amplitudes: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def most(self) -> int:
@@ -234,11 +235,11 @@ class _Parity:
         p, q = ng.x - x, ng.y - y
         self._moved, pull = [], []
         for motion in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, q), (0, 0, -p), (-q, p, 0)]:
-            field = ng.GridFunction(space)
-            field.components[0].Set(ng.CF(motion), definedon=mesh.Boundaries("plate"))
-            field.vec.data -= inverse * (a.mat * field.vec).Evaluate()
-            self._moved.append(field.vec)
-            pull.append((a.mat * field.vec).Evaluate())
+            w = ng.GridFunction(space)
+            w.components[0].Set(ng.CF(motion), definedon=mesh.Boundaries("plate"))
+            w.vec.data -= inverse * (a.mat * w.vec).Evaluate()
+            self._moved.append(w.vec)
+            pull.append((a.mat * w.vec).Evaluate())
         area = ng.Integrate(1, mesh, definedon=mesh.Boundaries("square0"))
         loads = [ng.LinearForm(v[2] / area * ng.ds(f"square{k}")).Assemble().vec for k in range(n)]
         K = np.array([[ng.InnerProduct(one, other) for other in self._moved] for one in pull])
@@ -255,11 +256,11 @@ class _Parity:
         """Displacement gradient (k, 3, 3) at places (k, 3)."""
         import ngsolve as ng
 
-        field = ng.GridFunction(self._space)
+        u = ng.GridFunction(self._space)
         for share, vector in zip([*motions, *up_n], [*self._moved, *self._answers], strict=True):
-            field.vec.data += float(share) * vector
-        field.vec.data += self._a.harmonic_extension * field.vec
-        return np.array(ng.Grad(field.components[0])(self._space.mesh(*places.T))).reshape(-1, 3, 3)
+            u.vec.data += float(share) * vector
+        u.vec.data += self._a.harmonic_extension * u.vec
+        return np.array(ng.Grad(u.components[0])(self._space.mesh(*places.T))).reshape(-1, 3, 3)
 
 
 def raster_on_plates(pressing: Press, raster_mm: float) -> tuple[FloatArray, FloatArray]:
