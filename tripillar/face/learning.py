@@ -307,9 +307,9 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
     of_sensor |= {"pillars": pillars, "made_from": made_from}
     if is_plated:
-        advance = caller.bars.begin("compliance of the top", total=1)
-        surface, _, reused = stages.surface_compliance(design, lambda step: advance(0, step))
-        plates = stages.PlateDecoder(library=stages.plate_response(surface), **of_sensor)
+        advance = caller.bars.begin("plates", total=1)
+        library, _, reused = stages.plate_response(design, lambda step: advance(0, step))
+        plates = stages.PlateDecoder(library=library, **of_sensor)
         result = {"file": str(out), "plates": design.n_units, "reused": reused}
         return _kept_touch(plates, out, result, f"{design.n_units} plates")
     advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
