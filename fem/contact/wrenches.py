@@ -50,7 +50,7 @@ def moved_by_wrenches(
         progress(f"coupling {rows} × {cols}")
         seen = range(N_LOADS, N_LOADS + n_seen)
         moved = CoupledArray(cell, rows, cols).influence(range(N_LOADS), seen)[0].transpose(3, 4, 5, 0, 1, 2)
-    moved = moved.reshape(design.n_units, N_LOADS, -1)
+    moved = np.ascontiguousarray(moved.reshape(design.n_units, N_LOADS, -1))
     moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
     return moved, conducted
 
