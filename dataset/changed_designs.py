@@ -29,39 +29,25 @@ class Answers:
     settled: NDArray[np.bool_]  #: which are answers, (m,)
 
 
-class ChangedDesigns:
-    """Designs near one as meant, of stiff pads on one rubber, all under the same loads.
+def answers(
+    response: ArrayResponse, sensitivities: ResponseSensitivities, force_n: FloatArray, other: SensorDesign
+) -> Answers:
+    """Answers of a design near the response's, of stiff pads on one rubber, or of that itself; kept in the cache.
 
-    Parameters
-    ----------
-    response : ArrayResponse
-        Of the design as meant.
-    sensitivities : ResponseSensitivities
-        Its derivatives, which say the linear response of others.
-    force_n : array, shape (m, k, 3)
-        Along x, y, z; z negative pushes down [N].
+    The response's derivatives say the linear one of the other design. Loads (m, k, 3) [N] are along x, y, z; z negative
+    pushes down.
     """
+    require_finite(response.design)
+    key = digest("changed designs", VERSION, METHOD, response.content_hash, response.design, other, force_n)
 
-    def __init__(self, response: ArrayResponse, sensitivities: ResponseSensitivities, force_n: FloatArray) -> None:
-        require_finite(response.design)
-        self.response, self.sensitivities, self.force_n = response, sensitivities, force_n
-
-    def answers(self, other: SensorDesign) -> Answers:
-        """Answers of another design, or of the one as meant, from the cache if they are there."""
-        made_of = self.response.content_hash, self.response.design, other, self.force_n
-        key = digest("changed designs", VERSION, METHOD, *made_of)
-        arrays, _, _ = kept("changed.npz", key, lambda: self._solved(other), read_arrays, write_arrays)
-        return Answers(**(arrays | {"settled": arrays["settled"].astype(bool)}))
-
-    def _solved(self, other: SensorDesign) -> dict[str, FloatArray]:
-        design, names = self.response.design, self.sensitivities.parameters
-        change = [value_of(other, name) - value_of(design, name) for name in names]
-        by_parameters = np.tensordot(change, self.sensitivities.influence_mm_per_n, axes=1)
-        k = design.n_units
-        influence = (self.response.influence_mm_per_n + by_parameters).reshape(k, -1, 3, k, 3)
+    def solved() -> dict[str, FloatArray]:
+        design, k = response.design, response.design.n_units
+        change = [value_of(other, name) - value_of(design, name) for name in sensitivities.parameters]
+        by_parameters = np.tensordot(change, sensitivities.influence_mm_per_n, axes=1)
+        influence = (response.influence_mm_per_n + by_parameters).reshape(k, -1, 3, k, 3)
         with one_blas_thread():
             typical = design if other.unit == design.unit else other  # errors alike cancel in differences
-            found = SampleSolver(other, influence, typical=typical).displacements(self.force_n)
+            found = SampleSolver(other, influence, typical=typical).displacements(force_n)
         lengths = pillar_lengths(found.displacement_mm, other.unit)
         volumes = pillar_volumes(design.unit) / pillar_volumes(other.unit)
         return {
@@ -69,3 +55,6 @@ class ChangedDesigns:
             "squares_mm2": lengths**2 * found.resistance_ratio * volumes,
             "settled": found.settled.astype(float),
         }
+
+    arrays, _, _ = kept("changed.npz", key, solved, read_arrays, write_arrays)
+    return Answers(**(arrays | {"settled": arrays["settled"].astype(bool)}))

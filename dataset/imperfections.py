@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
 from dataset.memory import AnyMemory, PillarMemory
-from geometry.design import Electrics, Memory, SensorDesign, Unit, quantity
+from geometry.design import Electrics, Memory, SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import FloatArray, Layout
+from geometry.quantity import quantity
 from geometry.storage.files import stated
 from geometry.wiring import crossing_of_pillar, crossings
 

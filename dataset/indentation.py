@@ -26,15 +26,17 @@ VERSION = 3  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
-def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callable[..., list[FloatArray]]:
+def indented(
+    design: SensorDesign, seed: int, cap: float, block: int, wanted: int
+) -> Callable[[np.ndarray, int], tuple[list[FloatArray], np.ndarray]]:
     """A function that draws contacts of a block: by their numbers (m,) in it and how often they were drawn before.
 
     It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
     (m, n_units, n_upper, 3) [mm], moments (m, n_units, 2) [N mm] and, of conduction, forces on tiles (m, 3, ny, nx) [N]
-    for `tiled_lengths`; 0 of numbers from `wanted` on.
+    for `tiled_lengths`; 0 of numbers from `wanted` on. And which of them strain no pillar beyond the cap, (m,).
     """
 
-    def draw(numbers: np.ndarray, attempt: int) -> list[FloatArray]:
+    def draw(numbers: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
         shapes = (3,), (len(design.unit.layout.upper), 3), (2,)
         traction, displacement, moment = (np.zeros((len(numbers), design.n_units, *shape)) for shape in shapes)
@@ -46,7 +48,7 @@ def indented(design: SensorDesign, seed: int, block: int, wanted: int) -> Callab
             moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
             if surface.conducted:
                 tiled[place] = contact.tile_force_n
-        return [traction, displacement, moment, tiled]
+        return [traction, displacement, moment, tiled], ~(largest_strains(displacement, design.unit) > cap)
 
     return draw
 

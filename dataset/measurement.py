@@ -11,9 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import Drifts, SensorDesign, quantity
+from geometry.design import Drifts, SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
+from geometry.quantity import quantity
 
 MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range
@@ -61,8 +62,19 @@ class ReadingError(Drifts):
         return ReadingError(**drifts)
 
     def deviation(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances."""
-        return reading_deviation(resistance_ohm, self.own_relative, self.bits)
+        """Standard deviation of what each reading has by itself [Ω], of the shape of the resistances.
+
+        A step of the converter, (R + R_sense)²/(R_sense (2^bits − 1)) wide, holds its readings evenly: deviation
+        width/√12.
+
+        >>> ReadingError(noise=0.001).deviation(np.array([10_000.0]))
+        array([10.])
+        """
+        variance = (self.own_relative * resistance_ohm) ** 2
+        if self.bits is not None:
+            step = (resistance_ohm + SENSE_OHM) ** 2 / (SENSE_OHM * (2**self.bits - 1))
+            variance = variance + step**2 / 12.0
+        return np.sqrt(variance)
 
     @property
     def own_relative(self) -> float:
@@ -158,20 +170,3 @@ def measured(resistance_ohm: FloatArray, noise: float, bits: int | None, generat
             )
         resistance_ohm = resistance_from_counts(counts, bits)
     return resistance_ohm
-
-
-def reading_deviation(
-    resistance_ohm: FloatArray, noise: float, bits: int | None, sense_ohm: float = SENSE_OHM
-) -> FloatArray:
-    """Standard deviation of a reading about its resistance [Ω], of noise and converter steps together; any shape.
-
-    A step of the converter, (R + R_sense)²/(R_sense (2^bits − 1)) wide, holds its readings evenly: deviation width/√12.
-
-    >>> reading_deviation(np.array([10_000.0]), noise=0.001, bits=None)
-    array([10.])
-    """
-    variance = (noise * resistance_ohm) ** 2
-    if bits is not None:
-        step = (resistance_ohm + sense_ohm) ** 2 / (sense_ohm * (2**bits - 1))
-        variance = variance + step**2 / 12.0
-    return np.sqrt(variance)

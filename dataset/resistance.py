@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pillar_areas, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import FloatArray, pillar_areas, pillar_vectors, pillar_volumes, rest_lengths
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, ConductedPillars
@@ -22,14 +22,8 @@ def pillar_lengths(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
     >>> pillar_lengths(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]), Unit())[0]
     np.float64(9.0)
     """
-    along = _at_rest(unit) + _tops(displacement_mm, unit)
+    along = pillar_vectors(unit) + _tops(displacement_mm, unit)
     return np.sqrt(np.einsum("...k,...k->...", along, along))
-
-
-def _at_rest(unit: Unit) -> FloatArray:
-    """From the lower end of each pillar to the upper one, (n_pillars, 3) [mm]."""
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    return top - bottom
 
 
 def _tops(displacement_mm: FloatArray, unit: Unit) -> FloatArray:
@@ -47,7 +41,7 @@ def pillar_strains(displacement_mm: FloatArray, length_mm: FloatArray, unit: Uni
     Takes displacements (..., n_upper, 3) [mm] and the lengths that `pillar_lengths` gives for them. A length is a
     distance: an electrode pushed through the base and out below it would pass for a small strain.
     """
-    rest, rest_mm = _at_rest(unit), rest_lengths(unit)
+    rest, rest_mm = pillar_vectors(unit), rest_lengths(unit)
     strain = np.abs(length_mm / rest_mm - 1.0)
     farthest_mm = max(displacement_mm.max(initial=0.0), -displacement_mm.min(initial=0.0))
     if farthest_mm * np.sqrt(3.0) < rest_mm.min():
@@ -67,7 +61,7 @@ def largest_factors(displacement_mm: FloatArray, unit: Unit, cap: float) -> Floa
     |d + t u|² = (1 ± cap)² d² is quadratic in t for a pillar d whose top moves by u: the least positive root of either
     sign is the first crossing. A pillar that turns over, d·(d + t u) = 0, ends the range as well.
     """
-    rest, u = _at_rest(unit), _tops(displacement_mm, unit)
+    rest, u = pillar_vectors(unit), _tops(displacement_mm, unit)
     uu, ud = np.einsum("...k,...k->...", u, u), np.einsum("...k,...k->...", u, rest)
     dd = rest_lengths(unit) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,14 +20,15 @@ from dataset.imperfections import PAPERS, SEEDS, Imperfections
 from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
-from dataset.protocols import INDENT, PROTOCOLS, SUMMARIES, forces, pad_protocol
+from dataset.protocols import INDENT, SUMMARIES, forces, pad_protocol
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
-from geometry.design import Electrics, Memory, SensorDesign, quantity
+from geometry.design import Electrics, Memory, SensorDesign
 from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, Layout, rest_lengths
+from geometry.quantity import quantity
 from geometry.storage.files import digest
 from geometry.threads import one_blas_thread
 
@@ -37,6 +38,9 @@ MAX_MOMENTS = 1_000_000  #: of a history
 MAX_SAMPLES = 1_000_000_000  #: of 36 units: 700 GB of forces and resistances in float32, compressed
 IN_WORK = 1.2  #: memory that samples take while they are made and written, of their numbers alone
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
+
+#: by numbers (m,) of samples and how often they were drawn before: arrays (m, ...), and which are accepted (m,)
+Draw = Callable[[np.ndarray, int], tuple[Sequence[np.ndarray], np.ndarray]]
 
 
 class LoadError(TriPillarError, ValueError):
@@ -333,7 +337,7 @@ def labelled(
 
 
 def below_cap(
-    draw: Callable[[np.ndarray, int], tuple[Sequence[np.ndarray], np.ndarray]],
+    draw: Draw,
     n: int,
     rounds: int,
     settings: DatasetSettings,
@@ -341,8 +345,7 @@ def below_cap(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Draw n samples, and those again that are not accepted: arrays (n, ...) and how often each was drawn again (n,).
 
-    `draw` takes the numbers (m,) of those that are wanted and how often they were drawn before; it gives arrays
-    (m, ...) and which samples are accepted (m,). A sample drawn in vain in all rounds is a `LoadError`.
+    A sample drawn in vain in all rounds is a `LoadError`.
     """
     waiting, redrawn = np.arange(n), np.zeros(n, dtype=np.int64)
     kept: list[np.ndarray] = []
@@ -361,28 +364,29 @@ def below_cap(
     )
 
 
+def _pad_loads(response: ArrayResponse, settings: DatasetSettings, *seed: int) -> Draw:
+    """What draws loads of a protocol on pads, tractions and displacements, each attempt with a generator of its own."""
+    design, protocol = response.design, pad_protocol(settings.protocol)
+
+    def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
+        traction = protocol.draw(np.random.default_rng([*seed, attempt]), len(waiting), design)
+        moved = displacements(response, traction, protocol.axes)
+        return [traction, moved], ~(largest_strains(moved, design.unit) > settings.cap)
+
+    return draw
+
+
 def _block(
     response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
     """All samples of one block by variable, and how often each was redrawn; contacts only as far as wanted."""
     design = response.design
-    pressed = indented(design, settings.seed, number, kept)
-
-    def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
-        if settings.protocol == INDENT:
-            drawn = pressed(waiting, attempt)
-        else:
-            protocol, generator = PROTOCOLS[settings.protocol], np.random.default_rng([settings.seed, number, attempt])
-            traction = protocol.draw(generator, len(waiting), design)
-            drawn = [traction, displacements(response, traction, protocol.axes)]
-        return drawn, ~(largest_strains(drawn[1], design.unit) > settings.cap)
-
+    if settings.protocol == INDENT:
+        draw: Draw = indented(design, settings.seed, settings.cap, number, kept)
+    else:
+        draw = _pad_loads(response, settings, settings.seed, number)
     (traction, displacement, *of_contact), redrawn = below_cap(draw, BLOCK, MAX_ROUNDS, settings, design)
-    effective = None
-    if of_contact:
-        effective = tiled_lengths(design, of_contact[1], kept)
-    elif design.electrics.is_conduction and response.conducted is not None:
-        effective = conducted_lengths(response.conducted, traction * design.pad.size_mm**2)
+    effective = tiled_lengths(design, of_contact[1], kept) if of_contact else _effective(response, traction)
     found = labelled(traction, displacement, effective, design, settings, readout, number * BLOCK)
     if of_contact:
         found["moment_nmm"] = of_contact[0].reshape(-1, design.array.rows, design.array.cols, 2)
@@ -390,22 +394,16 @@ def _block(
 
 
 def _series(
-    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int = 1
+    response: ArrayResponse, settings: DatasetSettings, number: int, readout: Readout | None, kept: int
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
     """All of one series (1, time, ...) by variable, and how many of its loads were redrawn (1,)."""
     design, time_s, again = response.design, settings.time_s, np.zeros(1, dtype=np.int64)
     assert time_s is not None
-    protocol = pad_protocol(settings.protocol)
     generator = np.random.default_rng([settings.seed, number, MAX_ROUNDS + 1])
     corner_s, level, load = programme(generator, settings.history_s)
 
     def draw(_: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
-        def draw_loads(waiting: np.ndarray, attempted: int) -> tuple[list[FloatArray], np.ndarray]:
-            generator = np.random.default_rng([settings.seed, number, attempt, attempted])
-            traction = protocol.draw(generator, len(waiting), design)
-            moved = displacements(response, traction, protocol.axes)
-            return [traction, moved], ~(largest_strains(moved, design.unit) > settings.cap)
-
+        draw_loads = _pad_loads(response, settings, settings.seed, number, attempt)
         drawn, redrawn = below_cap(draw_loads, load.max() + 1, MAX_ROUNDS, settings, design)
         again[:] += redrawn.sum()
         at = level.reshape(-1, 1)
@@ -414,10 +412,16 @@ def _series(
         return [traction[None], moved[None]], np.array([largest_strains(moved, design.unit).max() <= settings.cap])
 
     (traction, moved), redrawn = below_cap(draw, 1, MAX_ROUNDS, settings, design)
-    effective = None
-    if response.conducted is not None:
-        effective = conducted_lengths(response.conducted, traction[0] * design.pad.size_mm**2)
+    effective = _effective(response, traction)
     return labelled(traction, moved, effective, design, settings, readout, number), again + redrawn
+
+
+def _effective(response: ArrayResponse, traction_mpa: FloatArray) -> FloatArray | None:
+    """Effective lengths of linear conduction under tractions (..., n_units, 3) [MPa]; None where there is none."""
+    if response.conducted is None:
+        return None
+    newtons = traction_mpa.reshape(-1, response.design.n_units, 3) * response.design.pad.size_mm**2
+    return conducted_lengths(response.conducted, newtons)
 
 
 def read_through(readout: Readout | None) -> dict[str, str]:

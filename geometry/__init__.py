@@ -1,10 +1,10 @@
 """The sensor's shape: from a design file to tetrahedra.
 
 In: a design TOML (`read_design`). Out: CAD solids as STEP and STL, checked surfaces, and tetrahedra with region
-labels. In the order of the data: `design.py` (the numbers), `design_file.py` (their TOML), `layout.py` (places of
-electrodes, pillars and pads), `wiring.py` (crossings of the wires), `prism.py` (slab and pillars as prisms), `cad.py`
-and `mould.py` (solids), `surface.py` (checked triangles), `mesh.py` (tetrahedra), `storage/` (files and the cache,
-for all stages). The names below load no CAD and no mesher.
+labels. In the order of the data: `design.py` (the numbers, each a `quantity.py`), `design_file.py` (their TOML),
+`layout.py` (places of electrodes, pillars and pads), `wiring.py` (crossings of the wires), `prism.py` (slab and pillars
+as prisms), `cad.py` and `mould.py` (solids), `surface.py` (checked triangles), `mesh.py` (tetrahedra), `storage/`
+(files and the cache, for all stages). The names below load no CAD and no mesher.
 """
 
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit

@@ -15,7 +15,7 @@ from geometry.design import SensorDesign, Unit
 from geometry.layout import unit_centres
 from geometry.prism import SIDES, unit_prisms
 from geometry.storage.files import replacing_in
-from geometry.surface import check_surface, surface_from_solid, write_surface
+from geometry.surface import check_surface, surface_from_solid
 
 Point = Sequence[float]
 
@@ -98,7 +98,7 @@ def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
     with replacing_in(folder) as temporary:
         for name, solid in solids.items():
             _write_step(solid, name, temporary / f"{name}.step")
-            write_surface(surfaces[name], temporary / f"{name}.stl")
+            surfaces[name].export(temporary / f"{name}.stl")
     return [folder / f"{name}.{kind}" for name in solids for kind in ("step", "stl")]
 
 

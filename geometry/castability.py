@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_ends, pillar_widths
+from geometry.layout import FloatArray, pillar_ends, pillar_vectors, pillar_widths
 from geometry.prism import Prism, unit_prisms
 from geometry.shares import pillar_shares
 
@@ -52,7 +52,7 @@ def castability(design: SensorDesign) -> Castability:
         moved = outlines + pitch_mm * np.array([right, up])
         walls += [_gap(one, other) for one in outlines for other in moved]
     widths, h = pillar_widths(unit), unit.height_mm
-    runs = np.linalg.norm(np.diff(pillar_ends(unit), axis=1)[:, 0, :2], axis=1)
+    runs = np.linalg.norm(pillar_vectors(unit)[:, :2], axis=1)
     upright = {pillar.foot: w for pillar, w, run in zip(unit.layout.pillars, widths, runs, strict=True) if not run}
     heels = [
         w * math.hypot(run, h) / h / 2 - _reach(upright[pillar.foot], w, straight)

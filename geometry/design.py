@@ -3,98 +3,17 @@
 Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
 """
 
-import reprlib
-import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import partial
 from html import escape
-from typing import Any, ClassVar, Self, get_args
+from typing import ClassVar, Self
 
-import numpy as np
-
-from geometry.errors import DesignError, TriPillarError
-from geometry.layout import OPTIONAL, SONG2018, Layout, crossing_pillars, footprint, min_span
-
-
-def quantity(
-    default: Any,
-    meaning: str,
-    optional: bool = False,
-    above_0: bool = False,
-    within: tuple[float, float] | None = None,
-    below: bool = False,
-    of: Sequence[str] = (),
-    count: int = 1,
-) -> Any:
-    """A dataclass field with its meaning, which also becomes the comment in the design file.
-
-    Design files may leave an optional one out, and hashes do at its default: files made before it was there stay good.
-    A number is `within` bounds, of which it is `below` the upper one, a text one `of` some, a vector has `count`
-    numbers. `require_sound` checks all this.
-    """
-    asked = {"meaning": meaning, "optional": optional, "above 0": above_0, "within": within, "of": of, "count": count}
-    return field(default=default, metadata=asked | {"below": below})
-
-
-positive = partial(quantity, above_0=True)  #: a quantity above 0
-
-
-LIMITS = (1e-12, 1e12)  #: of sizes; beyond, squares leave the range of numbers
-
-
-def require_sound(
-    values: Any, refusal: type[TriPillarError] = DesignError, limits_mm: tuple[float, float] = LIMITS
-) -> None:
-    """Refuse whatever is not as its `quantity` says: finite numbers, whole ones in an int field, one of the choices.
-
-    Numbers become floats, vectors tuples of them; None is taken where the type has it.
-    """
-    for spec in fields(values):
-        value, asked = getattr(values, spec.name), spec.metadata
-        if value is None and type(None) in get_args(spec.type):
-            continue
-        count = asked.get("count", 1)
-        kind = next((one for one in (int, float) if spec.type in (one, one | None)), float if count > 1 else None)
-        if kind is None:
-            choices = asked.get("of") or (value,)
-            said = "" if value in choices else f"one of {', '.join(choices)}"
-        else:
-            is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
-            given = [value] if count == 1 else list(value) if is_list else []
-            said = _unsound(given, kind, asked, limits_mm if spec.name.endswith("_mm") else LIMITS)
-            if not said:
-                object.__setattr__(values, spec.name, kind(value) if count == 1 else tuple(map(kind, given)))
-        if said:
-            raise refusal(f"{spec.name}={reprlib.repr(value)} must be {said}; {asked['meaning']}.")
-
-
-def _unsound(given: list[Any], kind: type, asked: Mapping[str, Any], limits: tuple[float, float]) -> str:
-    """In words what numbers must be and are not; empty if they are."""
-    kinds, count = (int, np.integer) if kind is int else (int, float, np.integer, np.floating), asked.get("count", 1)
-    if len(given) != count or not all(isinstance(one, kinds) and is_finite(one) for one in given):
-        return f"{count} finite numbers" if count > 1 else f"a {'whole' if kind is int else 'finite'} number"
-    low, high = min(given), max(given)
-    if asked.get("above 0") and not low > 0:
-        return "above 0"
-    if asked.get("above 0") and not limits[0] <= low <= high <= limits[1]:
-        return f"from {limits[0]:g} to {limits[1]:g}"
-    if kind is not int and max(-low, high) > limits[1]:
-        return f"at most {limits[1]:g} in size"
-    least, most = asked.get("within") or (low, high)
-    if not least <= low <= high <= most or (asked.get("below") and high == most):
-        return f"from {least:g} to {'below ' * asked['below']}{most:g}"
-    return ""
-
-
-def is_finite(value: Any) -> bool:
-    """True of a number that is finite, and no bool."""
-    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return is_number and bool(abs(value) <= sys.float_info.max)  # so that NaN and endless integers are refused
+from geometry.errors import DesignError
+from geometry.layout import SONG2018, Layout, crossing_pillars, footprint, min_span
+from geometry.quantity import OPTIONAL, Sound, positive, quantity
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unit:
+class Unit(Sound):
     """One sensing unit: pillars between electrodes, as its layout says; the paper's by default."""
 
     span_mm: float = positive(10.0, "distance between neighbouring electrodes of a unit, along x and along y")
@@ -105,7 +24,7 @@ class Unit:
     layout: Layout = field(default=SONG2018, metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         least_mm, met = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(
@@ -135,26 +54,20 @@ MAX_UNITS = 255  #: along x or y: what a board's frames can state
 
 
 @dataclass(frozen=True, kw_only=True)
-class Array:
+class Array(Sound):
     """A rows × cols grid of identical units on one slab."""
 
     rows: int = quantity(6, "units along y", within=(1, MAX_UNITS))
     cols: int = quantity(6, "units along x", within=(1, MAX_UNITS))
     pitch_mm: float = positive(15.0, "centre-to-centre distance of units; the paper says 10 to 20")
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Plate:
+class Plate(Sound):
     """The plate of a stiff pad, for shapes that press on it; taken for rigid, as plastic of 1 mm would not be."""
 
     thickness_mm: float = quantity(2.0, "how far its face stands above the rubber", within=(0.2, 10.0))
     young_mpa: float = quantity(2000.0, "Young's modulus, by which its face gives; a plastic's", within=(10.0, 5e3))
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
     @property
     def face_mm_per_mpa(self) -> float:
@@ -163,7 +76,7 @@ class Plate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pad:
+class Pad(Sound):
     """The square on a unit's top through which it is loaded."""
 
     size_mm: float = positive(12.0, "side of the contact pad; 12 covers both upper electrodes")
@@ -174,9 +87,6 @@ class Pad:
     )
     plate: Plate = quantity(Plate(), "the plate of a stiff pad, for shapes that press on it", True)
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 DIRECTIONS = ("unknown", "lengthening", "loading")
 RATES = (0.0, 1e3)  #: of broken contacts, per strain
@@ -184,7 +94,7 @@ LOG_RISES = (-20.0, 20.0)  #: of ln R by memory, or per strain
 
 
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class Memory(Sound):
     """What a conductive rubber's resistance remembers of its strain ε; nothing by default.
 
     ln R = ln R₀ + 2 ln(1 + ε) + g₁ ε + g₂ ε² + a₁ q₁ + a₂ q₂ with shares qᵢ of contacts that strain has broken and that
@@ -202,26 +112,20 @@ class Memory:
     g1: float = quantity(0.0, "rise of ln R with strain, beside the pillar's shape", within=LOG_RISES)
     g2: float = quantity(0.0, "the same with its square", within=LOG_RISES)
 
-    def __post_init__(self) -> None:
-        require_sound(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Prony:
+class Prony(Sound):
     """Relaxation of a rubber's force: F(t) = Y(t) + Σᵢ shareᵢ ∫ exp(−(t − s)/τᵢ) dY(s), Y settled; none by default."""
 
     share: tuple[float, float] = quantity((0.0, 0.0), "of the settled force, that relax", count=2, within=(0.0, 10.0))
     tau_s: tuple[float, float] = positive((1.0, 100.0), "times in which they do [s]", count=2)
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
 
 MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class Material(Sound):
     """An isotropic rubber; the paper's by default.
 
     Its `model` is linear elasticity, or the neo-Hookean W = μ/2 (I₁ − 3) − μ ln J + λ/2 (J − 1)² of the same small
@@ -239,7 +143,7 @@ class Material:
     prony: Prony = quantity(Prony(), "how its force relaxes, in histories and live", True)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.stiffening and self.model != "yeoh":
             raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
         if not 0 <= self.poisson < 0.5:
@@ -266,7 +170,7 @@ EQUATIONS = ("eq1", "conduction")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drifts:
+class Drifts(Sound):
     """Standard deviations of drifts since the sensor was last tared, relative where no unit is stated."""
 
     #: lines of comment in design files
@@ -285,9 +189,6 @@ class Drifts:
     drift_offset_ohm: float = quantity(
         0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
     )
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
     def with_drifts_of(self, other: "Drifts | None") -> Self:
         """A copy with the larger of each drift that both state."""
@@ -345,7 +246,7 @@ class Electrics(Drifts):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorDesign:
+class SensorDesign(Sound):
     """Everything that defines a sensor; the default is the paper's."""
 
     resistivity_ohm_mm: float = positive(4000.0, "resistivity ρ of the pillars' rubber; 4000 rests z at 10 kΩ")
@@ -357,7 +258,7 @@ class SensorDesign:
     matrix_material: Material = quantity(Material(), "the insulating rubber around them; the paper gives no value")
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.pillar_material.model != self.matrix_material.model:
             models = f"pillar_material is {self.pillar_material.model}, matrix_material {self.matrix_material.model}"
             raise DesignError(f"{models}: give both the same model.")

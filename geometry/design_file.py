@@ -77,8 +77,17 @@ def _keys(values: Any) -> list[Any]:
 
 def _key_line(values: Any, spec: Any) -> str:
     value = getattr(values, spec.name)
-    assignment = f"{spec.name} = {list(value) if isinstance(value, tuple) else value!r}"
-    return f"{assignment:27} # {spec.metadata['meaning']}"
+    return key_line(spec.name, list(value) if isinstance(value, tuple) else value, spec.metadata["meaning"])
+
+
+def key_line(key: str, value: Any, meaning: str) -> str:
+    """A line of a TOML file: a key with its value, and what it means as a comment."""
+    return f"{f'{key} = {value!r}':27} # {meaning}"
+
+
+def row_text(values: Any, form: str) -> str:
+    """An array of numbers in TOML, each written in a form such as .4f."""
+    return f"[{', '.join(f'{value:{form}}' for value in values)}]"
 
 
 def design_from_dict(table: dict[str, Any], source: str = "the design") -> SensorDesign:

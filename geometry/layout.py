@@ -8,7 +8,7 @@ import math
 import re
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import DesignError
+from geometry.quantity import OPTIONAL, Sound, quantity
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit
@@ -29,56 +30,33 @@ TURNS = (0.2, 0.3)  #: of a pad by a shear force, by its shift over the height; 
 
 SECTIONS = ("square", "round")  #: of a pillar, perpendicular to its axis
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")  #: of an electrode, a wire or a pillar: it becomes part of names
-MAX_PLACE = 1e3  #: of an electrode, in half spans
-OPTIONAL = {"optional": True}  #: no part of hashes at its default
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+PLACES = (-1e3, 1e3)  #: of an electrode, in half spans
 
 
 @dataclass(frozen=True)
-class Electrode:
+class Electrode(Sound):
     """A square on a unit's top or base."""
 
     name: str
-    place: tuple[float, float]  #: of its middle along x and y from the unit's middle, in half spans
+    place: tuple[float, float] = quantity(
+        MISSING, "its middle along x and y from the unit's middle, in half spans", count=2, within=PLACES
+    )
     #: name of a wire that it shares with others of the unit and level; without, it has one of its own
     wire: str | None = field(default=None, metadata=OPTIONAL)
 
-    def __post_init__(self) -> None:
-        pair = isinstance(self.place, Sequence) and len(self.place) == 2
-        if not pair or not all(_is_number(one) and abs(one) <= MAX_PLACE for one in self.place):
-            raise DesignError(
-                f"place={reprlib.repr(self.place)} must be two numbers, along x and y from the middle in half spans, "
-                f"at most {MAX_PLACE:g} in size."
-            )
-        object.__setattr__(self, "place", tuple(map(float, self.place)))
-
 
 @dataclass(frozen=True)
-class Pillar:
+class Pillar(Sound):
     """A straight pillar between two electrodes."""
 
     name: str
     foot: str  #: name of the lower electrode
     top: str  #: name of the upper one
-    section: str = field(default="square", metadata=OPTIONAL)  #: one of `SECTIONS`
-    width_mm: float | None = field(default=None, metadata=OPTIONAL)  #: side or diameter; by default the unit's
-    #: beside the slab on these electrodes' wires, as long as the line between them: no load reaches it, drifts do
-    reference: bool = field(default=False, metadata=OPTIONAL)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.reference, bool):
-            raise DesignError(f"reference={reprlib.repr(self.reference)} must be true or false.")
-        if self.section not in SECTIONS:
-            raise DesignError(f"section={reprlib.repr(self.section)} must be one of {', '.join(SECTIONS)}.")
-        if self.width_mm is not None:
-            if not _is_number(self.width_mm) or not 1e-12 <= self.width_mm <= 1e12:
-                raise DesignError(
-                    f"width_mm={reprlib.repr(self.width_mm)} must be a number above 0; without, it is the unit's."
-                )
-            object.__setattr__(self, "width_mm", float(self.width_mm))
+    section: str = quantity("square", "perpendicular to its axis", True, of=SECTIONS)
+    width_mm: float | None = quantity(None, "side or diameter; without, it is the unit's", True, above_0=True)
+    reference: bool = quantity(
+        False, "stands beside the slab on these electrodes' wires: no load reaches it, drifts do", True
+    )
 
     @property
     def is_round(self) -> bool:
@@ -265,10 +243,14 @@ def pillar_ends(unit: "Unit") -> FloatArray:
     return np.stack([electrode_centres(unit)[feet], electrode_centres(unit)[tops]], axis=1)
 
 
+def pillar_vectors(unit: "Unit") -> FloatArray:
+    """From the bottom of each pillar to its top, undeformed, shape (n_pillars, 3) [mm]."""
+    return pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0]
+
+
 def rest_lengths(unit: "Unit") -> FloatArray:
     """Undeformed length of the pillars, shape (n_pillars,) [mm]; 10, 10√2, 10√2 for the paper's."""
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    return np.linalg.norm(top - bottom, axis=1)
+    return np.linalg.norm(pillar_vectors(unit), axis=1)
 
 
 def pillar_widths(unit: "Unit") -> list[float]:
@@ -303,7 +285,7 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     >>> pillar_sections(Unit()).round(3).tolist()
     [[2.0, 2.0], [2.828, 2.0], [2.0, 2.828]]
     """
-    h, runs = unit.height_mm, (pillar_ends(unit)[:, 1] - pillar_ends(unit)[:, 0])[:, :2].tolist()
+    h, runs = unit.height_mm, pillar_vectors(unit)[:, :2].tolist()
     widths = zip(pillar_widths(unit), runs, strict=True)
     sections = np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
     for k in np.flatnonzero(leans_both_ways(unit)):
@@ -320,8 +302,7 @@ def untold(unit: "Unit", axes: Sequence[str] = AXES, turns: Sequence[float] = TU
     A force along x or y moves a pad along and turns it, as far as `turns` say; one along z presses it down. Lengths of
     pillars must change in ways of their own by each of the axes that are asked.
     """
-    feet, tops = pillar_ends(unit.body).transpose(1, 0, 2)
-    (along, tops), h = (tops - feet, tops[:, :2]), unit.height_mm
+    along, tops, h = pillar_vectors(unit.body), pillar_ends(unit.body)[:, 1, :2], unit.height_mm
     columns = [AXES.index(axis) for axis in axes]
 
     def rank(some: list[int]) -> int:

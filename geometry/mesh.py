@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from trimesh.convex import convex_hull
 from trimesh.util import concatenate
 
-from geometry.design import SensorDesign, positive, require_sound
+from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import MESHED_SIDES, Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
+from geometry.quantity import Sound, positive
 from geometry.storage.cache import kept
 from geometry.storage.files import digest, scratch, vtk_content, write_bytes
 from geometry.storage.seal import BLANK, require_intact, sealed
@@ -37,7 +38,7 @@ GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from to
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshSettings:
+class MeshSettings(Sound):
     """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
 
     edge_top_mm: float = positive(1.25, "wanted edge length at the touched surface, where loads begin and end")
@@ -47,7 +48,7 @@ class MeshSettings:
     )
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
             raise DesignError(
                 f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "

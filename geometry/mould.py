@@ -17,23 +17,21 @@ import numpy as np
 from build123d import Location, Solid
 
 from geometry.cad import at_units, box, pillar_solids, prism, sensor_solids, unit_solid, write_solids
-from geometry.design import SensorDesign, Unit, positive, quantity, require_sound
+from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
 from geometry.layout import pillar_ends, pillar_sections, pillar_widths, upper_electrodes
 from geometry.prism import unit_prisms
+from geometry.quantity import Sound, positive, quantity
 from geometry.storage.files import require_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mould:
+class Mould(Sound):
     """Settings for printing the mould's parts. Lengths in mm."""
 
     wall_mm: float = positive(5.0, "width of the rim around the slab, on every part")
     plate_mm: float = positive(3.0, "thickness of the lid and of the floors")
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough", within=(0, 10))
-
-    def __post_init__(self) -> None:
-        require_sound(self)
 
 
 def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:

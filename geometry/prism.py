@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import (
-    OPTIONAL,
     FloatArray,
     leans_both_ways,
     pad_squares,
@@ -19,6 +18,7 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
+from geometry.quantity import OPTIONAL
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit

@@ -5,14 +5,12 @@ is the gate in front of it and of every STL file.
 """
 
 from math import log10
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from trimesh import Trimesh
 
 from geometry.errors import GeometryError
-from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     from build123d import Shape
@@ -62,9 +60,3 @@ def check_surface(surface: Trimesh, expected_volume_mm3: float, name: str) -> No
             f"surface '{name}' encloses {surface.volume:.9g} mm³, its solid {expected_volume_mm3:.9g} mm³, "
             f"which may differ by {VOLUME_TOLERANCE:g} of that: make the surface anew from the solid."
         )
-
-
-def write_surface(surface: Trimesh, path: Path) -> None:
-    """Write a surface as STL (binary, single precision) or OBJ (text), by the suffix; whole or not at all."""
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        surface.export(file, file_type=path.suffix[1:])

@@ -17,11 +17,6 @@ from geometry.layout import SONG2018, Layout
 MAX_SEARCHED = 10  #: electrodes of the smaller level for which the fewest wires are looked for
 
 
-def unit_wires(layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row wire of each upper electrode and column wire of each lower one, counted from 0 within their unit."""
-    return np.array(layout.row_wires), np.array(layout.column_wires)
-
-
 def unit_crossings(layout: Layout) -> NDArray[np.intp]:
     """Number of the pillar at each crossing of a unit's wires, -1 where there is none, shape (row, column wires).
 

@@ -23,8 +23,8 @@ from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.charts import BLUE, ORANGE, finish, new_figure
+from studies.program import run_alone
 from tripillar.pipeline.manufactured import SETTINGS, SPECIMEN, TEST_SEED, as_made, measured_on
-from tripillar.terminal.entry import run_alone
 
 PROTOCOLS = ("contact", "three-axis")
 COUNTS = {"chosen": (1, 2, 3, 5, 10), "random": (1, 2, 3, 5, 10, 20, 30)}

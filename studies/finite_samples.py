@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from dataset.stored import read_samples
 from decoupler.model.model_file import read_model
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 
 def decoded(

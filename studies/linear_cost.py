@@ -22,7 +22,7 @@ from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import write_text
 from studies.charts import save_small
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 SHOWN = ("contact", "three-axis")
 PEAKS_MPA = (0.3, 1.0, 3.0, 5.0)  #: to which the greatest pressure of every sample is scaled

@@ -12,10 +12,10 @@ from dataset import DatasetSettings, simulate
 from decoupler import assess, train
 from fem.array.response import ArrayResponse
 from geometry.design import PAD_KINDS, SensorDesign
+from studies.program import run_alone
 from studies.tables import report
 from tripillar.pipeline.run import respond
 from tripillar.sweep.judge import metrics_of
-from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 
 PROTOCOLS = ("contact", "three-axis")

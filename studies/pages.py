@@ -13,7 +13,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from geometry.storage.files import write_json, write_text
-from tripillar.terminal.entry import run_alone, wrote
+from studies.program import run_alone
+from tripillar.terminal.entry import wrote
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = "results.md"

@@ -23,7 +23,7 @@ from fem.contact.shapes import Upright
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 from tripillar.terminal.progress import Bars
 
 MAX_STRAIN = 0.3

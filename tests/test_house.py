@@ -22,7 +22,7 @@ ROOMS = {
     "fem": "scene boxes rubber tetrahedra conduction finite array contact methods pictures",
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",
-    "tripillar": "terminal pipeline doctor sweep viewer simulators face cli",
+    "tripillar": "terminal pipeline doctor datasets sweep viewer simulators face cli",
     "studies": "pictures bench edge_cases paper robustness real_rubber",
 }
 

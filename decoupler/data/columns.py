@@ -66,6 +66,16 @@ def component_named(name: str) -> Component:
     return COMPONENTS[name]
 
 
+def acting_component(*force_n: FloatArray) -> str:
+    """The name of the component for forces (..., 3): fz, fx or fy if they act along one axis alone, else all.
+
+    >>> acting_component(np.array([[0.0, 0.0, 5.0]]), np.zeros((0, 3)))
+    'fz'
+    """
+    acting = [axis for number, axis in enumerate(AXES) if any(each[..., number].any() for each in force_n)]
+    return f"f{acting[0]}" if len(acting) == 1 else "all"
+
+
 def pillar_columns(
     resistance_ohm: FloatArray, component: Component, layout: Layout, dead: NDArray[np.bool_] | None = None
 ) -> FloatArray:

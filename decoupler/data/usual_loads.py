@@ -51,7 +51,7 @@ def loads_like(force_n: FloatArray, axes: list[int], design: SensorDesign, count
     return found
 
 
-def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -> FloatArray:
+def images_of(force_n: FloatArray, axes: list[int], count: int) -> FloatArray:
     """Loads (count, rows, cols, k) [N] like those given, (n, rows, cols, k): themselves, then images of them.
 
     `axes` are the numbers of the k axes of forces.
@@ -64,7 +64,7 @@ def images_of(force_n: FloatArray, axes: list[int], count: int, seed: int = 0) -
     n, rows, cols, _ = force_n.shape
     if n >= count:
         return force_n[np.linspace(0, n - 1, count).astype(int)]
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     whose = np.arange(count) % n
     turned = generator.random((count, 2)) < 0.5
     moved = generator.integers((rows + 1, cols + 1), size=(count, 2))

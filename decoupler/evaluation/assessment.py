@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset import Samples
-from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
-from decoupler.data.columns import Component, force_columns, readable_columns
+from decoupler.data.columns import Component, force_columns
 from decoupler.data.enough import ENOUGH, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.limits import bayes, cramer_rao
@@ -86,23 +85,12 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
         return {}
     every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
     usual_n, forward = force_columns(data.force_n, component), SensorModel.of(response, component)
-    reading = _reading(decoupler, data.errors)
-    unbiased = _by_axis(cramer_rao(forward, usual_n[every], **reading), component)
-    biased = _by_axis(bayes(forward, usual_n[every], **reading, usual_n=usual_n), component)
+    reading = data.errors, data.shape, decoupler.readable
+    unbiased = _by_axis(cramer_rao(forward, usual_n[every], *reading), component)
+    biased = _by_axis(bayes(forward, usual_n[every], *reading, usual_n), component)
     return {
         name: Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
         for name, one, other in zip(component.forces, unbiased, biased, strict=True)
-    }
-
-
-def _reading(decoupler: Decoupler, errors: ReadingError) -> dict[str, Any]:
-    """What limits ask of readings: relative error of each alone, converter, pillars that are read, shared drifts."""
-    rows, cols, component = decoupler.rows, decoupler.cols, decoupler.component
-    return {
-        "noise": errors.own_relative,
-        "bits": errors.bits,
-        "readable": readable_columns(component, decoupler.layout, decoupler.dead, rows * cols * len(decoupler.pillars)),
-        "shared": partial(errors.shared, rows=rows, cols=cols) if errors.has_drift else None,
     }
 
 

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import FloatArray, Layout
 from geometry.wiring import crossings, pillar_of_crossing
@@ -94,14 +93,14 @@ class FaultTest:
         if errors.is_exact:
             return None
         assert usual.log_ohm_covariance is not None
-        places = np.arange(rest_ohm.size).reshape(rest_ohm.shape)[..., decoupler.pillars].reshape(-1)
-        read = readable_columns(decoupler.component, decoupler.layout, decoupler.dead, len(places))
-        noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[places][read]
+        read = decoupler.readable
+        pillars = decoupler.places[read]
+        noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[pillars]
         return cls(
             rows=decoupler.rows,
             cols=decoupler.cols,
             layout=decoupler.layout,
-            pillars=places[read],
+            pillars=pillars,
             mean=usual.log_ohm[read],
             covariance=usual.log_ohm_covariance[np.ix_(read, read)] + np.diag(noise**2),
             noise=noise,

@@ -13,19 +13,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from dataset.protocols import INDENT
 from dataset.variables import MAX_N
-from decoupler.data.columns import (
-    COMPONENTS,
-    MIN_NOISE,
-    Columns,
-    Component,
-    force_columns,
-    load_numbers,
-    pillar_columns,
-    readable_columns,
-)
+from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
 from geometry.layout import AXES, FloatArray, untold
@@ -118,11 +109,10 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
     if said := _of_contacts(data):
         return said
     data = _some(data, component)
-    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
-    columns = columns[:, readable_columns(component, data.layout, data.dead, columns.shape[1])]
-    forces = force_columns(data.force_n, component)
-    if len(forces) > 1 and _is_constant(forces) and _scattered(columns, data):
-        return f"{_alike(forces)}, though the resistances differ by more than noise: give their loads"
+    own = Columns.of(data, component)
+    columns = own.resistance_ohm[:, own.readable]
+    if len(own) > 1 and _is_constant(own.force_n) and _scattered(columns, data):
+        return f"{_alike(own.force_n)}, though the resistances differ by more than noise: give their loads"
     if forward is None and columns.size and KILOOHM[0] <= columns.min() <= columns.max() <= KILOOHM[1]:
         return f"all resistances are {columns.min():.3g} to {columns.max():.3g}, as in kΩ: give them in Ω, times 1000"
     if forward is None or not columns.size:
@@ -142,11 +132,11 @@ def nothing_to_learn(data: Samples, component: Component) -> str | None:
         return said
     if len(data.force_n) < 2:
         return None
-    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
-    forces = force_columns(data.force_n, component)
-    if _is_constant(forces):
-        return f"{_alike(forces)}: nothing can be learnt"
-    return "every resistance is the same in all samples: nothing can be learnt" if _is_constant(columns) else None
+    own = Columns.of(data, component)
+    if _is_constant(own.force_n):
+        return f"{_alike(own.force_n)}: nothing can be learnt"
+    is_constant = _is_constant(own.resistance_ohm)
+    return "every resistance is the same in all samples: nothing can be learnt" if is_constant else None
 
 
 def disturbance(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
@@ -184,10 +174,9 @@ def explained(data: Samples, component: Component, forward: SensorModel) -> floa
 
 
 def _explained(data: Samples, component: Component, forward: SensorModel, left: FloatArray) -> float | None:
-    moved, _ = _motions(data, component, forward)
-    columns = pillar_columns(data.resistance_ohm, component, data.layout, data.dead)
-    readable = readable_columns(component, data.layout, data.dead, columns.shape[1])
-    noise = float((0.25 * (data.errors.total(columns, *data.shape) / columns)[:, readable] ** 2).sum())
+    (moved, _), own = _motions(data, component, forward), Columns.of(data, component)
+    relative = own.errors.total(own.resistance_ohm, *own.shape) / own.resistance_ohm
+    noise = float((0.25 * relative[:, own.readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
 
@@ -224,12 +213,11 @@ def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str 
 
 def _in_best_order(data: Samples, component: Component, forward: SensorModel) -> dict[str, Mend]:
     """The order of pillars that explains the readings best, by a joint model; none if it is the stated one."""
-    names, taken, every = data.layout.pillar_names, component.pillars(data.layout), COMPONENTS["all"]
+    names, taken, every = data.layout.pillar_names, component.pillars(data.layout), Columns.of(data, COMPONENTS["all"])
     shape = len(data), -1, len(names)
-    lengths = np.sqrt(pillar_columns(data.resistance_ohm, every, data.layout, data.dead)).reshape(shape)
-    modelled = forward.lengths(force_columns(data.force_n, every)).reshape(shape)
-    moved, expected = (each / each.mean(axis=0) - 1.0 for each in (lengths, modelled))
-    read = readable_columns(every, data.layout, data.dead, moved[0].size).reshape(shape[1:])
+    both = np.sqrt(every.resistance_ohm).reshape(shape), forward.lengths(every.force_n).reshape(shape)
+    moved, expected = (each / each.mean(axis=0) - 1.0 for each in both)
+    read = every.readable.reshape(shape[1:])
     left = [
         [(residuals(moved[..., k], expected[..., pillar])[:, read[:, k]] ** 2).sum() for k in range(len(names))]
         for pillar in taken
@@ -249,14 +237,12 @@ def _is_joint(forward: SensorModel, data: Samples) -> bool:
 
 def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple[FloatArray, FloatArray]:
     """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
-    joint = _is_joint(forward, data)
-    modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"] if joint else component))
+    joint, own = _is_joint(forward, data), Columns.of(data, component)
+    modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"]) if joint else own.force_n)
     if joint:
         pillars = component.pillars(data.layout)
         modelled = modelled.reshape(data.resistance_ohm.shape)[..., pillars].reshape(len(modelled), -1)
-    lengths = np.sqrt(pillar_columns(data.resistance_ohm, component, data.layout, data.dead))
-    readable = readable_columns(component, data.layout, data.dead, lengths.shape[1])
-    lengths, modelled = lengths[:, readable], modelled[:, readable]
+    lengths, modelled = np.sqrt(own.resistance_ohm)[:, own.readable], modelled[:, own.readable]
     return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
 
 
@@ -287,7 +273,8 @@ def _scattered(columns: FloatArray, data: Samples) -> bool:
     if data.errors.has_drift:
         return False
     size = columns.mean(axis=0)
-    noise, steps = reading_deviation(size, data.noise or UNSTATED_NOISE, None), reading_deviation(size, 0.0, data.bits)
+    noise = ReadingError(noise=data.noise or UNSTATED_NOISE).deviation(size)
+    steps = ReadingError(bits=data.bits).deviation(size)
     N = (len(columns) - 1) * columns.shape[1]
     x = float((((columns - size) / np.hypot(noise, EDGE * steps)) ** 2).sum()) / max(N, 1)
     return x > 1.0 and 0.5 * N * (x - 1.0 - math.log(x)) > math.log(1.0 / FALSE_ALARMS)

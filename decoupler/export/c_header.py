@@ -8,7 +8,7 @@ import numpy as np
 
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
-from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
+from decoupler.export.portable import facts, output_weights_n
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 
@@ -22,7 +22,7 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     and gives (rows, cols, n_axes) [N].
     """
     network, inverse, resting = decoupler.network, decoupler.inverse, decoupler.resting
-    place, dead, output = places(decoupler), dead_inputs(decoupler), output_weights_n(decoupler)
+    place, dead, output = decoupler.places, ~decoupler.readable, output_weights_n(decoupler)
     indices = {"place": np.where(dead, -1, place)}
     resistances = decoupler.rows * decoupler.cols * len(decoupler.layout.pillars)
     inputs = len(decoupler.input_scaling.centre)

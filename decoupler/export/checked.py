@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from decoupler.export.c_header import header_text
-from decoupler.export.portable import ExportError, dead_inputs, places
+from decoupler.export.portable import ExportError
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import converted
 from geometry.errors import DesignError, needing
@@ -69,15 +69,15 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     return Exported(precision=precision, deviation=deviation)
 
 
-def likely_resistances(decoupler: Decoupler, n_samples: int, seed: int = 0) -> FloatArray:
+def likely_resistances(decoupler: Decoupler, n_samples: int) -> FloatArray:
     """Resistances within the training set's ranges, (n_samples, rows, cols, n_pillars) [Ω]; NaN: not looked at."""
     scaling = decoupler.input_scaling  # of forces with the feature inverse
-    columns = scaling.unscale(np.random.default_rng(seed).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
+    columns = scaling.unscale(np.random.default_rng(0).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
     if decoupler.inverse is not None:
         columns = decoupler.inverse.forward.resistances(columns)
     elif decoupler.network.feature == "root":
         columns = columns**2
-    columns[:, dead_inputs(decoupler)] = np.nan
+    columns[:, ~decoupler.readable] = np.nan
     resistance_ohm = np.full((n_samples, decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), np.nan)
-    resistance_ohm.reshape(n_samples, -1)[:, places(decoupler)] = columns
+    resistance_ohm.reshape(n_samples, -1)[:, decoupler.places] = columns
     return resistance_ohm

@@ -8,7 +8,7 @@ from onnx import helper, numpy_helper
 
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, Resting
-from decoupler.export.portable import dead_inputs, facts, output_weights_n, places
+from decoupler.export.portable import facts, output_weights_n
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import FloatArray
@@ -24,10 +24,10 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     """
     rows, cols, n_axes = decoupler.rows, decoupler.cols, len(decoupler.component.axes)
     n_pillars = len(decoupler.layout.pillars)
-    dead = dead_inputs(decoupler)
+    dead = ~decoupler.readable
     graph = _Graph(dtype)
     x = graph.add("Reshape", "resistance_ohm", np.array([0, rows * cols * n_pillars]))
-    x = graph.add("Gather", x, places(decoupler), axis=1)
+    x = graph.add("Gather", x, decoupler.places, axis=1)
     if dead.any():
         x = graph.add("Where", dead, np.array(DEAD_OHM), x)
     if decoupler.resting is not None:

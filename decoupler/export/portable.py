@@ -1,11 +1,7 @@
-"""Parts that every exported form of a `Decoupler` needs: places of inputs, weights in newtons, facts about it."""
+"""Parts that every exported form of a `Decoupler` needs: weights in newtons, facts about it."""
 
 from importlib.metadata import PackageNotFoundError, version
 
-import numpy as np
-from numpy.typing import NDArray
-
-from decoupler.data.columns import readable_columns
 from decoupler.model.decoupler import Decoupler
 from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
@@ -13,17 +9,6 @@ from geometry.layout import FloatArray
 
 class ExportError(TriPillarError, RuntimeError):
     """A model that cannot be exported."""
-
-
-def places(decoupler: Decoupler) -> NDArray[np.int64]:
-    """Places of the network's inputs in one sample's (rows, cols, n_pillars) resistances laid flat, shape (n_in,)."""
-    n_units, n_pillars = decoupler.rows * decoupler.cols, len(decoupler.layout.pillars)
-    return np.arange(n_units * n_pillars).reshape(n_units, -1)[:, decoupler.pillars].reshape(-1)
-
-
-def dead_inputs(decoupler: Decoupler) -> NDArray[np.bool_]:
-    """Which inputs cannot be read and have `DEAD_OHM` in their place, shape (n_in,)."""
-    return ~readable_columns(decoupler.component, decoupler.layout, decoupler.dead, len(places(decoupler)))
 
 
 def output_weights_n(decoupler: Decoupler) -> FloatArray:

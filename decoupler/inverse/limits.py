@@ -4,17 +4,16 @@
 the estimator that meets the first: Newton's steps on the response itself.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.inverse.sensor_model import SensorModel
 from geometry.layout import FloatArray
 
-Shared = Callable[[FloatArray], FloatArray]
 LEAST = 1e-12  #: of what lengths tell along a direction of forces, over the direction of which they tell most
 CHUNK = 64  #: samples whose derivatives are in memory together
 MAX_STEPS = 20  #: of Newton's; six are usual
@@ -25,21 +24,20 @@ REACHED = 1e-11  #: error of a length over the largest one, where forces were fo
 def cramer_rao(
     forward: SensorModel,
     force_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
+    shape: tuple[int, int],
     readable: NDArray[np.bool_] | None = None,
-    shared: Shared | None = None,
 ) -> FloatArray:
     """Least standard deviation of unbiased estimates of forces, (n, n_forces) [N] -> the same shape [N].
 
     Parameters
     ----------
-    noise, bits : float, int or None
-        Of the readings, as `dataset.measurement.reading_deviation` takes them. Without either the bound is 0.
+    errors : ReadingError
+        Of the readings. If these are exact the bound is 0.
+    shape : int, int
+        Rows and columns of the array.
     readable : array, shape (n_pillars,), optional
         Pillars that can be read; default: all. If they are fewer than the forces, every bound is infinite.
-    shared : callable, optional
-        Changes of resistances (n, n_pillars) [Ω] by each error that pillars share, (n, n_pillars, m) [Ω]: drifts.
 
     Notes
     -----
@@ -50,8 +48,8 @@ def cramer_rao(
     if n_readable < forward.n_forces:
         return np.full_like(force_n, np.inf)
     found = np.zeros_like(force_n)
-    if noise or bits is not None or shared is not None:
-        for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
+    if not errors.is_exact:
+        for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
             if J.shape[1] == J.shape[2]:
                 inverse = np.linalg.inv(J)
                 own, common = inverse * deviation[:, None], inverse @ U
@@ -71,11 +69,10 @@ def cramer_rao(
 def bayes(
     forward: SensorModel,
     force_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
+    shape: tuple[int, int],
     readable: NDArray[np.bool_] | None = None,
     usual_n: FloatArray | None = None,
-    shared: Shared | None = None,
 ) -> FloatArray:
     """Least standard deviation of estimates that know the mean and covariance of the usual forces, as a network does.
 
@@ -90,7 +87,7 @@ def bayes(
     """
     C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
     found = np.empty_like(force_n)
-    for part, J, deviation, U in _linearised(forward, force_n, noise, bits, readable, shared):
+    for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
         JC = J @ C
         S = JC @ J.swapaxes(1, 2) + _covariance(forward, deviation, U)
         taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
@@ -101,10 +98,9 @@ def bayes(
 def _linearised(
     forward: SensorModel,
     force_n: FloatArray,
-    noise: float,
-    bits: int | None,
+    errors: ReadingError,
+    shape: tuple[int, int],
     readable: NDArray[np.bool_] | None,
-    shared: Shared | None,
 ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
     """Chunks of samples: derivatives of the readable lengths, deviations of their errors, changes by shared ones."""
     for start in range(0, len(force_n), CHUNK):
@@ -112,8 +108,7 @@ def _linearised(
         lengths, J = forward.jacobian(force_n[part])
         ohm = forward.ohm_per_mm2 * lengths**2 + forward.offset_ohm
         by_ohm = 0.5 / (forward.ohm_per_mm2 * lengths)
-        deviation = reading_deviation(ohm, noise, bits) * by_ohm
-        U = np.zeros((*ohm.shape, 0)) if shared is None else shared(ohm) * by_ohm[..., None]
+        deviation, U = errors.deviation(ohm) * by_ohm, errors.shared(ohm, *shape) * by_ohm[..., None]
         if readable is not None:
             J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]
         yield part, J, deviation, U

@@ -121,14 +121,31 @@ class Posterior:
             covariance = factors @ factors.swapaxes(1, 2) + variance[:, None] * np.eye(len(read))
             whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         y = (resistance_ohm - self.forward.offset_ohm) / c
-        given = _Given(y=y, whiten=whiten, mean_n=mean_n, precision=precision)
-        here = _Point.of(self.forward, state, given)
+
+        def at(state_n: FloatArray, on: slice | NDArray[np.int64]) -> _Point:
+            """States of some of the samples."""
+            modelled, by_state, force_n, by_force = self.forward.at_states(state_n)
+            missing, off_n = (whiten[on] @ (y[on] - modelled)[..., None])[..., 0], mean_n[on] - force_n
+            squares = missing**2
+            held = ((off_n[:, None] @ precision)[:, 0] * off_n).sum(axis=1)
+            return _Point(
+                state=state_n,
+                cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
+                missing=missing,
+                weight=(FREEDOM + 1.0) / (FREEDOM + squares),
+                by_state=whiten[on] @ by_state,
+                off_n=off_n,
+                by_force=by_force,
+                force_n=force_n,
+            )
+
+        here = at(state, slice(None))
         damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
         for _ in range(MAX_STEPS):
             H, down = here.part(on).normal(precision)
             H += (damping[on, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(Q)
             trial = here.state[on] + np.linalg.solve(H, down[..., None])[..., 0]
-            there = _Point.of(self.forward, trial, given.part(on))
+            there = at(trial, on)
             gain = here.cost[on] - there.cost
             better = gain > 0
             here.replace(on[better], there.part(np.flatnonzero(better)))
@@ -143,20 +160,6 @@ class Posterior:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Given:
-    """What is known of n samples."""
-
-    y: FloatArray  #: measured squares of lengths, (n, P) [mm²]
-    whiten: FloatArray  #: what makes their errors independent and of variance 1, (n, P, P) [1/mm²]
-    mean_n: FloatArray  #: the prior's, (n, Q)
-    precision: FloatArray  #: (Q, Q), of all samples
-
-    def part(self, which: NDArray[np.int64]) -> Self:
-        """Some of the samples."""
-        return replace(self, y=self.y[which], whiten=self.whiten[which], mean_n=self.mean_n[which])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Point:
     """States of n samples, linearised."""
 
@@ -168,23 +171,6 @@ class _Point:
     off_n: FloatArray  #: m − F(G), (n, Q)
     by_force: FloatArray  #: ∂F/∂G, (n, Q, Q)
     force_n: FloatArray  #: (n, Q)
-
-    @classmethod
-    def of(cls, forward: SensorModel, state: FloatArray, given: _Given) -> Self:
-        y, by_state, force_n, by_force = forward.at_states(state)
-        missing, off_n = (given.whiten @ (given.y - y)[..., None])[..., 0], given.mean_n - force_n
-        squares = missing**2
-        held = ((off_n[:, None] @ given.precision)[:, 0] * off_n).sum(axis=1)
-        return cls(
-            state=state,
-            cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
-            missing=missing,
-            weight=(FREEDOM + 1.0) / (FREEDOM + squares),
-            by_state=given.whiten @ by_state,
-            off_n=off_n,
-            by_force=by_force,
-            force_n=force_n,
-        )
 
     def normal(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gauss-Newton's matrix (n, Q, Q) and right-hand side (n, Q)."""

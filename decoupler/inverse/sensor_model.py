@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decoupler.data.columns import MIN_NOISE, Columns, Component, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
-from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import AXES, FloatArray, pillar_vectors, pillar_volumes
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -73,8 +73,7 @@ class SensorModel:
                 influence = np.pad(influence, [(0, 0), (0, 1), *[(0, 0)] * 3])
             place = [electrodes.index(top) for top in tops]
             places = np.arange(n_units)[:, None] * len(electrodes) + place
-            bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
-            rest_mm, sign = np.tile((top - bottom).T, n_units), None
+            rest_mm, sign = np.tile(pillar_vectors(design.unit)[pillars].T, n_units), None
         influence = influence[..., axes] * into
         return cls(
             influence=np.ascontiguousarray(influence.transpose(3, 4, 2, 0, 1).reshape(n_units * len(axes), -1)),

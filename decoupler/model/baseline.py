@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dataset.imperfections import PAPERS
 from decoupler.data.columns import Columns, Component, pillar_columns
 from geometry.design import SensorDesign
-from geometry.layout import AXES, FloatArray, Layout, pillar_areas, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import AXES, FloatArray, Layout, pillar_areas, pillar_vectors, pillar_volumes, rest_lengths
 
 HOOKE, LINEAR = "eq. 8, each pillar alone", "least squares on √R"  #: names of the two baselines in tables
 
@@ -26,7 +26,7 @@ def hooke_forces(resistance_ohm: FloatArray, design: SensorDesign, component: Co
     S = pillar_areas(design.unit)
     E, rest_mm, V = design.pillar_material.young_mpa, rest_lengths(design.unit), pillar_volumes(design.unit)
     pillar_columns(resistance_ohm, component, design.unit.layout)  # refuses what is no resistance
-    lengthens = np.sign(np.diff(pillar_ends(design.unit), axis=1)[:, 0]) * [1.0, 1.0, -1.0]
+    lengthens = np.sign(pillar_vectors(design.unit)) * [1.0, 1.0, -1.0]
     forces = []
     for axis in component.axes:
         pillars = [*design.unit.layout.sensing(axis)]

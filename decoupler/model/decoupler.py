@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
@@ -291,6 +292,17 @@ class Decoupler:
         """Numbers of the pillars of a unit whose resistances it takes."""
         return self.component.pillars(self.layout)
 
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """Places of its inputs in one sample's (rows, cols, n_pillars) resistances laid flat, (n_in,)."""
+        n_units = self.rows * self.cols
+        return np.arange(n_units * len(self.layout.pillars)).reshape(n_units, -1)[:, self.pillars].reshape(-1)
+
+    @cached_property
+    def readable(self) -> NDArray[np.bool_]:
+        """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
+        return readable_columns(self.component, self.layout, self.dead, len(self.places))
+
     def follower(self) -> Self:
         """The same decoder for scans that come one after another: each is decoded for itself."""
         return self
@@ -337,8 +349,9 @@ class Decoupler:
             return []
         limit_n = None
         if self.inverse is not None and self.dead is not None:
-            errors = self.uncertainty.errors
-            limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors.noise, errors.bits)[0]
+            errors = ReadingError(noise=self.uncertainty.errors.noise, bits=self.uncertainty.errors.bits)
+            shape = self.rows, self.cols
+            limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
@@ -362,14 +375,13 @@ class Decoupler:
     def refined(self, columns_ohm: FloatArray) -> Found:
         """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
         assert self.posterior is not None
-        readable = readable_columns(self.component, self.layout, self.dead, columns_ohm.shape[1])
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
         shared_ohm = errors.shared(settled, self.rows, self.cols)
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
             shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
-        return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, readable)
+        return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, self.readable)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from geometry.design import quantity, require_sound
 from geometry.errors import DesignError, TriPillarError
+from geometry.quantity import Sound, quantity
 
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root", "inverse"]
@@ -29,7 +29,7 @@ class TrainingError(TriPillarError, ArithmeticError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkConfig:
+class NetworkConfig(Sound):
     """Form of a network with one tanh hidden layer; the data give its inputs and outputs."""
 
     hidden: int = quantity(17, "hidden nodes: the paper's best; its eq. 16 gives 10 to 19", within=(0, MAX_HIDDEN))
@@ -38,13 +38,13 @@ class NetworkConfig:
     feature: Feature = quantity("root", "inputs: R, √R, or the response's own inverse", of=get_args(Feature))
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         if not self.hidden and (self.net, self.feature) != ("skip", "inverse"):  # what `identify` makes
             raise DesignError("hidden=0 must be from 1 on, but of a skip net on the response's inverse.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingConfig:
+class TrainingConfig(Sound):
     """Settings of a training, always on the full batch; errors are of outputs scaled to [-1, 1]."""
 
     trainer: Trainer = quantity(
@@ -66,7 +66,7 @@ class TrainingConfig:
     momentum: float = quantity(0.5, "η of eq. 15, momentum rule only", within=(0, 1), below=True)
 
     def __post_init__(self) -> None:
-        require_sound(self)
+        super().__post_init__()
         for name, own in _TRAINERS_OWN[self.trainer].items():
             if not (name == "goal_mse" and self.goal_mse is not None):
                 object.__setattr__(self, name, getattr(self, name) or own)

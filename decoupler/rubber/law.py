@@ -108,10 +108,6 @@ class Rubber:
         deviations = np.sqrt(self.covariance.diagonal()) * np.r_[np.ones(LINEAR), values[LINEAR:]]
         return {name: (float(v), float(d)) for name, v, d in zip(NAMES, values, deviations, strict=True)}
 
-    def log_ratio(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
-        """ln R/R₀ (time, ...) of strains (time, ...) from rest on."""
-        return log_ratio(strain, seconds, self.memory)
-
     def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
         """Force (time, ...) [N] of the specimen under strains (time, ...) from rest on."""
         return self.elastic.force(strain, seconds)

@@ -14,7 +14,7 @@ DRAWS = 100
 PRESS_S, HOLD_S, REST_S = 2.0, 60.0, 180.0
 
 
-def draw_rubber(rubber: Rubber, series: Series, path: Path, seed: int = 0) -> None:
+def draw_rubber(rubber: Rubber, series: Series, path: Path) -> None:
     """Write a PNG; the bands hold 95 % of the rubbers that the series leaves possible."""
     from matplotlib.figure import Figure
 
@@ -35,13 +35,13 @@ def draw_rubber(rubber: Rubber, series: Series, path: Path, seed: int = 0) -> No
     strain = np.interp(times, corners, [0.0, 0.0, most, most, 0.0, 0.0])
     seconds = np.diff(times)
     electric, forced = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-    drawn = rubber.memories(DRAWS, np.random.default_rng(seed))
+    drawn = rubber.memories(DRAWS, np.random.default_rng(0))
     ratios = np.exp([log_ratio(strain, seconds, memory) for memory in drawn])
     electric.fill_between(times, *np.quantile(ratios, [0.025, 0.975], axis=0), color=ORANGE, alpha=0.3, lw=0)
-    electric.plot(times, np.exp(rubber.log_ratio(strain, seconds)), color=ORANGE, label="with memory")
+    electric.plot(times, np.exp(log_ratio(strain, seconds, rubber.memory)), color=ORANGE, label="with memory")
     electric.plot(times, (1 + strain) ** 2, color=INK, ls=":", label="eq. 1")
     electric.set(xlabel="time [s]", ylabel="R / R at rest", title=f"a strain of {most:.3g}, held and let go")
-    settled = rubber.elastic.force(strain, seconds)
+    settled = rubber.force(strain, seconds)
     forced.plot(times, settled, color=BLUE, label=f"{rubber.elastic.model}, relaxing")
     forced.set(xlabel="time [s]", ylabel="force [N]")
     for axes in (electric, forced):

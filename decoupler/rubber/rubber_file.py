@@ -12,7 +12,7 @@ import numpy as np
 
 from decoupler.rubber.law import NAMES, Elastic, Rubber
 from geometry.design import SensorDesign
-from geometry.design_file import design_to_toml, whole_design
+from geometry.design_file import design_to_toml, key_line, row_text, whole_design
 from geometry.errors import DesignError
 from geometry.storage.files import write_text
 from geometry.storage.text_file import read_text, tables_of
@@ -57,21 +57,18 @@ def write_rubber(rubber: Rubber, path: Path) -> None:
     lines = [
         design.replace("sensor design.", "sensor of a rubber as a bench series showed it.", 1),
         "[rubber]  # how well it is known, and what else its specimen showed",
-        *(_line(key, getattr(rubber, key), meaning) for key, meaning in STATED.items()),
+        *_lines(rubber, STATED),
         "\n[rubber.elastic]  # law of the force, which relaxes as [pillar_material.prony] says",
         f"model = {json.dumps(rubber.elastic.model)}",
-        *(_line(key, getattr(rubber.elastic, key), meaning) for key, meaning in ELASTIC.items()),
+        *_lines(rubber.elastic, ELASTIC),
         "\n[rubber.deviations]  # standard deviations; of b and tau those of the logarithm",
         *(f"{name} = {value:.4g}" for name, value in zip(NAMES, deviation, strict=True)),
         "\n[rubber.correlations]  # with these numbers, in the order above",
-        *(
-            f"{name} = [{', '.join(f'{value:.4f}' for value in row)}]"
-            for name, row in zip(NAMES, correlations, strict=True)
-        ),
+        *(f"{name} = {row_text(row, '.4f')}" for name, row in zip(NAMES, correlations, strict=True)),
         "\n[rubber.unknown]  # what the series does not tell, and which test would",
         *(f"{json.dumps(name)} = {json.dumps(test, ensure_ascii=False)}" for name, test in rubber.unknown),
     ]
-    write_text("\n".join([*(line for line in lines if line), ""]), path)
+    write_text("\n".join([*lines, ""]), path)
 
 
 def read_rubber(path: Path) -> Rubber:
@@ -101,9 +98,10 @@ def read_rubber(path: Path) -> Rubber:
     )
 
 
-def _line(key: str, value: Any, meaning: str) -> str:
-    """A key with its meaning; empty for what is not known."""
-    return "" if value is None else f"{f'{key} = {_short(value)!r}':27} # {meaning}"
+def _lines(values: Any, meanings: dict[str, str]) -> list[str]:
+    """Keys that are known with their meanings."""
+    known = {key: value for key in meanings if (value := getattr(values, key)) is not None}
+    return [key_line(key, _short(value), meanings[key]) for key, value in known.items()]
 
 
 def _short(value: Any) -> Any:

@@ -65,23 +65,6 @@ class Stop:
         return None
 
 
-class Best:
-    """Keeps the point with the lowest validation error, or the last point without validation."""
-
-    def __init__(self, judge: Callable[[Point], float] | None, patience: int) -> None:
-        self.judge, self.patience = judge, patience
-        self.error, self.waited = math.inf, 0
-        self.point: Point | None = None
-
-    def sees(self, point: Point) -> bool:
-        """Take a point in; False once none of `patience` points was better."""
-        error = 0.0 if self.judge is None else self.judge(point)
-        self.waited = 0 if self.judge is None or error < self.error else self.waited + 1
-        if not self.waited:
-            self.point, self.error = point, error
-        return self.waited < self.patience
-
-
 def minimise(
     start: Point,
     linearise: Callable[[Point], Model],
@@ -102,17 +85,19 @@ def minimise(
     matrix, and is no iteration.
     """
     point, stop, iteration = start, Stop(config), 0
-    best = Best(judge, max(1, config.patience // 2))
+    best, error, waited = start, math.inf, 0
     damping, growth = 0.0, 2.0
 
     def ended(reason: Reason) -> tuple[Point, Outcome]:
-        assert best.point is not None
-        return best.point, Outcome(iteration, best.point.mse, reason)
+        return best, Outcome(iteration, best.mse, reason)
 
     while True:
         progress(iteration, point.mse)
-        liked = best.sees(point)
-        reason = stop.reason(point.mse) or (None if liked else "validation")
+        judged = -math.inf if judge is None else judge(point)
+        waited += 1
+        if judge is None or judged < error:
+            best, error, waited = point, judged, 0
+        reason = stop.reason(point.mse) or ("validation" if waited >= max(1, config.patience // 2) else None)
         if reason is not None:
             return ended(reason)
         model = linearise(point)

@@ -8,12 +8,12 @@ import scipy.linalg
 from scipy.optimize import nnls
 
 from dataset.measurement import ReadingError
-from dataset.protocols import PROTOCOLS, forces
+from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Component, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
-from decoupler.data.usual_loads import images_of
+from decoupler.data.usual_loads import images_of, loads_of
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
@@ -257,12 +257,12 @@ def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> Flo
     return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
 
 
-def loads_like(data: Samples, count: int, seed: int = 0) -> FloatArray:
+def loads_like(data: Samples, count: int) -> FloatArray:
     """Loads (count, 3 k) [N]: of the protocol that drew the samples', or images of theirs."""
-    protocol, design = PROTOCOLS.get(str(data.made_from.get("protocol"))), data.design
-    if protocol is None or design is None:
-        return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
-    return forces(protocol.draw(np.random.default_rng(seed), count, design), design).reshape(count, -1)
+    protocol, design = str(data.made_from.get("protocol")), data.design
+    if protocol in PROTOCOLS and design is not None:
+        return loads_of(protocol, design, count).reshape(count, -1)
+    return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
 
 
 def trained_at_strain(

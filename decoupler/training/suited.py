@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.samples import SampleError, Samples, require_samples
-from decoupler.data.columns import Columns, Component, component_named
+from decoupler.data.columns import Columns, Component, acting_component, component_named
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
 from geometry.errors import require_type
-from geometry.layout import AXES, FloatArray
+from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -47,22 +47,10 @@ def suited_training(
         require_type("network", network, NetworkConfig, "give its form, or None for one that suits the samples")
     if training is not None:
         require_type("training", training, TrainingConfig, "say how to train, or give None")
-    parts = component_named(suited_component(data) if component is None else component)
+    parts = component_named(acting_component(data.force_n) if component is None else component)
     if network is None:
         network = NetworkConfig(feature=suited_feature(data, parts, "skip", response))
     return parts, network, TrainingConfig() if training is None else training
-
-
-def suited_component(data: Samples) -> str:
-    """The name of the component for the forces that act: fz, fx or fy if they are along one axis alone, else all.
-
-    >>> import numpy as np
-    >>> pressed = np.zeros((2, 1, 1, 3)) + [0.0, 0.0, 5.0]
-    >>> suited_component(Samples(force_n=pressed, resistance_ohm=1e4 + 0 * pressed))
-    'fz'
-    """
-    acting = [axis for number, axis in enumerate(AXES) if data.force_n[..., number].any()]
-    return f"f{acting[0]}" if len(acting) == 1 else "all"
 
 
 def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:

@@ -16,7 +16,7 @@ from decoupler.data.columns import Component
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.twin.start import started
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
 from geometry.tolerances import changed, value_of
 
 if TYPE_CHECKING:
@@ -273,9 +273,8 @@ class Expectation:
 def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:
     """From lower to upper end of each pillar, (P, 3) [mm], and ρ/V of eq. 1, (P,) [Ω/mm²]."""
     pillars = component.pillars(design.unit.layout)
-    bottom, top = pillar_ends(design.unit)[pillars].transpose(1, 0, 2)
     c = design.resistivity_ohm_mm / pillar_volumes(design.unit)[pillars]
-    return np.tile(top - bottom, (design.n_units, 1)), np.tile(c, design.n_units)
+    return np.tile(pillar_vectors(design.unit)[pillars], (design.n_units, 1)), np.tile(c, design.n_units)
 
 
 def _reached(influence: FloatArray) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
-from decoupler.data.columns import component_named
+from decoupler.data.columns import acting_component, component_named
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.posterior import Posterior
@@ -91,8 +91,8 @@ def identify(
     SampleError
         If the pairs are of another array, none presses the sensor, or no pair has forces that finite strain knows.
     """
-    of_pairs = component or acting(pairs, None if response is None else loads_n)
-    parts = component_named(of_pairs if at_strain is None else "all")
+    acting = [pairs.force_n, *pairs.unknown_n, *([] if response is None or loads_n is None else [loads_n])]
+    parts = component_named("all" if at_strain is not None else component or acting_component(*acting))
     axes, pillars = [AXES.index(axis) for axis in parts.axes], parts.pillars(pairs.layout)
     n, rows, cols, _ = pairs.force_n.shape
     design = None if response is None else response.design
@@ -178,13 +178,6 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
     ]
     widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
-
-
-def acting(pairs: Pairs, loads_n: FloatArray | None = None) -> str:
-    """The component that takes the axes along which forces act, or may, in pairs and loads (n, rows, cols, 3)."""
-    everything = [pairs.force_n, *pairs.unknown_n, *([] if loads_n is None else [loads_n])]
-    acting = [axis for k, axis in enumerate(AXES) if any(part[..., k].any() for part in everything)]
-    return f"f{acting[0]}" if len(acting) == 1 else "all"
 
 
 def readings_of(pairs: Pairs, axes: list[int], pillars: list[int], errors: ReadingError | None = None) -> Readings:

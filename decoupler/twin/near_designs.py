@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dataset.changed_designs import ChangedDesigns
+from dataset.changed_designs import answers
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED
@@ -35,8 +35,8 @@ class NearDesigns:
         assert maps is not None
         self._forward, self._maps, self._sensitivities = designed.forward, maps, sensitivities
         self._design, self._shape = response.design, (len(force_n), len(maps.near), -1)
-        self._designs = ChangedDesigns(response, sensitivities, force_n.reshape(self._shape) * (1.0, 1.0, -1.0))
-        self._own = self._designs.answers(response.design)
+        self._known = response, sensitivities, force_n.reshape(self._shape) * (1.0, 1.0, -1.0)
+        self._own = answers(*self._known, response.design)
         y, _, self._force_n, _ = self._forward.at_states(states_of(self._own.displacement_mm, maps.influence))
         self._missed = self._own.squares_mm2.reshape(y.shape) - y
 
@@ -81,11 +81,11 @@ class NearDesigns:
         χ changes by the forces that the design as meant would bear in the other's state, ρ by the squares that it would
         not show. Both are fitted less what the maps miss of the design as meant under the same loads.
         """
-        answers = self._designs.answers(other)
-        state_n = states_of(answers.displacement_mm, self._maps.influence)
+        found = answers(*self._known, other)
+        state_n = states_of(found.displacement_mm, self._maps.influence)
         y, _, force_n, _ = self._forward.at_states(state_n)
-        sound = answers.settled & self._own.settled
-        squares = answers.squares_mm2.reshape(y.shape) - y - self._missed
+        sound = found.settled & self._own.settled
+        squares = found.squares_mm2.reshape(y.shape) - y - self._missed
         parts = [(self._force_n - force_n).reshape(self._shape), squares.reshape(self._shape)]
         targets = np.concatenate(parts, axis=2)[sound].reshape(-1, self._maps.weights.shape[1])
         A = self._maps.few(state_n)[sound].reshape(-1, len(FEW))

@@ -20,7 +20,7 @@ from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.linearised import Shown
 from geometry.design import SensorDesign
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, FloatArray
+from geometry.layout import FloatArray
 from geometry.threads import one_blas_thread
 
 MIN_NOISE = 1e-5  #: of readings to come, relative
@@ -166,6 +166,11 @@ def loads_at_hand(have: str, design: SensorDesign) -> list[KnownLoad]:
     return [KnownLoad(name=line["load"], force_n=f, unknown_n=u, lines=(line,)) for line, (f, u) in loads]
 
 
+def as_columns(load: KnownLoad, component: Component) -> tuple[FloatArray, FloatArray]:
+    """Forces (Q,) and unknown directions (k, Q) of a load [N], along a component's axes."""
+    return force_columns(load.force_n[None], component)[0], force_columns(load.unknown_n, component)
+
+
 @dataclass(frozen=True, kw_only=True)
 class NextLoad:
     """A load to measure, and the expected error of a force before and after it, over the usual force of its axis."""
@@ -193,7 +198,7 @@ def next_loads(
     everything = expected.component
     if measured is not None:
         for force_n, unknown_n in zip(force_columns(measured.force_n, everything), measured.unknown_n, strict=True):
-            known = known.after(force_n, unknown_n.reshape(len(unknown_n), force_n.size))
+            known = known.after(force_n, force_columns(unknown_n, everything))
         possible = [load for load in possible if load.name not in measured.names]
     candidates = [as_columns(load, everything) for load in possible]
     with one_blas_thread():  # products are too small for two threads to share
@@ -202,10 +207,3 @@ def next_loads(
         NextLoad(load=possible[number].name, error_before=errors[k], error=errors[k + 1])
         for k, number in enumerate(numbers)
     )
-
-
-def as_columns(load: KnownLoad, component: Component) -> tuple[FloatArray, FloatArray]:
-    """Forces (Q,) and unknown directions (k, Q) of a load [N], along a component's axes."""
-    axes = [AXES.index(axis) for axis in component.axes]
-    force_n = load.force_n[..., axes].reshape(-1)
-    return force_n, load.unknown_n[..., axes].reshape(len(load.unknown_n), force_n.size)

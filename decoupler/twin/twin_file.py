@@ -16,9 +16,8 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.twin.identification import Twin
 from geometry.design import SensorDesign
-from geometry.design_file import design_to_toml, whole_design
+from geometry.design_file import design_to_toml, row_text, whole_design
 from geometry.errors import DesignError
-from geometry.layout import FloatArray
 from geometry.storage.files import digest, write_bytes
 from geometry.storage.seal import BLANK, require_intact, sealed
 from geometry.storage.text_file import read_text, tables_of
@@ -74,7 +73,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         "\n[twin.parameters]  # most probable value and standard deviation, in the key's unit",
         *(f"{_text(name)} = [{value:.7g}, {sd:.3g}]" for name, (value, sd) in twin.parameters.items()),
         "\n[twin.correlations]  # with the parameters, in the order above",
-        *(f"{_text(name)} = {_row(row, '.4f')}" for name, row in zip(twin.parameters, correlations, strict=True)),
+        *(f"{_text(name)} = {row_text(row, '.4f')}" for name, row in zip(twin.parameters, correlations, strict=True)),
     ]
     for name, values, meaning in (
         ("gain", found.gain, "of each pillar, row by row: R = gain · ρ l²/V + offset"),
@@ -85,7 +84,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         lines.append(f"\n[twin.{name}]  # {meaning}")
         by_pillar = np.moveaxis(values.reshape(twin.decoder.rows, twin.decoder.cols, -1), -1, 0)
         for pillar, rows in zip(pillars, by_pillar, strict=True):
-            lines.append(f"{pillar} = [\n" + "".join(f"  {_row(row, '.6g')},\n" for row in rows) + "]")
+            lines.append(f"{pillar} = [\n" + "".join(f"  {row_text(row, '.6g')},\n" for row in rows) + "]")
     write_bytes(path, *sealed("\n".join([*lines, ""]).encode()))
 
 
@@ -100,10 +99,6 @@ def _seen_from(folder: Path, decoder: Path) -> str:
 def _text(value: str) -> str:
     """A TOML string: those of JSON are."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def _row(values: FloatArray, form: str) -> str:
-    return "[" + ", ".join(f"{value:{form}}" for value in values) + "]"
 
 
 def read_twin(path: Path) -> TwinFile | None:

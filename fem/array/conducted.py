@@ -26,7 +26,7 @@ from fem.conduction.potentials import (
     unit_conductors,
 )
 from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes, rest_lengths
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, rest_lengths
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial in loads on pads, at most; see `ConductedPillars`
@@ -99,7 +99,7 @@ def conducted_by_loads(
     electrodes = np.hstack([interior.cell.transfer[:, m:].T, interior.cell.compliance[m:, :m]])
     seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), loads)
     seen = seen.reshape(*seen.shape[:2], -1)
-    rest, n_pillars = pillar_ends(design.unit)[:, 1] - pillar_ends(design.unit)[:, 0], len(second)
+    rest, n_pillars = pillar_vectors(design.unit), len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
     scale = np.tile(USUAL, seen.shape[2] // 3)
     polynomials = [

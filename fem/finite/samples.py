@@ -23,7 +23,7 @@ from fem.conduction.reduced import Deformations, ReducedConduction, reduced_cond
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_ends, pillar_volumes, unit_centres
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
@@ -219,8 +219,7 @@ class SampleSolver:
         assert self._resistance_per_n is not None
         assert self._reader is not None
         unit, k, n = self.design.unit.body, self.design.n_units, 3 * self.design.n_units
-        bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-        rest = top - bottom
+        rest = pillar_vectors(unit)
         own = self._influence.reshape(k, -1, 3, n)[:, unit.layout.pillar_top]
         by_eq1 = 2 * np.einsum("pi,kpin->kpn", rest / (rest**2).sum(axis=1)[:, None], own)
         at_rest = unit_conductances(unit).pillars_per_mm * pillar_volumes(unit) / (rest**2).sum(axis=1)
@@ -303,8 +302,7 @@ class PillarReader:
             np.eye(3) + gradient.reshape(len(gradient), *self._shape), reduced.pillar, reduced.weight_mm3
         )
         good = np.asarray(kept_volume.all(axis=1))
-        bottom, top = pillar_ends(self.unit).transpose(1, 0, 2)
-        along = (top - bottom) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
+        along = pillar_vectors(self.unit) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
         ratios = np.ones((*electrode_mm.shape[:2], len(self.unit.layout.pillars)))
         per_mm = pillars_per_mm(reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
         ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fem.contact.indentation import OPEN, STICK, Contact
-from geometry.layout import electrode_squares, unit_centres
+from geometry.layout import electrode_squares, pad_squares, unit_centres
 from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def draw_contact(contact: Contact, path: Path) -> None:
     _draw_units(array, contact)
     _draw_patch(zoom, contact)
     for axes in (array, zoom):
+        _draw_plates(axes, contact)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     fx, fy, fz = contact.net_force_n.round(2) + 0.0  # no −0.00
@@ -70,6 +71,17 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], **frame)
     axes.set(xlim=box[:2], ylim=box[2:])
     axes.set_title("forces on the units", pad=26)
+
+
+def _draw_plates(axes: "Axes", contact: Contact) -> None:
+    """Outlines of stiff pads, where the axes show them."""
+    if not contact.surface.has_plates:
+        return
+    limits = axes.axis()
+    for x0, y0, x1, y1 in pad_squares(contact.design):
+        axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=BLUE, linewidth=1.2)
+    axes.plot([], [], color=BLUE, linewidth=1.2, label="plates")
+    axes.axis(limits)
 
 
 def _draw_patch(axes: "Axes", contact: Contact) -> None:

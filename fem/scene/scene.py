@@ -24,9 +24,10 @@ from fem.scene.loads import (
     StiffLoad,
     rectangle_of,
 )
-from geometry.design import Material, SensorDesign, is_finite, quantity
+from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
+from geometry.quantity import is_finite, quantity
 
 ROUNDING = 1e-9  #: of a body's extent: how far rounding may put an edge past the face it lies on
 PROBE_KEYS = {"mean": ("center_mm", "size_mm"), "point": ("position_mm",)}  #: where a probe of each kind looks

@@ -1,5 +1,6 @@
 """Finished parts of a long job, a file each with its hash: a run that was stopped or killed goes on with them."""
 
+import errno
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from geometry.errors import DesignError
-from geometry.storage.files import write_text
+from geometry.storage.files import digest, write_text
 from geometry.storage.seal import opened_json, say_made_anew, sealed_json
 
 Part = TypeVar("Part")
@@ -29,8 +30,8 @@ class Journal:
         path = self._path(key)
         try:
             return made(opened_json(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            say_made_anew(path)
+        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+            say_made_anew(Path(getattr(error, "filename", None) or path))
             return None
 
     def kept(self, keys: Iterable[str], made: Callable[[dict[str, Any]], Part]) -> dict[str, Part]:
@@ -71,3 +72,16 @@ class Journal:
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}.json"
+
+
+def hashes_of(files: Mapping[str, bytes]) -> dict[str, str]:
+    """Hashes of files' contents by their names, as a part states those that it is about."""
+    return {name: digest(content) for name, content in files.items()}
+
+
+def intact(folder: Path, part: dict[str, Any]) -> dict[str, Any]:
+    """A part whose "files" in a folder have the hashes that it states; `OSError` that names one that has not."""
+    for name, stated in part["files"].items():
+        if digest((folder / name).read_bytes()) != stated:
+            raise OSError(errno.EIO, "not as it was written", str(folder / name))
+    return part

@@ -1,1 +1,1 @@
-"""Boards that are not there: virtual, and the firmware on a simulated chip."""
+"""Boards that are not there: frames from Python, and the firmware on a simulated chip."""

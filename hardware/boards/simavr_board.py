@@ -97,8 +97,6 @@ class SimavrBoard:
     ----------
     elf, mcu, table : Path, str, Path
         The firmware, one of `MCUS`, a file from `write_table`.
-    link : Path, optional
-        A link to the port, for whoever needs a name that stays.
     fast : bool
         As fast as possible, rather than in real time. The board then waits for its reader, so nothing is lost.
     program : Path
@@ -118,14 +116,13 @@ class SimavrBoard:
         mcu: str,
         table: Path,
         *,
-        link: Path | None = None,
         fast: bool = False,
         program: Path = PROGRAM,
         options: Sequence[str] = (),
     ) -> None:
         require_own(program, program.parent)
         command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
-        command += [*(["--link", str(link)] if link else []), *(["--fast"] if fast else []), *options]
+        command += [*(["--fast"] if fast else []), *options]
         self._statistics: dict[str, Any] | None = None
         self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - a pipe would fill up unread
         pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": self._messages}

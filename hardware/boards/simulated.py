@@ -27,6 +27,7 @@ from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.storage.files import cache_folder, digest, write_text
 from geometry.storage.netcdf import write_netcdf
 from geometry.wiring import crossings, wires
+from hardware.boards.python_board import PythonBoard
 from hardware.boards.sensor_header import fastest_hz, sensor_header
 from hardware.boards.simavr_board import (
     CHIP_BITS,
@@ -38,7 +39,6 @@ from hardware.boards.simavr_board import (
     require_own,
     write_table,
 )
-from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info
 from hardware.readout.crossbar import Crossbar
 
@@ -213,9 +213,7 @@ def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
 
 
 @contextmanager
-def run_board(
-    kind: Kind, info: Info, counts: NDArray[np.int64], link: Path | None = None, fast: bool = False
-) -> Iterator[Any]:
+def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], fast: bool = False) -> Iterator[Any]:
     """Run a board whose sensor goes through counts (n, n_crossings), a step each `STEP_S`, over and over.
 
     Raises
@@ -226,7 +224,7 @@ def run_board(
         If its converter is another than the chip's.
     """
     if kind == "python":
-        with VirtualBoard(counts, info, step_s=STEP_S, link=link) as board:
+        with PythonBoard(counts, info, step_s=STEP_S) as board:
             yield board
         return
     if info.bits != CHIP_BITS:
@@ -236,5 +234,5 @@ def run_board(
         table = Path(folder) / "table"
         write_table(table, by_wire(counts, info), step_us=round(STEP_S * 1e6))
         elf, program = built / f"tripillar-{kind}.elf", built / "simavr-board"
-        with SimavrBoard(elf, kind, table, link=link, fast=fast, program=program) as chip:
+        with SimavrBoard(elf, kind, table, fast=fast, program=program) as chip:
             yield chip

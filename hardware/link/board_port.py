@@ -1,7 +1,7 @@
 """A board that is not there: a port in memory that sends frames when they are due and answers as a board does.
 
 `BoardPort` stands in for pyserial's ``Serial`` and follows docs/frames.md, as the firmware does. Its kinds are a
-recording that is played (`recording.PlaybackPort`) and a board of known counts (`boards.virtual_board.CountedPort`).
+recording that is played (`recording.PlaybackPort`) and a board of known counts (`boards.python_board.CountedPort`).
 """
 
 import re

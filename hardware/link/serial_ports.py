@@ -6,8 +6,10 @@ A port is whatever pyserial opens: a device, a pseudo-terminal or a link to one,
 
 import contextlib
 import errno
+import os
 import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +18,7 @@ import serial
 from serial.tools.list_ports import comports
 from serial.urlhandler import protocol_socket
 
-from geometry.errors import TriPillarError
+from geometry.errors import DesignError, TriPillarError
 
 if sys.platform == "win32":
     _TerminalError = OSError
@@ -116,14 +118,31 @@ class _SocketPort(protocol_socket.Serial):
             self.is_open = False
 
 
-def link_to(link: Path, target: str) -> None:
-    """Let a link point to a port, whatever it pointed to before; a `PortError` if something else has its name."""
-    if link.exists() and not link.is_symlink():
-        raise PortError(f"{link} exists and is no link: give another name for the link to the port.")
+def require_symlink(link: Path | None) -> None:
+    """Refuse to put a link in the place of something else: `DesignError`."""
+    if link is not None and link.exists() and not link.is_symlink():
+        raise DesignError(f"link={link} exists and is no link: give another name for the link to the port.")
+
+
+@contextlib.contextmanager
+def symlinked(link: Path | None, port: str) -> Iterator[str]:
+    """Keep a link on a port, whatever it pointed to before, until the block ends or another takes it over.
+
+    Gives the name to open: the link's, or the port's own without one. Errors as of `require_symlink`.
+    """
+    require_symlink(link)
+    if link is None:
+        yield port
+        return
     beside = link.with_name(link.name + ".new")
     beside.unlink(missing_ok=True)
-    beside.symlink_to(target)
+    beside.symlink_to(port)
     beside.replace(link)
+    try:
+        yield str(link)
+    finally:
+        if link.is_symlink() and os.readlink(link) == port:
+            link.unlink()
 
 
 def is_beginning(port: str) -> bool:

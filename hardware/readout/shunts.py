@@ -5,7 +5,7 @@ from itertools import combinations, product
 import numpy as np
 
 from geometry.layout import FloatArray, Layout
-from geometry.wiring import unit_crossings, unit_wires
+from geometry.wiring import unit_crossings
 
 
 def shunts(layout: Layout) -> list[tuple[int, int]]:
@@ -24,7 +24,7 @@ def shunts(layout: Layout) -> list[tuple[int, int]]:
 
 def shunts_between_wires(rows: int, cols: int, layout: Layout, siemens: tuple[float, ...]) -> FloatArray:
     """Conductances of all units' `shunts` between the wires of an array, (n_wires, n_wires) [S]; row wires first."""
-    row_wire, column_wire = unit_wires(layout)
+    row_wire, column_wire = layout.row_wires, layout.column_wires
     n_row, n_column = unit_crossings(layout).shape
     row_units, column_units = n_row * np.arange(rows), rows * n_row + n_column * np.arange(cols)
     wires = [row_units + own for own in row_wire] + [column_units + own for own in column_wire]  # of each electrode

@@ -18,8 +18,8 @@ from hmac import compare_digest
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from hardware.streams.addresses import listening_on
 from hardware.streams.files import Channel
+from hardware.streams.stream import listening_on
 
 SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 #: origins of pages that may connect: of this machine, of Foxglove, and of files and programs, which have no host

@@ -7,9 +7,9 @@ from typing import Self
 from geometry.errors import needing
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
-from hardware.streams.addresses import LOOPBACK, make_file, require_room
 from hardware.streams.files import McapWriter, json_channels
 from hardware.streams.foxglove_server import FoxgloveServer
+from hardware.streams.stream import LOOPBACK, make_file, require_room
 from hardware.streams.topics import CONTACTS, CONTENTS, SENSOR, json_bytes
 
 PORT = 8765  #: where Foxglove looks for a server

@@ -10,8 +10,8 @@ from geometry.errors import needing
 from geometry.layout import AXES
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
-from hardware.streams.addresses import LOOPBACK, listening_on, make_file, require_room
 from hardware.streams.scene import ARROW_COLOUR, CONTACT_COLOUR, NET_COLOUR, PAD_HEIGHT, THICK, scene_of
+from hardware.streams.stream import LOOPBACK, listening_on, make_file, require_room
 
 PORT = 9876  #: where a viewer looks for a server
 TIMELINE = "board"  #: the frames' stamps

@@ -11,8 +11,8 @@ from studies.bench.harness import Record, Settings, draw_records, goal_rows, run
 from studies.bench.reference import stored_references
 from studies.bench.scenes import FINITE, hard_scenes
 from studies.bench.solving import CONTENDERS, LOADED, WORST, scene_named
+from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.terminal.entry import run_alone
 
 SCENES = {  #: with what the picture's title calls each: a symmetric scene, one that is not, hard ones, finite strain
     "block-normal-0.49": "a patch pressed on a block",

@@ -20,8 +20,8 @@ from geometry.layout import FloatArray
 from geometry.mesh import sensor_mesh, suited_settings
 from studies.bench.harness import Contender, Found, Settings, run_contenders
 from studies.bench.reference import stored_references
+from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.terminal.entry import run_alone
 
 SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
 REFERRED = (6, SAME)  #: units a side and modulus of the response that has references

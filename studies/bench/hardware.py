@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
+from hardware.boards.python_board import PythonBoard, a_frame
 from hardware.boards.simavr_board import CHIP_BITS
 from hardware.boards.simulated import STEP_S, Motion, PressAndSlide, press_and_slide
-from hardware.boards.virtual_board import VirtualBoard, a_frame
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
@@ -27,9 +27,9 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.forces import ForceReader, LiveSensor
 from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
+from studies.program import run_alone
 from studies.tables import measured_on, report
 from tripillar.pipeline.run import respond
-from tripillar.terminal.entry import run_alone
 from tripillar.terminal.progress import Bars
 
 PERIODS = 5  #: of the motion in the recording
@@ -140,7 +140,7 @@ def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds
 
 def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
     """Be a board until told to stop; then tell when each frame was sent, by the clock that all processes share."""
-    with VirtualBoard(counts, info, step_s=STEP_S) as board:
+    with PythonBoard(counts, info, step_s=STEP_S) as board:
         connection.send(board.port)
         connection.recv()
         connection.send(list(board.sent))

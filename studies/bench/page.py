@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from geometry.storage.files import write_text
 from studies.pictures.page import page_in_chromium
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 WARM_UP, STEPS = 4, 30
 #: moves the slider once; gives the times [ms] until numbers and picture are new, and what the server says

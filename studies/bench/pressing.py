@@ -13,8 +13,8 @@ from dataset.indentation import drawn_press
 from fem.contact import Contact, ContactError, Stepper, SurfaceCompliance, press, surface_compliance
 from geometry.design import SensorDesign
 from studies.bench.harness import Contender, Found, Settings, run_contenders
+from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.terminal.entry import run_alone
 
 CONTACTS, SEED = 40, 99  #: drawn as those of `indent`: balls, bars and punches, pressed and most of them dragged
 CELLS = 80  #: of the truth

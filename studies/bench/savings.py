@@ -19,8 +19,8 @@ from fem.scene.loads import DeadLoad
 from fem.scene.scene import Inclusion, Scene
 from fem.scene.solution import Solution, largest_error
 from studies.bench.scenes import patch_scenes
+from studies.program import run_alone
 from studies.tables import report
-from tripillar.terminal.entry import run_alone
 
 SAVINGS = {
     "zero-load": "a scene without load is answered without a mesh",

@@ -18,8 +18,8 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
 from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
 from studies.memory import peak_mib
+from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.terminal.entry import run_alone
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
 ENOUGH = 10**9  #: iterations: time or goal comes first

@@ -17,8 +17,8 @@ from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Crossbar
 from hardware.virtual import VirtualSensor
 from studies.bench.harness import Contender, Found, Settings, run_contenders
+from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.terminal.entry import run_alone
 
 ENVIRONMENTS, POINTS = 256, 4
 REPEATS = 15  #: of which the median counts

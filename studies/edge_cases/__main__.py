@@ -16,8 +16,9 @@ from cyclopts import Parameter
 from geometry.errors import DesignError
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import tried
+from studies.program import run_alone
 from studies.tables import report
-from tripillar.terminal.entry import run_alone, say
+from tripillar.terminal.entry import say
 
 
 def judge_all(

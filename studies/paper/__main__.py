@@ -20,9 +20,10 @@ from studies.paper.experiments import Experiments, cache_key_of, run_experiments
 from studies.paper.report import Computed, as_html, as_markdown
 from studies.paper.results import Results, kept
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
+from studies.program import run_alone
 from tripillar.face.inputs import design_of
 from tripillar.pipeline.run import respond
-from tripillar.terminal.entry import run_alone, wrote
+from tripillar.terminal.entry import wrote
 from tripillar.terminal.progress import Bars
 
 PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"

@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 from scipy.optimize import brentq
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
@@ -25,7 +26,7 @@ from geometry.layout import (
     AXES,
     FloatArray,
     electrode_squares,
-    pillar_ends,
+    pillar_vectors,
     rest_lengths,
     unit_centres,
 )
@@ -151,7 +152,7 @@ def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
     at_rest = np.zeros((1, forward.n_forces))
     lengths, slopes = forward.jacobian(at_rest)
     readings = 2 * slopes[0] / lengths[0][:, None]  # ∂(ln R)/∂F, as R grows with l²
-    unbiased_n = cramer_rao(forward, at_rest, noise, None).reshape(-1, len(AXES))
+    unbiased_n = cramer_rao(forward, at_rest, ReadingError(noise=noise), (rows, cols)).reshape(-1, len(AXES))
     by_unit = readings.reshape(rows, cols, 3, rows, cols, 3)
     moved = np.linalg.norm(response.influence_mm_per_n, axis=3)  # of electrodes, whatever the direction
     row, col = (rows - 1) // 2, (cols - 1) // 2
@@ -237,8 +238,7 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
         electrode_squares(near)[:, None], touches, design.unit.height_mm, design.matrix_material
     )
     moved = compliance.reshape(near.n_units, len(design.unit.layout.upper), len(touches), 3, 3)
-    bottom, top = pillar_ends(design.unit).transpose(1, 0, 2)
-    along = (top - bottom) / rest_lengths(design.unit)[:, None] ** 2
+    along = pillar_vectors(design.unit) / rest_lengths(design.unit)[:, None] ** 2
     readings = 2 * np.einsum("pi,kpnij->kpnj", along, moved[:, design.unit.layout.pillar_top])
     strongest: FloatArray = np.abs(readings).max(axis=(0, 1))
     return strongest

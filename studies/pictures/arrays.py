@@ -15,9 +15,9 @@ from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from studies.charts import save_small
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 from tripillar.viewer.page.controls import traction_of
-from tripillar.viewer.sights import panels_of
+from tripillar.viewer.panels import panels_of
 
 PRESSED_MPA, DRAGGED_MPA = 5.0, 1.0  #: of the moving picture: the most of the datasets
 DOWN, ROUND = 8, 30  #: its frames: to press or to lift, and to go round

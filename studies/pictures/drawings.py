@@ -14,10 +14,10 @@ from dataset.protocols import NORMAL_MPA, PROTOCOLS, TANGENTIAL_MPA
 from geometry.design import SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, electrode_centres, unit_centres
 from geometry.prism import Prism, unit_prisms
-from geometry.wiring import crossings, pillar_of_crossing, unit_wires, wires
+from geometry.wiring import crossings, pillar_of_crossing, wires
 from studies.charts import new_figure, save
+from studies.program import run_alone
 from tripillar.sweep.judge import own_axes
-from tripillar.terminal.entry import run_alone
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
 GREY = "#7f7f7f"
@@ -67,7 +67,7 @@ def _wiring(axes: Axes, unit: Unit, rows: int, cols: int) -> None:
     layout, (n_rows, n_columns), n_upper = unit.layout, wires(rows, cols, unit.layout), len(unit.layout.upper)
     of_row, of_column = (
         [[name for name, own in zip(names, each, strict=True) if own == wire] for wire in range(max(each) + 1)]
-        for names, each in zip((layout.upper_names, layout.terminals[n_upper:]), unit_wires(layout), strict=True)
+        for names, each in ((layout.upper_names, layout.row_wires), (layout.terminals[n_upper:], layout.column_wires))
     )
     for wire in range(n_rows):
         i, own = divmod(wire, len(of_row))

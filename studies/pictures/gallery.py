@@ -20,7 +20,7 @@ from PIL import Image
 
 from geometry.errors import DesignError
 from geometry.storage.files import cache_folder, replacing
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 ROOT = Path(__file__).parents[2]
 WIDE, MAX_BYTES = 1000, 150_000  #: of a picture

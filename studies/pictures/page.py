@@ -16,7 +16,7 @@ from PIL import Image
 
 from geometry.errors import DesignError
 from studies.charts import save_small
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 CHROMIUM = Path("/usr/bin/chromium")  #: Debian's
 PATIENCE_MS = 60_000

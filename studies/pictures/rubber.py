@@ -14,7 +14,7 @@ from decoupler.rubber.unknown import next_test
 from geometry.design import Memory, Prony
 from geometry.layout import FloatArray
 from studies.pictures.gallery import shrink
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 MEMORY = Memory(a=(0.3, 0.2), b_lengthen=1.2, b_shorten=8.0, tau_s=(7.0, 150.0), g1=2.0, g2=-5.0)
 ELASTIC = Elastic(model="yeoh", stiffness_n=5.0, stiffening=0.3, prony=Prony(share=(0.06, 0.08), tau_s=(2.0, 120.0)))

@@ -23,8 +23,8 @@ from geometry.layout import FloatArray
 from geometry.storage.files import replacing
 from geometry.threads import one_blas_thread
 from studies.charts import new_figure
+from studies.program import run_alone
 from studies.touched import Cone, Ring, TwoBalls, read_touch
-from tripillar.terminal.entry import run_alone
 
 SHAPES: tuple[tuple[str, Shape, float, tuple[float, float]], ...] = (  #: name, shape, depth [mm], place [mm]
     ("ball", Sphere(12.0), 1.2, (3.0, 5.0)),

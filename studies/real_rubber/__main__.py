@@ -13,11 +13,12 @@ from geometry.errors import DesignError
 from geometry.storage.files import write_text
 from studies.charts import BLACK, ORANGE, finish, new_figure
 from studies.pages import markdown
+from studies.program import run_alone
 from studies.real_rubber import eflesh, strips, velostat
 from studies.real_rubber.judging import Fitted, Row
 from studies.real_rubber.others import METHODS
 from studies.tables import report, shown
-from tripillar.terminal.entry import run_alone, say
+from tripillar.terminal.entry import say
 
 Tables = dict[str, list[Row]]
 Read = Callable[[str], Series]  #: a series by its name

@@ -25,8 +25,8 @@ from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import next_test
 from geometry.design import Memory
 from geometry.layout import FloatArray
+from studies.program import run_alone
 from studies.tables import report
-from tripillar.terminal.entry import run_alone
 
 #: strips as they were measured in tension (docs/rubber.md); what g₂ would be in compression nobody knows
 RUBBERS = {

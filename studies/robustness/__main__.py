@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.storage.files import write_json
+from studies.program import run_alone
 from studies.robustness.identified import COUNTS, merged, rows_of
 from studies.robustness.noise_charts import draw_pairs, draw_readings
 from studies.robustness.study import (
@@ -27,7 +28,7 @@ from studies.robustness.study import (
 from studies.robustness.truths import PROTOCOLS, TRUTHS
 from studies.tables import table_of
 from tripillar.pipeline.run import respond
-from tripillar.terminal.entry import run_alone, wrote
+from tripillar.terminal.entry import wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
+from dataset.measurement import ReadingError
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
-from decoupler.data.columns import force_columns, readable_columns
+from decoupler.data.columns import Columns, force_columns
 from decoupler.inverse.limits import bayes
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature
@@ -188,9 +189,9 @@ def unit_bayes(response: ArrayResponse, data: Samples, usual_n: FloatArray) -> F
     """Bayes limit of every unit, which knows the usual loads (n, rows, cols, 3) [N]; shape (rows, cols, 3) [N]."""
     parts = component_named("all")
     forward = SensorModel.of(response, parts)
-    force_n = force_columns(data.force_n, parts)[:LIMIT_SAMPLES]
-    readable = readable_columns(parts, data.layout, data.dead, forward.n_pillars)
-    least = bayes(forward, force_n, data.noise, data.bits, readable, force_columns(usual_n, parts))
+    own = Columns.of(data[:LIMIT_SAMPLES], parts)
+    errors = ReadingError(noise=data.noise, bits=data.bits)
+    least = bayes(forward, own.force_n, errors, data.shape, own.readable, force_columns(usual_n, parts))
     return np.sqrt((least**2).mean(axis=0)).reshape(data.force_n.shape[1:])
 
 

@@ -7,8 +7,8 @@ from dataset import DatasetSettings, Samples, simulate
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Array, Electrics, Pad, SensorDesign
+from tripillar.datasets.finite_samples import simulate_finite
 from tripillar.pipeline.manufactured import PAIRS_SEED, READ, SETTINGS, SPECIMEN, TEST_SEED, as_made
-from tripillar.sweep.finite_samples import simulate_finite
 
 PROTOCOLS = ("contact", "three-axis")
 SEEDS = {"test": TEST_SEED, "pairs": PAIRS_SEED, "learned": 1}  #: of loads and of noise

@@ -17,8 +17,8 @@ from geometry import DesignError
 from geometry.design import Memory, Prony
 from geometry.layout import pillar_volumes, rest_lengths
 from tests.house import House
+from tripillar.datasets.leaves import LeafJob, make_directory
 from tripillar.face.inputs import samples_of
-from tripillar.sweep.leaves import LeafJob, make_directory
 
 MEMORY = Memory(a=(0.4, 0.3), b_lengthen=2.0, b_shorten=9.0, tau_s=(6.0, 90.0), g1=1.0, g2=-2.0)
 PRONY = Prony(share=(0.05, 0.04), tau_s=(1.0, 40.0))
@@ -178,10 +178,10 @@ def test_a_directory_of_series_is_taken_up_again_and_is_the_same(remembering, tm
         make_directory(job, out, count=1, progress=stop)
     made = make_directory(job, out, count=1)
     found = read_samples(out)
-    assert (made.kept, found.leaf_size, found.dtype, len(list(found.blocks()))) == (8, 8, np.float32, 3)
+    assert (made["kept"], found.leaf_size, found.dtype, len(list(found.blocks()))) == (8, 8, np.float32, 3)
     expected = job.whole(lambda _: None)
     assert np.array_equal(found[:].resistance_ohm, expected.resistance_ohm.astype(np.float32))
-    assert make_directory(job, out, count=1).kept == 19
+    assert make_directory(job, out, count=1)["kept"] == 19
     chunk = out / "force_n/1.0.0.0.0"
     chunk.write_bytes(chunk.read_bytes()[:-1])
     assert make_directory(job, out, count=1).kept == 0

@@ -14,7 +14,7 @@ from dataset import (
     resistance_from_counts,
 )
 from dataset.imperfections import place_of
-from dataset.measurement import SENSE_OHM, ReadingError, reading_deviation
+from dataset.measurement import SENSE_OHM, ReadingError
 from geometry import DesignError
 from geometry.layout import SONG2018
 
@@ -64,7 +64,7 @@ def test_a_converter_errs_by_half_a_step_at_most(bits):
     half_step = 0.5 / (2**bits - 1)
     assert 0.99 * half_step < share_error.max() <= half_step * (1 + 1e-8)  # reached, but for rounding
     even = np.linspace(9e3, 30e3, 200_001)  # many in each step, which holds its readings evenly
-    missed = (measured(even, 0.0, bits, rng()) - even) / reading_deviation(even, 0.0, bits)
+    missed = (measured(even, 0.0, bits, rng()) - even) / ReadingError(bits=bits).deviation(even)
     assert np.sqrt(np.mean(missed**2)) == pytest.approx(1.0, abs=0.04)  # of 4 bits, whose steps are a sixth of R
     for sense_ohm in (1e3, SENSE_OHM):
         counts = np.unique(np.linspace(1, 2**bits - 1, 1000).astype(np.int64))

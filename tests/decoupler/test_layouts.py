@@ -91,8 +91,7 @@ def test_more_pillars_than_forces_are_inverted_exactly_and_bounded_by_all_they_t
     if layout in TELLING:
         again = exact_inverse(forward, Columns.of(data, ALL).resistance_ohm, force_n.mean(axis=0))
         assert again == pytest.approx(force_n, rel=1e-7)
-    shared = {"shared": lambda ohm: errors.shared(ohm, 2, 3)}
-    found = cramer_rao(forward, force_n[:2], errors.noise, BITS, **shared)
+    found = cramer_rao(forward, force_n[:2], errors, (2, 3))
     lengths, J = forward.jacobian(force_n[:2])
     ohm = forward.ohm_per_mm2 * lengths**2
     S = errors.shared(ohm, 2, 3) @ errors.shared(ohm, 2, 3).swapaxes(1, 2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dataset.measurement import reading_deviation
+from dataset.measurement import ReadingError
 from decoupler import SampleError, component_named
 from decoupler.data.columns import force_columns, pillar_columns
 from decoupler.inverse.limits import bayes, cramer_rao, exact_inverse
@@ -16,17 +16,19 @@ FORWARD = SensorModel.of(response(SENSOR), ALL)
 DATA = labelled(SENSOR, "xyz", n_samples=150, seed=0)
 FORCES, COLUMNS = force_columns(DATA.force_n, ALL), pillar_columns(DATA.resistance_ohm, ALL, DATA.layout)
 NOISE = 0.002
+READ = ReadingError(noise=NOISE), DATA.shape
 
 
 def test_bound_is_the_inverse_of_the_information_in_resistances():
     """By ohms instead of lengths, from derivatives of R = c l²; rounding of a condition near 100."""
     lengths, J = FORWARD.jacobian(FORCES[:5])
     by_ohm = 2.0 * (FORWARD.ohm_per_mm2 * lengths)[..., None] * J
-    weighted = by_ohm / reading_deviation(COLUMNS[:5], NOISE, 12)[..., None]
+    errors = ReadingError(noise=NOISE, bits=12)
+    weighted = by_ohm / errors.deviation(COLUMNS[:5])[..., None]
     information = weighted.swapaxes(1, 2) @ weighted
     expected = np.sqrt(np.einsum("nff->nf", np.linalg.inv(information)))
-    np.testing.assert_allclose(cramer_rao(FORWARD, FORCES[:5], NOISE, 12), expected, rtol=1e-9)
-    assert not cramer_rao(FORWARD, FORCES[:3], 0.0, None).any()
+    np.testing.assert_allclose(cramer_rao(FORWARD, FORCES[:5], errors, DATA.shape), expected, rtol=1e-9)
+    assert not cramer_rao(FORWARD, FORCES[:3], ReadingError(), DATA.shape).any()
 
 
 def test_the_exact_inverse_is_exact_and_meets_the_bound_with_noise():
@@ -35,7 +37,7 @@ def test_the_exact_inverse_is_exact_and_meets_the_bound_with_noise():
     np.testing.assert_allclose(found, FORCES, rtol=0, atol=1e-9 * np.abs(FORCES).max())
     noisy = COLUMNS * (1.0 + NOISE * np.random.default_rng(1).standard_normal(COLUMNS.shape))
     errors = exact_inverse(FORWARD, noisy, FORCES.mean(axis=0)) - FORCES
-    ratio = errors / cramer_rao(FORWARD, FORCES, NOISE, None)
+    ratio = errors / cramer_rao(FORWARD, FORCES, *READ)
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.05)
     impossible = COLUMNS[:2].copy()
     impossible[1] *= np.where(np.arange(impossible.shape[1]) % 3 == 0, 1e-6, 1.0)  # z pillars of 10 µm
@@ -45,17 +47,18 @@ def test_the_exact_inverse_is_exact_and_meets_the_bound_with_noise():
 
 def test_knowing_the_usual_loads_helps_and_most_where_noise_is_large():
     """Bayes' bound lies below the other, meets it without noise and the forces' own spread with endless noise."""
-    small, large = (bayes(FORWARD, FORCES, noise, None) for noise in (1e-5, 1e3))
-    np.testing.assert_allclose(small, cramer_rao(FORWARD, FORCES, 1e-5, None), rtol=0.01)
-    assert (bayes(FORWARD, FORCES, 0.05, None) < cramer_rao(FORWARD, FORCES, 0.05, None)).all()
+    read = [(ReadingError(noise=noise), DATA.shape) for noise in (1e-5, 0.05, 1e3)]
+    small, some, large = (bayes(FORWARD, FORCES, *each) for each in read)
+    np.testing.assert_allclose(small, cramer_rao(FORWARD, FORCES, *read[0]), rtol=0.01)
+    assert (some < cramer_rao(FORWARD, FORCES, *read[1])).all()
     np.testing.assert_allclose(large, np.broadcast_to(FORCES.std(axis=0), large.shape), rtol=0.01)
 
 
 def test_fewer_pillars_than_forces_determine_nothing_without_the_usual_loads():
     readable = np.ones(FORWARD.n_pillars, dtype=bool)
     readable[0] = False
-    assert np.isinf(cramer_rao(FORWARD, FORCES, NOISE, None, readable)).all()
-    healthy, hurt = bayes(FORWARD, FORCES, NOISE, None), bayes(FORWARD, FORCES, NOISE, None, readable)
+    assert np.isinf(cramer_rao(FORWARD, FORCES, *READ, readable)).all()
+    healthy, hurt = bayes(FORWARD, FORCES, *READ), bayes(FORWARD, FORCES, *READ, readable)
     assert (hurt >= healthy * (1 - 1e-9)).all()
     assert (hurt < 1.001 * FORCES.std(axis=0).max()).all()
     assert hurt[:, :3].max() > 10 * healthy[:, :3].max()  # the unit whose z pillar is gone

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import pillar_lengths, pillar_resistances
+from dataset.measurement import ReadingError
 from decoupler import (
     LeastSquares,
     NetworkConfig,
@@ -97,7 +98,9 @@ def test_an_assessment_holds_what_its_parts_say():
     found = assess(model, test, known)
     least = component_errors(LeastSquares.fitted(Columns.of(learned, ALL)).forces(test.resistance_ohm), test, ALL)
     hooke = component_errors(hooke_forces(test.resistance_ohm, SENSOR, ALL), test, ALL)
-    bound = cramer_rao(SensorModel.of(known, ALL), force_columns(test.force_n, ALL), noise, None)
+    bound = cramer_rao(
+        SensorModel.of(known, ALL), force_columns(test.force_n, ALL), ReadingError(noise=noise), test.shape
+    )
     missed = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     within = [(missed <= width).mean(axis=(0, 1, 2)) for width in model.half_widths(test.resistance_ohm)]
     for axis, name in enumerate(("fx", "fy", "fz")):

@@ -7,9 +7,9 @@ import pytest
 
 from dataset import SampleError
 from decoupler import TrainingConfig, cross_validate, evaluate, train
-from decoupler.data.columns import COMPONENTS, Columns, Scaling, component_named, load_numbers
+from decoupler.data.columns import COMPONENTS, Columns, Scaling, acting_component, component_named, load_numbers
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.training.suited import suited_component, without_stuck
+from decoupler.training.suited import without_stuck
 from geometry.errors import ArgumentError, DesignError
 from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor
 
@@ -98,7 +98,7 @@ def test_functions_find_what_suits_the_samples(monkeypatch):
     """``train(samples)`` alone trains."""
     monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", lambda jobs, progress: [f(*x) for f, *x in jobs])
     one = replace(DATA, force_n=DATA.force_n * (0.0, 0.0, 1.0))
-    assert suited_component(one) == "fz"
+    assert acting_component(one.force_n) == "fz"
     assert train(DATA, training=QUICK).component.name == "all"
     assert train(DATA, training=QUICK, response=RESPONSE).network.feature == "inverse"
     assert all(set(fold.errors) == {"fz"} for fold in cross_validate(one, training=QUICK, folds=2))

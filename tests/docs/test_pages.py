@@ -8,7 +8,8 @@ import pytest
 
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml, whole_design
-from tests.docs.terminal import ROOT
+from geometry.layout import require_told
+from tests.docs.terminal import ROOT, console_commands
 from tripillar.cli.app import COMMANDS, app_of
 from tripillar.cli.help import options_of
 
@@ -70,11 +71,16 @@ def test_the_citation_is_of_this_version():
     assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
-def test_the_layout_shown_is_one_in_ten_lines():
-    (shown,) = re.findall(r"```text\n(extends.*?)```", (ROOT / "docs/sensor.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len(shown.splitlines()) <= 10
-    layout = whole_design(shown, "the page").unit.layout
-    assert (layout.pillar_names, layout.pillars[1].section) == (("z1", "z2", "x"), "round")
+def test_the_layout_shown_leads_to_forces_in_ten_lines_and_four_commands():
+    """The tutorial's test types them; here its pillars tell all axes, and a command is one to type."""
+    file, *typed = console_commands(ROOT / "docs/sensor.md")
+    assert len(file.content[:-1]) <= 10
+    assert [command.line.split()[:2] for command in typed if command.line != "kill %1"] == [
+        ["tripillar", name] for name in ("dataset", "train", "board", "live")
+    ]
+    unit = whole_design("\n".join([*file.content[:-1], ""]), "the page").unit
+    assert (unit.layout.pillar_names, unit.layout.pillars[1].section) == (("z1", "z2", "x", "y"), "round")
+    require_told(unit)
 
 
 def test_the_design_file_shown_is_the_one_written():

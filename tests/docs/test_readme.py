@@ -91,11 +91,12 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, monkeypatch):
 
 
 @pytest.mark.long  # the commands of the README, run as typed, are its short twin
-def test_the_tutorial_does_what_it_promises(tmp_path, shared_cache, monkeypatch):
-    """Every command of docs/index.md succeeds, and prints what the page says below it; a sweep in this process."""
+@pytest.mark.parametrize(("page", "at_least"), [("index.md", 12), ("sensor.md", 5)])
+def test_a_tutorial_does_what_it_promises(page, at_least, tmp_path, shared_cache, monkeypatch):
+    """Every command of the page succeeds, and prints what it says below it; a sweep in this process."""
     monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
-    commands = console_commands(ROOT / "docs" / "index.md")
-    assert len(commands) > 12
+    commands = console_commands(ROOT / "docs" / page)
+    assert len(commands) > at_least
     with Terminal(tmp_path) as terminal:
         for command in commands:
             printed = terminal.type(command)

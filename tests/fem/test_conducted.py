@@ -11,32 +11,34 @@ from fem.array.conducted import conducted_by_loads, conducted_pillars, displacem
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import design_interior, pad_plate
 from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
+from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
 from fem.contact.conducting import COMPONENTS
 from fem.contact.tiles import cell_rectangles
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
-from geometry.layout import electrode_squares, pad_squares
+from geometry.layout import LAYOUTS, electrode_squares, pad_squares
 
-COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
-INERT = Piezoresistivity()
+COARSE, INERT = Conductor(unit_hexahedra(Unit(), 2, 1)), Piezoresistivity()
 
 
-def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT) -> np.ndarray:
-    """R/ρ of the three pillars at displacement gradients (n, 3, 3), the volume changed by div u."""
+def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT, conductor: Conductor = COARSE) -> np.ndarray:
+    """R/ρ of a unit's pillars at displacement gradients (n, 3, 3), the volume changed by div u."""
     C = (np.eye(3) + H).swapaxes(1, 2) @ (np.eye(3) + H)
     E = (C - np.eye(3)) / 2
     resistivity = (1 + piezo.across * np.trace(E, axis1=1, axis2=2))[:, None, None] * C
     resistivity += (piezo.along - piezo.across) * C @ E
-    K = COARSE.stiffness((1 + np.trace(H, axis1=1, axis2=2))[:, None, None] * np.linalg.inv(resistivity))
-    phi = COARSE.potentials(K)
-    return pillars_per_mm(phi.T @ (K @ phi), COARSE.mesh.pairs)
+    K = conductor.stiffness((1 + np.trace(H, axis1=1, axis2=2))[:, None, None] * np.linalg.inv(resistivity))
+    phi = conductor.potentials(K)
+    return pillars_per_mm(phi.T @ (K @ phi), conductor.mesh.pairs)
 
 
-@pytest.fixture(scope="module")
-def pressed():
+@pytest.fixture(scope="module", params=LAYOUTS)
+def pressed(request):
     """The response of a lone unit of one coarse mesh, and the resistances of its pillars under a force."""
-    design = SensorDesign(array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
+    unit = Unit(layout=LAYOUTS[request.param])
+    conductor = Conductor(unit_hexahedra(unit, 2, 1))
+    design = SensorDesign(unit=unit, array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     with pytest.MonkeyPatch.context() as patch:  # all that follows is of this one cell
         patch.setattr("fem.array.meshed.GRID_LEVEL", 1)
         patch.setattr("fem.array.meshed.GRID_DEGREE", 4)
@@ -44,16 +46,16 @@ def pressed():
         n = len(interior.cell.stiffness) + 3
         seen = CoupledArray(interior.cell, 1, 1).seen(np.eye(n), range(3))[0][0, :, 0]
         electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
-        influence = (electrodes @ seen).reshape(1, 1, 2, 3, 1, 1, 3)
+        influence = (electrodes @ seen).reshape(1, 1, -1, 3, 1, 1, 3)
         patch.setattr(module, "design_interior", lambda *_: interior)
-        patch.setattr(module, "unit_conductors", lambda unit: (COARSE, COARSE))
-        patch.setattr("fem.conduction.potentials.unit_conductors", lambda unit, strained=False: (COARSE, COARSE))
+        for where in (module, potentials):
+            patch.setattr(where, "unit_conductors", lambda unit, strained=False: (conductor, conductor))
         found = conducted_pillars(design, influence)
     response = ArrayResponse(
         design=design, influence_mm_per_n=influence, conducted=found, residual=0.0, unknowns=1, seconds={}
     )
-    gradients = displacement_gradients(interior, COARSE.mesh.points_mm, seen)
-    return response, lambda force_n: resistances(gradients @ force_n)
+    gradients = displacement_gradients(interior, conductor.mesh.points_mm, seen)
+    return response, lambda force_n: resistances(gradients @ force_n, conductor=conductor)
 
 
 def test_second_derivatives_are_those_of_whole_solves():
@@ -102,6 +104,7 @@ def test_polynomials_follow_whole_solves_under_a_plate_and_what_touches_beside_i
     follow_whole_solves(found, force_n.ravel(), lambda f: resistances(gradients * (f @ force_n.ravel()) / whole_n))
 
 
+@pytest.mark.parametrize("pressed", ["six-pillar"], indirect=True)
 def test_a_response_file_keeps_conduction(pressed, tmp_path):
     response, _ = pressed
     write_response(response, tmp_path / "response.nc")

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from fem.pictures.arrays import bell_pressure
 from fem.pictures.deformation import DeformedPicture
-from fem.pictures.parts import QUADRILATERAL, Part, pillar_surface, sensor_parts
+from fem.pictures.parts import QUADRILATERAL, Part, column_surface, pillar_surface, sensor_parts
 from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
-from geometry.design import Array, SensorDesign
-from geometry.layout import unit_centres
+from geometry.design import Array, SensorDesign, Unit
+from geometry.layout import LAYOUTS, pillar_volumes, unit_centres
+from geometry.prism import unit_prisms
+from tests.fem.scenes import DIAGONAL, round_of
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=2))
 
@@ -46,6 +49,18 @@ def test_parts_are_in_their_places_and_move_as_the_field_says(pair_field, state,
         here = np.abs(part.points_mm - [*unit_centres(DESIGN)[0], 10.0]).max(axis=1).argmin()
         assert np.allclose(part.displacement_mm[here], observer.displacement_mm(state)[0, 0])
         assert np.allclose(part.stress_mpa[here], observer.stress_mpa(state)[0, 0])
+
+
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), DIAGONAL])
+def test_pillars_of_every_layout_are_drawn_whole(layout):
+    """Their faces are those of the hull of their points, of S·l, or of what a polygon of 16 sides has of a circle."""
+    for own, share in ((layout, 1.0), (round_of(layout), 8 / np.pi * np.sin(np.pi / 8))):
+        unit = Unit(layout=own)
+        for prism, volume_mm3 in zip(unit_prisms(unit), pillar_volumes(unit), strict=True):
+            points, quads = column_surface(prism, 4, 2, 0.0)
+            hull = trimesh.convex.convex_hull(points)
+            assert hull.volume == pytest.approx(share * volume_mm3, rel=1e-9)
+            assert area(points, quads) == pytest.approx(hull.area, rel=1e-9)
 
 
 def test_one_colour_bar_serves_all_pictures_and_ends_at_the_largest_value(parts):

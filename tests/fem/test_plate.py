@@ -14,19 +14,7 @@ from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import electrode_squares
 from tests.fem.scenes import mean
 
-STIFF = SensorDesign(array=Array(rows=2, cols=3), pad=Pad(kind="stiff"))
-ALONE = replace(STIFF, array=Array(rows=1, cols=1))
-
-
-def test_electrodes_turn_with_their_plate_and_pads_move_each_other_alike():
-    """u = d + θ × r: U1 and U2, apart by r along y, neither part nor close, but plates do turn. Betti: a force along x
-    moves another plate's middle along x as one there moves this; U1 and U2 tell u_x there."""
-    u = solve_response(STIFF, ResponseSettings(tolerance=0.1)).influence_mm_per_n
-    apart = u[:, :, 1] - u[:, :, 0]
-    assert np.abs(apart).max() > 1e-4
-    assert np.abs(apart[:, :, 1]).max() < 1e-12
-    x = u[:, :, :, 0, :, :, 0].mean(axis=2).reshape(6, 6)
-    assert np.abs(x - x.T).max() < 1e-10 * np.abs(x).max()
+ALONE = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"))
 
 
 @pytest.mark.parametrize("force_n", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])

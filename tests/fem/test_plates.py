@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
 from fem.contact.indentation import Indentation
 from fem.contact.surface import UP, Patch, PatchCompliance
 from fem.contact.tiles import cell_strips, edges, plated_grid, shares, slab_strips
+from fem.pictures.contact import _draw_plates, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign
 from studies.bench.peers.plates import CASES, pressed_here
 from studies.bench.peers.plates import DESIGN as FOUR
@@ -171,6 +173,18 @@ def test_there_and_back_friction_takes_its_work_and_forces_balance(plated: Surfa
         for F, at in ((force, (x, y, 0 * x + PLATED.pad.plate.thickness_mm)), (tiles, (tile_x, tile_y, 0 * tile_x)))
     )
     assert one == pytest.approx(other, abs=1e-4 * np.abs(one).max())
+
+
+def test_a_picture_of_a_contact_outlines_the_plates_that_it_shows(plated: SurfaceCompliance, tmp_path):
+    """In array and contact alike, without widening what is shown; it is written whole."""
+    contact = press(plated, Sphere(8.0), 0.3, at_mm=(7.5, 0.0), friction=0.3, cells=16)
+    axes = Figure().subplots()
+    axes.axis((5.0, 9.0, -2.0, 2.0))
+    _draw_plates(axes, contact)
+    assert [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata())] == pytest.approx([12.0, 12.0])
+    assert axes.axis() == (5.0, 9.0, -2.0, 2.0)
+    draw_contact(contact, tmp_path / "contact.png")
+    assert (tmp_path / "contact.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.long

@@ -93,7 +93,7 @@ def test_every_face_is_where_it_belongs():
     """Volumes of the body and of prisms that do not cut each other are exact, and the outline is made of planes."""
     prisms = [
         Prism(base_mm=(3.0, 3.0, 0.0), top_mm=(3.0, 7.0, 6.0), section_mm=(1.0, 0.5)),
-        Prism(base_mm=(8.5, 5.0, 2.0), top_mm=(6.0, 5.0, 5.0), section_mm=(1.0, 3.0)),
+        Prism(base_mm=(8.0, 5.0, 2.0), top_mm=(6.0, 6.0, 5.0), section_mm=(1.0, 3.0), is_turned=True),
     ]
     scene = pressed_block((10.0, 10.0, 6.0), Material())
     mesh, _ = mesh_scene(scene, prisms)
@@ -108,8 +108,10 @@ def test_every_face_is_where_it_belongs():
 
 
 def test_round_prisms_keep_their_volume_as_they_are_refined():
-    """A leaning one of eight sides, 1e-9; half of the cells at its side halved three times belong where they did."""
-    column = Prism(base_mm=(3.5, 5.0, 0.0), top_mm=(6.5, 5.0, 6.0), section_mm=(2.5, 2.0), is_round=True)
+    """Of eight sides and leaning both ways, 1e-9; half of its side's cells halved three times belong where they did."""
+    column = Prism(
+        base_mm=(3.5, 4.5, 0.0), top_mm=(6.5, 5.5, 6.0), section_mm=(2.5, 2.0), is_round=True, is_turned=True
+    )
     coarse, _ = mesh_scene(pressed_block((10.0, 10.0, 6.0), Material()), [column])
     mesh = coarse
     for _ in range(3):

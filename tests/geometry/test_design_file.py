@@ -151,7 +151,7 @@ REFUSED_LAYOUTS = {
     f"{ONE}]\n{PILLAR}}}, {{name = 3, from = 'L', to = 'U'}}]": "3 is no name: give up to 8",
     f"{ONE}]\n{PILLAR}}}, {{name = 'z', from = 'L', to = 'U'}}]": "two pillars are named z",
     f"{ONE}]\n{PILLAR}, section = 'oval'}}]": "[[pillar]] 1: section='oval' must be one of square, round",
-    f"{ONE}]\n{PILLAR}, width_mm = 0}}]": "[[pillar]] 1: width_mm=0 must be a number above 0",
+    f"{ONE}]\n{PILLAR}, width_mm = 0}}]": "[[pillar]] 1: width_mm=0 must be above 0",
     f"{ONE}, {{name = 'V', level = 'upper', place = [1, 0]}}]\n{PILLAR}}}]": "no pillar joins V: each needs one",
     'layout = "six-pillar"\n[unit]\nspan_mm = 2.0': "in [unit]: span_mm=2 lets pillars z and x of a unit merge",
 }

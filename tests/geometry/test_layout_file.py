@@ -35,7 +35,10 @@ ELECTRODE, PILLAR = TABLES["electrode"], TABLES["pillar"]
         ({"layout": "song2018", **TABLES}, r"layout = 'song2018' and \[\[electrode\]\]: give one of"),
         (TABLES | {"electrode": 3}, "'electrode' must be an array of tables"),
         (TABLES | {"electrode": [*ELECTRODE, {"name": "U3"}]}, r"the key 'place' is missing in \[\[electrode\]\] 5"),
-        (TABLES | {"electrode": [ELECTRODE[0] | {"place": [1]}]}, r"1: place=\[1\] must be two numbers"),
+        (
+            TABLES | {"electrode": [ELECTRODE[0] | {"place": [1]}]},
+            r"1: place=\[1\] must be 2 finite numbers; its middle along x and y",
+        ),
         (TABLES | {"electrode": [ELECTRODE[0] | {"level": "top"}]}, "1: level = 'top' must be one of upper, lower"),
         (
             TABLES | {"electrode": [ELECTRODE[0] | {"name": "U 1"}]},

@@ -10,8 +10,8 @@ import numpy as np
 
 from geometry.layout import LAYOUTS
 from geometry.wiring import crossings, fewest_wires
+from hardware.boards.python_board import CountedPort, a_frame
 from hardware.boards.simavr_board import EMPTY, FIRMWARE
-from hardware.boards.virtual_board import CountedPort, a_frame
 from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode, encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link

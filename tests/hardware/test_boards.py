@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.boards.virtual_board import CountedPort, VirtualBoard
+from hardware.boards.python_board import CountedPort, PythonBoard
 from hardware.link.frames import Errors, Frame, Info, Statistics, encode
 from hardware.link.protocols import PROTOCOLS, BoardProtocol, spoken_on
 from hardware.link.scanner import Link, Scanner
@@ -91,7 +91,7 @@ BOARDS = {
     "another protocol": lambda chip: nullcontext(
         ScriptedPort(b"I 200 3\nD broken 1\n", *(a_line(k) for k in range(N)))
     ),
-    "python on a terminal": lambda chip: on_a_terminal(VirtualBoard(COUNTS, INFO)),
+    "python on a terminal": lambda chip: on_a_terminal(PythonBoard(COUNTS, INFO)),
     "chip on a terminal": lambda chip: on_a_terminal(chip("board")(fast=True)),
 }
 

@@ -14,7 +14,7 @@ import pytest
 
 from geometry.design import SensorDesign, Unit
 from geometry.layout import LAYOUTS
-from hardware.boards.simavr_board import EMPTY, MCUS, SimavrError, write_table
+from hardware.boards.simavr_board import EMPTY, MCUS, write_table
 from hardware.boards.simulated import by_wire, usual_rate
 from hardware.link.frames import Errors, ScanMode
 from tests.hardware.boards import (
@@ -229,18 +229,6 @@ def test_settings_make_another_firmware_and_the_same_none(built, board, tmp_path
 
 
 # the program that simulates the chip
-
-
-def test_a_link_names_the_port_as_long_as_the_board_runs_and_replaces_no_file(board, tmp_path):
-    link = tmp_path / "board"
-    with board(link=link, fast=True) as first, board(link=link, fast=True) as second:  # takes the name over
-        first.stop()
-        assert str(link.resolve()) == second.port
-    assert not link.is_symlink()
-    link.write_text("mine")
-    with pytest.raises(SimavrError, match="board: exists and is no link"):
-        board(link=link)
-    assert link.read_text() == "mine"
 
 
 def test_what_cannot_run_is_refused_in_one_line(built, tmp_path):

@@ -11,9 +11,9 @@ from geometry.errors import FileFormatError
 from geometry.layout import AXES, LAYOUTS, SONG2018, rest_lengths
 from geometry.layout_file import layout_text
 from geometry.storage.seal import opened_json
+from hardware.boards.python_board import PythonBoard
 from hardware.boards.sensor_header import sensor_header
 from hardware.boards.simavr_board import FIRMWARE
-from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
@@ -53,7 +53,7 @@ def test_readings_go_over_a_terminal_into_a_file_and_come_back_as_forces(layout,
     model, path, n = Shortening(layout), tmp_path / "press.frames", len(layout.pillars)
     ohms = model.rest_ohm * np.random.default_rng(0).uniform(0.7, 1.05, (4, 2, 2, n))
     counts = Electronics().crossbar(info).counts(ohms)
-    with VirtualBoard(counts, info) as board, Scanner(board.port) as scanner:
+    with PythonBoard(counts, info) as board, Scanner(board.port) as scanner:
         assert scanner.info == info
         tared = SensorCalibration.as_designed(2, 2, layout=layout).tared(1.1 * model.rest_resistances())
         record_scans(scanner, path, 0.1, tared)

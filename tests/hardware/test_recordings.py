@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import FileFormatError
-from hardware.boards.virtual_board import a_frame
+from hardware.boards.python_board import a_frame
 from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
 from tests.hardware.boards import recording_from_resistances

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import serial
 
-from hardware.boards.virtual_board import VirtualBoard
+from geometry.errors import DesignError
+from hardware.boards.python_board import PythonBoard
 from hardware.link.frames import encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link, Scanner, ScannerError
-from hardware.link.serial_ports import PortError, open_port
+from hardware.link.serial_ports import PortError, open_port, symlinked
 from tests.hardware.boards import COUNTS, INFO, PATIENT_S, ScriptedPort, a_wire, comes_about
 
 HEAD = encode(INFO)
@@ -120,7 +121,7 @@ def test_a_loop_that_one_joins_in_mid_stream():
 
 def test_times_are_when_the_board_scanned():
     """In one process both clocks are one: a scan's time is when it was sent, give or take the system's delays."""
-    with VirtualBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
+    with PythonBoard(COUNTS, INFO) as board, Scanner(board.port) as scanner:
         scans = take(scanner, 60)
         sent, stats = dict(board.sent), scanner.stats
         assert (scanner.info, scanner.trouble) == (INFO, None)
@@ -174,9 +175,9 @@ def test_the_rate_is_set_and_one_that_is_refused_leaves_the_one_that_was_wanted(
             scanner.set_rate(100)
 
 
-def test_closing_is_prompt_and_final_and_ends_an_iteration_that_waits(tmp_path):
+def test_closing_is_prompt_and_final_and_ends_an_iteration_that_waits():
     """Also of a port that is lost: it does not spin while it waits to open it again."""
-    with VirtualBoard(COUNTS, replace(INFO, rate_hz=1), link=tmp_path / "board") as board:  # hardly ever a byte
+    with PythonBoard(COUNTS, replace(INFO, rate_hz=1)) as board:  # hardly ever a byte
         with Scanner(board.port) as scanner:
             closing = threading.Timer(0.01, scanner.close)
             closing.start()
@@ -225,16 +226,19 @@ def test_what_is_no_board_is_refused_in_one_line(pieces, message, finite):
 
 
 def test_killed_and_started_again(tmp_path):
-    """A board dies at once, as by kill -9, leaves its link behind, and another one takes over."""
-    first, link = VirtualBoard(COUNTS, INFO, link=tmp_path / "board"), tmp_path / "board"
-    with Scanner(str(link)) as scanner:
+    """A board dies, leaves its link behind as by kill -9, and another one takes over; a file is replaced by none."""
+    first, link = PythonBoard(COUNTS, INFO), tmp_path / "board"
+    with symlinked(link, first.port) as port, Scanner(port) as scanner:
         assert scanner.get(PATIENT_S)
-        first._link = None  # it has no time to remove it
         first.close()
         comes_about(scanner, lambda: scanner.trouble)
         assert link.is_symlink()
-        with VirtualBoard(COUNTS, INFO, link=link):
+        with PythonBoard(COUNTS, INFO) as second, symlinked(link, second.port):
             comes_about(scanner, lambda: scanner.stats.reconnects == 1 and not scanner.trouble)
             comes_about(scanner, lambda: scanner.stats.info == 2)
             assert scanner.get(PATIENT_S)
     assert not link.is_symlink()
+    link.write_text("mine")
+    with pytest.raises(DesignError, match="board exists and is no link"), symlinked(link, "port"):
+        pass
+    assert link.read_text() == "mine"

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from hardware import session
-from hardware.boards.virtual_board import VirtualBoard
+from hardware.boards.python_board import PythonBoard
 from hardware.link.frames import ScanMode, encode
 from hardware.link.reception import LinkStatistics
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError, is_beginning, link_to
+from hardware.link.serial_ports import PortError, is_beginning
 from hardware.readout.calibration import Electronics
 from hardware.recording import read_recording
 from hardware.session import live, measure_link, record_scans
@@ -105,7 +105,7 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
     with live(str(path), model, speed=np.inf) as scans:
         played = list(scans)
     counts = Electronics().crossbar(info).counts(ohms)
-    with VirtualBoard(counts, info) as board, live(board.port, model) as scans:
+    with PythonBoard(counts, info) as board, live(board.port, model) as scans:
         read = list(islice(scans, 5))
         assert scans.scanner.info == info
     for found in [played, read]:
@@ -121,8 +121,10 @@ def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
     link, looked = tmp_path / "board", []
     monkeypatch.setattr(session, "APPEARS_S", 0.0)
     monkeypatch.setattr(session, "is_beginning", lambda port: port == str(link))
-    with VirtualBoard(COUNTS, INFO) as board:
-        monkeypatch.setattr(session.time, "sleep", lambda seconds: looked.append(seconds) or link_to(link, board.port))
+    with PythonBoard(COUNTS, INFO) as board:
+        monkeypatch.setattr(
+            session.time, "sleep", lambda seconds: looked.append(seconds) or link.symlink_to(board.port)
+        )
         with session.connect(str(link)) as (scanner, _):
             assert scanner.info == INFO
     for port in (str(tmp_path), "missing.frames", "socket://127.0.0.1:9", "", str(tmp_path / "never")):

@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from geometry.errors import DesignError, MissingPackageError
 from hardware import live
-from hardware.boards.virtual_board import VirtualBoard
+from hardware.boards.python_board import PythonBoard
 from hardware.readout.wrench import SIGNS
-from hardware.streams.addresses import ROOM_BYTES, StreamError
 from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
 from hardware.streams.foxglove_stream import FoxgloveStream
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
 from hardware.streams.scene import LONGEST
+from hardware.streams.stream import ROOM_BYTES, StreamError
 from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, RESISTANCES, SCENE, SENSOR, WRENCH
 from tests.hardware.models import INFO
 from tests.hardware.test_exports import messages
@@ -35,7 +35,7 @@ connect = pytest.importorskip("websockets.sync.client").connect
 @pytest.fixture(scope="module")
 def board(pressed):
     """A simulated board, live: the `description` of its sensor, and `take(n)` scans of it."""
-    with VirtualBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
+    with PythonBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
 
         def take(n):
             return [scans.forces(scans.scanner.get(10), renewed_s=0.1) for _ in range(n)]

@@ -11,7 +11,7 @@ from fem.factor import SolverError
 from studies.edge_cases import __main__ as command
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import Judged, Trial, tried
-from tripillar.terminal.entry import run_alone
+from studies.program import run_alone
 
 CHEAP = ("ν = 0, whole top", "0.1 × 0.1 × 10 pressed", "1 × 1 × 100 dragged", "skipped", "computed", "0.1°, ν = 0.4999")
 

@@ -43,6 +43,7 @@ def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear_and_what_is_wro
     scan = SimpleNamespace(force_n=force_n, deviation_n=force_n, wrench=wrench, contacts=None, **memory)
     text = drawn(live_view(scan, AXES, 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
     for said in (
         "150.0 frames/s",
         "7 ok",
@@ -104,6 +105,8 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert model.calculated <= 11
     ages = [k + 1 / 3 - 100 * line["deviation_n"][0][0][0] for k, line in enumerate(lines)]
     assert max(ages) / RATE_HZ < 0.1 + 0.01
+    force_view.show_forces(sensor, 1.0)
+    assert capsys.readouterr().out.endswith("stuck\n")  # in a file, too, the last line has an end
 
 
 def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():

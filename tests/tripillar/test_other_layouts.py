@@ -112,7 +112,7 @@ BAD = [
     *((table(f"z L1 U1 ,width_mm={w}, x L2 U1, y L1 U2"), f"width_mm={w} must be") for w in ("0", "-1", "nan", "'2'")),
     (table("z L1 U1 ,width_mm=20, x L2 U1, y L1 U2"), "lets pillars z and x of a unit merge: it must be above 11.41"),
     (table("z L1 U1", "U1 3 0, L1 3 0"), "pitch_mm=15 is smaller than the unit, whose pillars take 32 mm"),
-    (table("z L1 U1", "U1 nan 0, L1 0 0"), "place=[nan, 0] must be two numbers"),
+    (table("z L1 U1", "U1 nan 0, L1 0 0"), "place=[nan, 0] must be 2 finite numbers"),
     (table("z. L1 U1", "U1 0 0, L1 0 0"), "'z.' is no name: give up to 8 letters and digits"),
     ("electrode = []\npillar = []\n", "no pillar joins electrodes"),
     ('pillar = [{name="z", from=["L"], to="U"}]\n', "['L'] is no name"),

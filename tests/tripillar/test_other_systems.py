@@ -25,7 +25,7 @@ from tripillar.terminal import interrupts
 interrupts.install()
 from geometry.storage.files import explained
 from geometry.storage.netcdf import write_netcdf
-from hardware.boards import simavr_board, simulated, virtual_board
+from hardware.boards import simavr_board, simulated, python_board
 from hardware.link.frames import Info
 from hardware.link.serial_ports import PortError, open_port
 import decoupler
@@ -34,7 +34,7 @@ write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
 assert [path.name for path in Path().iterdir()] == ["a.nc"]
 assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))
 assert "Windows" in simavr_board.find_tools()
-for begin in (lambda: virtual_board.VirtualBoard([1], Info(rows=1, cols=1)), lambda: open_port("")):
+for begin in (lambda: python_board.PythonBoard([1], Info(rows=1, cols=1)), lambda: open_port("")):
     try:
         begin()
     except PortError as error:

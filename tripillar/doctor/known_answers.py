@@ -103,10 +103,10 @@ def network_of_200_samples() -> float:
 def scans_over_a_terminal() -> float:
     """Share of ten scans of a simulated board that do not arrive as they were sent."""
     from hardware import Info, Scanner
-    from hardware.boards.virtual_board import VirtualBoard
+    from hardware.boards.python_board import PythonBoard
 
     counts = np.arange(108) + 400
-    with VirtualBoard(counts, Info(rate_hz=200)) as board, Scanner(board.port) as scanner:
+    with PythonBoard(counts, Info(rate_hz=200)) as board, Scanner(board.port) as scanner:
         scans = [scan for scan, _ in zip(scanner, range(10), strict=False)]
     return float(np.mean([not np.array_equal(scan.frame.counts, counts) for scan in scans]))
 

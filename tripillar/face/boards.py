@@ -13,7 +13,7 @@ from geometry.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
-from tripillar.face.inputs import LINK, WIRES, File, ModelLike, job, model_of, to_write
+from tripillar.face.inputs import BOARD, WIRES, File, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
 
@@ -24,7 +24,7 @@ def info(
     *,
     seconds: float | None = None,
     model: ModelLike | None = None,
-    **link: Annotated[Any, LINK],
+    **link: Annotated[Any, BOARD],
 ) -> dict[str, Any]:
     """List the serial ports of this machine; or ask a board what it is: size, rate, circuit, firmware.
 
@@ -40,7 +40,7 @@ def info(
     model : Decoupler or path, optional
         Model file for the latency of forces, with seconds; default: frames are only read.
     **link
-        Fields of `inputs.Link`: calibration, baud and timeout.
+        Fields of `inputs.Board`: calibration, baud and timeout.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def watch(
     seconds: float = math.inf,
     rate_hz: int | None = None,
     describe: bool = False,
-    **more: Annotated[Any, STREAMS, LINK],
+    **more: Annotated[Any, STREAMS, BOARD],
 ) -> None:
     """Show the forces on a sensor as they come: heat map, shear, net load, rate, losses.
 
@@ -109,7 +109,7 @@ def watch(
     describe : bool
         Print first a line that describes the sensor, with JSON.
     **more
-        Fields of `streaming.AskedStreams`, to be shown by other programs too, and of `inputs.Link`.
+        Fields of `streaming.AskedStreams`, to be shown by other programs too, and of `inputs.Board`.
     """
     caller = current()
     if rate_hz is not None and Path(port).is_file():
@@ -118,7 +118,7 @@ def watch(
         raise DesignError("describe=True prints a line of JSON: add --json, or leave describe=True out.")
     asked = AskedStreams(**STREAMS.of(more))
     asked.require()
-    with stages.live(port, model, rubber=rubber, **LINK.of(more)) as sensor:
+    with stages.live(port, model, rubber=rubber, **BOARD.of(more)) as sensor:
         if rate_hz is not None:
             sensor.scanner.set_rate(rate_hz)
         with asked.opened(sensor.description) as streams:
@@ -137,7 +137,7 @@ def record(
     *,
     model: ModelLike | None = None,
     append: bool = False,
-    **link: Annotated[Any, LINK],
+    **link: Annotated[Any, BOARD],
 ) -> int:
     """Record what a board sends, raw, as it comes; a killed recording loses one scan.
 
@@ -156,7 +156,7 @@ def record(
     append : bool
         Continue the recording, of the same board.
     **link
-        Fields of `inputs.Link`; the calibration is kept with the scans.
+        Fields of `inputs.Board`; the calibration is kept with the scans.
 
     Returns
     -------
@@ -320,7 +320,7 @@ def tare(
     out: File,
     seconds: float = 2.0,
     force: bool = False,
-    **more: Annotated[Any, WIRES, LINK],
+    **more: Annotated[Any, WIRES, BOARD],
 ) -> "stages.SensorCalibration":
     """Zero a sensor: take what it shows now, with nothing on it, as its rest.
 
@@ -337,7 +337,7 @@ def tare(
     force : bool
         Write the file even if the readings cannot be what they should be.
     **more
-        Fields of `inputs.Wires` and `inputs.Link`, whose calibration is built on.
+        Fields of `inputs.Wires` and `inputs.Board`, whose calibration is built on.
 
     Returns
     -------
@@ -348,7 +348,7 @@ def tare(
     to_write("out", path)
     if path.exists() and (calibration is None or path.resolve() != Path(calibration).resolve()):
         raise FileFormatError(f"{path}: the file exists: build on it by calibration={path}, or give another name.")
-    with stages.connect(port, **LINK.of(more)) as (scanner, known):
+    with stages.connect(port, **BOARD.of(more)) as (scanner, known):
         electronics = replace(known.electronics, **WIRES.of(more))
         crossbar, counts = electronics.crossbar(scanner.info), stages.counts_within(scanner, seconds)
         if not force:

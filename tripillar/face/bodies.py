@@ -15,7 +15,7 @@ from geometry.storage.files import write_bytes
 from geometry.wiring import explained
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, scene_of, to_write
+from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, to_write
 
 LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
 
@@ -149,7 +149,7 @@ def solve(
     >>> round(float(tp.solve(scene_from_dict(scene)).probes["top"][2]), 6)
     -0.2
     """
-    caller, body = current(), scene_of(scene)
+    caller, body = current(), stages.read_scene(Path(scene)) if isinstance(scene, Path | str) else scene
     if tolerance is not None:
         body = replace(body, tolerance=tolerance)
     plan = stages.make_plan(body, field=vtu is not None)
@@ -160,8 +160,8 @@ def solve(
         stages.write_field(solution.field, Path(vtu))
     if explain and not caller.as_json:
         caller.tell(*solution.steps)
-    plain, table = stages.solution_as_plain, stages.solution_table
-    caller.answer(lambda: plain(solution, plan.lines), lambda: [table(solution)], vtu)
+    result = stages.solution_as_plain(solution, plan.lines)
+    caller.answer(lambda: result, lambda: [stages.solution_table(solution)], vtu)
     _warn_above(body.tolerance, solution.error_estimate, "; explain=True says why")
     far = stages.beyond_linear(body, solution)
     caller.say(f"warning: {far}" if far else "")

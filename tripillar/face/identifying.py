@@ -13,7 +13,7 @@ from geometry.errors import DesignError, FileFormatError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
-    BARE_LINK,
+    BARE_BOARD,
     WIRES,
     DesignLike,
     File,
@@ -60,7 +60,7 @@ def identify(
     have: str | None = None,
     seconds: float = 1.0,
     force: bool = False,
-    **more: Annotated[Any, WIRES, BARE_LINK],
+    **more: Annotated[Any, WIRES, BARE_BOARD],
 ) -> "stages.Twin | stages.SensorCalibration | tuple[stages.NextLoad, ...]":
     """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
 
@@ -110,7 +110,7 @@ def identify(
     force : bool
         Go on although the pairs look wrong; the decoder remembers why they did.
     **more
-        Fields of `inputs.Wires`, and baud and timeout of `inputs.Link`.
+        Fields of `inputs.Wires`, and baud and timeout of `inputs.Board`.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def identify(
         else:
             beside = None if path is None or as_designed else path.with_suffix(".csv")
             kept = beside if keep is None else Path(keep)
-            measured, serial = stages.measured_live(*board, seconds, force, kept, **BARE_LINK.of(more))
+            measured, serial = stages.measured_live(*board, seconds, force, kept, **BARE_BOARD.of(more))
     if as_designed:
         if not isinstance(measured, stages.Pairs):
             raise DesignError(
@@ -326,7 +326,7 @@ def _checked_pairs(
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
-    component = stages.component_named(stages.acting(stages.Pairs.of(pairs)))
+    component = stages.component_named(stages.acting_component(pairs.force_n))
     judge = stages.joint_model(response)
     forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
     stages.mention(pairs, name, component, judge)

@@ -12,9 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
 
-from geometry.design import SensorDesign, quantity
+from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from geometry.errors import ArgumentError, DesignError, FileFormatError
+from geometry.quantity import quantity
 from geometry.storage.files import require_file, require_folder
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -63,7 +64,7 @@ class Options:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Link:
+class Board:
     """Reach of a board, as `hardware.Scanner` takes it, and what is known of its sensor."""
 
     calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
@@ -79,8 +80,8 @@ class Wires:
     line_ohm: float | None = quantity(None, "resistance of a wire to the pillars [Ω]; default: 0")
 
 
-LINK, WIRES = Options(Link), Options(Wires)
-BARE_LINK = Options(Link, "baud", "timeout")  #: of a board whose calibration is yet to be found
+BOARD, WIRES = Options(Board), Options(Wires)
+BARE_BOARD = Options(Board, "baud", "timeout")  #: of a board whose calibration is yet to be found
 
 
 def options_of(parameter: inspect.Parameter) -> list[Options]:
@@ -206,11 +207,6 @@ def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
     if not isinstance(model, stages.Decoupler):
         raise DesignError(f"{name_of(source, 'model')} is a decoder of touch: {what} takes a model of loads on pads.")
     return model
-
-
-def scene_of(source: "SceneLike") -> "stages.Scene":
-    """A scene, or that of a file."""
-    return stages.read_scene(Path(source)) if isinstance(source, Path | str) else source
 
 
 def name_of(source: object, otherwise: str) -> str:

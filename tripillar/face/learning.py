@@ -267,8 +267,7 @@ def evaluate(
     stages.warn_of_test(decoupler, named, samples, name, solved)
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
     _mention_untrusted(decoupler)
-    plain, table = stages.as_plain, stages.assessment_table
-    caller.answer(lambda: plain(assessed), lambda: [table(assessed)])
+    caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
 
 
@@ -284,8 +283,8 @@ def _cross_validated(
     parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
     advance = current().bars.begin(f"{folds} folds", total=folds)
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
-    summary, table = stages.summary, stages.crossval_table
-    current().answer(lambda: {"feature": network.feature} | summary(tested), lambda: [table(tested)])
+    result = {"feature": network.feature} | stages.summary(tested)
+    current().answer(lambda: result, lambda: [stages.crossval_table(tested)])
     nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
@@ -306,27 +305,22 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
     of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
     of_sensor |= {"pillars": pillars, "made_from": made_from}
+    decoder: stages.TouchDecoder
     if is_plated:
         advance = caller.bars.begin("plates", total=1)
-        library, _, reused = stages.plate_response(design, lambda step: advance(0, step))
-        plates = stages.PlateDecoder(library=library, **of_sensor)
-        result = {"file": str(out), "plates": design.n_units, "reused": reused}
-        return _kept_touch(plates, out, result, f"{design.n_units} plates")
-    advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
-    library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
-    result = {"file": str(out), "presses": len(library.presses.size), "rows": len(library.source), "reused": reused}
-    text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
-    return _kept_touch(stages.BareDecoder(library=library, **of_sensor), out, result, text)
-
-
-def _kept_touch(
-    decoder: "stages.TouchDecoder", out: Path | None, result: dict[str, Any], text: str
-) -> "stages.TouchDecoder":
-    """Write a decoder of touches, and answer."""
+        plates, _, reused = stages.plate_response(design, lambda step: advance(0, step))
+        decoder = stages.PlateDecoder(library=plates, **of_sensor)
+        result, text = {"plates": design.n_units}, f"{design.n_units} plates"
+    else:
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+        decoder = stages.BareDecoder(library=library, **of_sensor)
+        result = {"presses": len(library.presses.size), "rows": len(library.source)}
+        text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
     if out is not None:
         stages.write_touch(decoder, out)
-    bars = current().bars
-    current().answer(lambda: result | {"seconds": bars.seconds()}, text, out)
+    made = {"file": str(out)} | result | {"reused": reused, "seconds": caller.bars.seconds()}
+    caller.answer(lambda: made, text, out)
     return decoder
 
 
@@ -335,8 +329,7 @@ def _assessed_touch(decoder: "stages.TouchDecoder", data: "SamplesLike") -> "dic
     samples = stages.in_memory(samples_of(data, labels_only=False))
     advance = current().bars.begin("touches", total=len(samples))
     found = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
-    tables = stages.assessed_touch_tables
-    current().answer(found.plain, lambda: tables(found))
+    current().answer(found.plain, lambda: stages.assessed_touch_tables(found))
     return found.by_force
 
 
@@ -370,7 +363,7 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
-    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.suited_component(samples)
+    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.acting_component(samples.force_n)
     parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None

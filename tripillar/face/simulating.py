@@ -96,8 +96,7 @@ def board(
     ((1, 2, 3), (1, 2, 3))
     """
     caller, kept = current(), None if link is None else Path(link)
-    if kept is not None and kept.exists() and not kept.is_symlink():
-        raise DesignError(f"link={kept} exists and is no link: give another name for the link to the port.")
+    stages.require_symlink(kept)
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
     if sys.platform == "win32":
@@ -125,7 +124,6 @@ def board(
     counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own, seen.design.electrics)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
-    with stages.run_board(suited, told, counts, kept) as running:
-        port = str(link or running.port)
+    with stages.run_board(suited, told, counts) as running, stages.symlinked(kept, running.port) as port:
         caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", truth)
         yield port

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
-    from decoupler.data.columns import Columns, component_named
+    from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
@@ -51,10 +51,10 @@ if TYPE_CHECKING:
     from decoupler.touch.sensing import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
     from decoupler.training.finite_strain import posterior_of, with_strain_maps
-    from decoupler.training.suited import suited_component, suited_feature, without_stuck
+    from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
-    from decoupler.twin.identification import LOADS, Twin, acting, identify
+    from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
     from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
@@ -79,9 +79,10 @@ if TYPE_CHECKING:
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,
     )  # fmt: skip
     from hardware.boards.sensor_header import sensor_header
-    from hardware.boards.virtual_board import NO_TERMINALS
+    from hardware.boards.python_board import NO_TERMINALS
     from hardware.link.frames import Info
     from hardware.link.reception import LinkStatistics
+    from hardware.link.serial_ports import require_symlink, symlinked
     from hardware.readout.averaging import averaged, require_still
     from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
     from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar, scan_mode_named
@@ -92,7 +93,7 @@ if TYPE_CHECKING:
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
     from hardware.session import record_scans
-    from hardware.streams.addresses import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
+    from hardware.streams.stream import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
@@ -107,21 +108,21 @@ if TYPE_CHECKING:
         stage_table,
     )  # fmt: skip
     from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
-    from tripillar.sweep.finite_samples import simulate_finite
-    from tripillar.sweep.leaves import LeafJob, make_directory
+    from tripillar.datasets.finite_samples import simulate_finite
+    from tripillar.datasets.leaves import LeafJob, make_directory
     from tripillar.sweep.optimize import search
     from tripillar.sweep.rows import Row, write_parquet
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_table, draw_pareto, ranked, reasons, untold
+    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import serve
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-    from tripillar.viewer.sights import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
+    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
 @cache

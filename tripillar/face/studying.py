@@ -49,9 +49,8 @@ def run(
     caller, sensor = current(), design_of(design)
     with last_words(f"interrupted; the files in {out} are kept: give the same command again to go on."):
         result = stages.run_pipeline(sensor, Path(out), caller.bars, until_dataset=until == "dataset")
-    comparison, stage = stages.comparison_table, stages.stage_table
-    of_errors = [comparison(result.comparisons)] if result.comparisons else []
-    caller.answer(result.as_plain, lambda: [*of_errors, stage(result.stages)], *result.files)
+    of_errors = [stages.comparison_table(result.comparisons)] if result.comparisons else []
+    caller.answer(result.as_plain, lambda: [*of_errors, stages.stage_table(result.stages)], *result.files)
     return result
 
 
@@ -126,8 +125,7 @@ def sweep(
         "best": [row.flat(asked.metrics) for row in stages.ranked(rows, asked)[:best]],
         "files": [str(path) for path in files],
     }
-    table = stages.best_table
-    caller.answer(lambda: result, lambda: [table(rows, asked, best)], *files)
+    caller.answer(lambda: result, lambda: stages.best_tables(rows, asked, best), *files)
     for each in failed.values():
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
@@ -150,9 +148,8 @@ def _optimized(
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
-    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics)}
-    table = stages.best_table
-    current().answer(lambda: result | {"file": str(path)}, lambda: [table(rows, asked, 5)], path)
+    result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics), "file": str(path)}
+    current().answer(lambda: result, lambda: stages.best_tables(rows, asked, 5), path)
     return best
 
 

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from geometry.design import SensorDesign, quantity, with_model
+from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, FileFormatError
+from geometry.quantity import quantity
 from geometry.storage.files import digest
 from tripillar.face import stages
 from tripillar.face.caller import current

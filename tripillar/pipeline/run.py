@@ -6,6 +6,7 @@ says so, if its files hold the wanted key.
 """
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError, GeometryError
 from geometry.mesh import sensor_mesh, smallest_dihedral_deg, suited_settings
 from geometry.storage.files import digest, write_json, write_text
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from geometry.storage.journal import Journal, hashes_of, intact
+from geometry.storage.seal import say_made_anew
 from tripillar.pipeline.comparison import Comparison, compare
 from tripillar.pipeline.manufactured import SETTINGS, as_made
 from tripillar.terminal.progress import Bars
@@ -107,39 +109,20 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
 def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     """Write the design, and STEP and STL of the sensor's parts and its mould."""
     advance = bars.begin("CAD", total=1)
-    made = folder / "made.json"
-    cache_key = digest("cad", CAD_METHOD, design.unit, design.array)
-    files = _intact_files(made, cache_key)
-    reused = bool(files)
+    journal, cache_key = Journal(folder), digest("cad", CAD_METHOD, design.unit, design.array)
+    made = journal.read("made", partial(intact, folder)) or {}
+    reused = made.get("recipe") == cache_key
+    files = [folder / name for name in made["files"]] if reused else []
     if not reused:
         from geometry.mould import write_cad  # takes seconds to load: only when something is drawn
 
         files = write_cad(design, folder)
-        hashes = {path.name: _file_hash(path) for path in files}
-        write_text(sealed_json({"recipe": cache_key, "files": hashes}, 1) + "\n", made)
+        hashes = hashes_of({path.name: path.read_bytes() for path in files})
+        journal.keep("made", {"recipe": cache_key, "files": hashes})
     description = folder / "design.toml"
     write_text(design_to_toml(design), description)
     advance(1, "reused" if reused else f"{len(files)} files")
     return Stage(name="CAD", seconds=bars.seconds(), reused=reused, files=(description, *files))
-
-
-def _intact_files(made: Path, cache_key: str) -> list[Path]:
-    """The files that `made` lists, if it holds the cache key and each file is as it was written; otherwise none."""
-    try:
-        record = opened_json(made.read_text(encoding="utf-8"))
-        files = [made.parent / name for name in record["files"]]
-        if record["recipe"] != cache_key:
-            return []
-        damaged = [path for path in files if _file_hash(path) != record["files"][path.name]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        damaged = [made]
-    for path in damaged:
-        say_made_anew(path)
-    return [] if damaged else files
-
-
-def _file_hash(path: Path) -> str:
-    return digest(path.read_bytes())
 
 
 def meshed(design: SensorDesign, bars: Bars) -> Stage:

@@ -4,7 +4,8 @@ Every pillar is judged by the force along which it leans, its own; an upright on
 equations are in docs/results.md.
 """
 
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import astuple, fields, replace
 from time import perf_counter
 from typing import Any
 
@@ -24,7 +25,7 @@ from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
 from geometry.errors import DesignError
-from geometry.layout import AXES, FloatArray, pillar_ends, require_told
+from geometry.layout import AXES, FloatArray, pillar_vectors, require_told
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz
 from tripillar.sweep.rows import DISTANCES, Row
@@ -34,6 +35,7 @@ from tripillar.sweep.sweep_file import Judging
 Judged = dict[str, float | str]  #: metrics, or why there is none
 FAR = "no unit is {} × pitch away"  #: why crosstalk is not known
 LOADS = 8  #: draws of the three-axis protocol that the noise-limited error is the mean of
+ERRORS = ("error_n", "error_pct", *(f"error_{axis}_n" for axis in AXES), "condition")
 SEED = 0  #: of those draws, the same for every design
 
 
@@ -44,7 +46,8 @@ def row_of(sample: Sample, judging: Judging) -> Row:
     response, _, reused = array_response(sample.design, ResponseSettings(tolerance=judging.tolerance))
     found = metrics_of(response, judging.noise, judging.bits, judging.cap) | made_of(sample.design)
     if judging.touch_n:
-        found |= touch_of(sample.design, judging)
+        design, errors = sample.design, ReadingError(noise=judging.noise, bits=judging.bits)
+        found |= known(("touch_net_pct", "touch_place_mm"), lambda: touch_limits(design, judging.touch_n, errors))
     found |= {} if reused else {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
     found |= {"seconds": perf_counter() - start}
     return row_with(
@@ -67,7 +70,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     ----------
     response : ArrayResponse
     noise, bits : float, int or None
-        Of the readings, as `dataset.measurement.reading_deviation` takes them.
+        Of the readings, as in `dataset.measurement.ReadingError`.
     cap : float
         Largest strain |l − l₀|/l₀ of a pillar.
     """
@@ -80,7 +83,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     one, everywhere = largest_pressures(response, cap)
     range_n = min(one, everywhere) * design.pad.size_mm**2
     return {
-        **errors_of(response, forward, noise, bits, cap, range_n),
+        **known(ERRORS, lambda: errors_of(response, forward, noise, bits, cap, range_n)),
         "range_n": range_n,
         "pressure_one_mpa": one,
         "pressure_all_mpa": everywhere,
@@ -100,30 +103,32 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     }
 
 
-def errors_of(
-    response: ArrayResponse, forward: SensorModel, noise: float, bits: int | None, cap: float, range_n: float
-) -> Judged:
-    """Errors of pad loads and the condition number, or why the layout tells no loads."""
-    names = "error_n", "error_pct", *(f"error_{axis}_n" for axis in AXES), "condition"
+def known(names: Iterable[str], found: Callable[[], Iterable[float]]) -> Judged:
+    """Numbers by their names, or for each of these why they are not known."""
     try:
-        require_told(response.design.unit)
+        return dict(zip(names, found(), strict=True))
     except DesignError as refusal:
         return dict.fromkeys(names, str(refusal))
+
+
+def errors_of(
+    response: ArrayResponse, forward: SensorModel, noise: float, bits: int | None, cap: float, range_n: float
+) -> Iterator[float]:
+    """Errors of pad loads and the condition number; `DesignError` if the layout tells no loads."""
+    require_told(response.design.unit)
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
-    errors = noise_limited_errors(forward, force_columns(force_n, component_named("all")), noise, bits)
+    reading, array = ReadingError(noise=noise, bits=bits), response.design.array
+    force_n = force_columns(force_n, component_named("all"))
+    errors = noise_limited_errors(forward, force_n, reading, (array.rows, array.cols))
     error = float(np.sqrt((errors**2).mean()))
-    condition = float(np.linalg.cond(relative_slopes(forward)))
-    return dict(zip(names, (error, 100 * error / range_n, *map(float, errors), condition), strict=True))
+    yield from (error, 100 * error / range_n, *map(float, errors), float(np.linalg.cond(relative_slopes(forward))))
 
 
 def made_of(design: SensorDesign) -> Judged:
     """What a design takes to be built and read: size, rubber, wires and channels, scan rate, how well it casts."""
     (x, y, z), layout = design.slab_mm, design.unit.layout
     channels = design.n_units * len(layout.pillars)
-    try:
-        cast: Judged = asdict(castability(design))
-    except DesignError as error:
-        cast = dict.fromkeys((spec.name for spec in fields(Castability)), str(error))
+    cast = known([spec.name for spec in fields(Castability)], lambda: astuple(castability(design)))
     return {
         "area_cm2": x * y / 100,
         "volume_cm3": x * y * z / 1000,
@@ -133,16 +138,6 @@ def made_of(design: SensorDesign) -> Judged:
         "rate_hz": float(fastest_hz(channels)),
         **{name: "no pillar leans" if value is None else value for name, value in cast.items()},
     }
-
-
-def touch_of(design: SensorDesign, judging: Judging) -> Judged:
-    """Least deviations of touches, or why they are not known."""
-    names = "touch_net_pct", "touch_place_mm"
-    try:
-        found = touch_limits(design, judging.touch_n, ReadingError(noise=judging.noise, bits=judging.bits))
-    except DesignError as error:
-        return dict.fromkeys(names, str(error))
-    return dict(zip(names, found, strict=True))
 
 
 def relative_slopes(forward: SensorModel) -> FloatArray:
@@ -157,8 +152,7 @@ def own_axes(unit: Unit) -> list[int]:
     >>> own_axes(Unit())
     [2, 0, 1]
     """
-    foot, top = pillar_ends(unit).transpose(1, 0, 2)
-    leans = np.abs(top - foot)[:, :2]
+    leans = np.abs(pillar_vectors(unit)[:, :2])
     return np.where(leans.any(axis=1), leans.argmax(axis=1), AXES.index("z")).tolist()
 
 
@@ -190,12 +184,14 @@ def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
     return found
 
 
-def noise_limited_errors(forward: SensorModel, force_n: FloatArray, noise: float, bits: int | None) -> FloatArray:
+def noise_limited_errors(
+    forward: SensorModel, force_n: FloatArray, errors: ReadingError, shape: tuple[int, int]
+) -> FloatArray:
     """Least error of an unbiased estimate of each force component, root mean square over units and loads, (3,) [N].
 
     `force_n` has shape (n, n_forces). The bound is that of Cramér and Rao, a load at a time: that bounds memory.
     """
-    bounds = [cramer_rao(forward, force_n[k : k + 1], noise, bits) for k in range(len(force_n))]
+    bounds = [cramer_rao(forward, force_n[k : k + 1], errors, shape) for k in range(len(force_n))]
     return np.sqrt((np.concatenate(bounds).reshape(-1, len(AXES)) ** 2).mean(axis=0))
 
 

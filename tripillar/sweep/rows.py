@@ -19,8 +19,10 @@ DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
 
 #: what rows hold: name for tables and pictures, unit, meaning; those with {pillar} for each pillar of a unit
 METRICS = {
-    "error_n": ("error", "N", "noise-limited error of a force component, root mean square over axes, units and loads"),
-    "error_pct": ("error", "%", "the same in % of range_n"),
+    "error_n": (
+        "error of pad forces", "N", "noise-limited error of a force, root mean square over axes, units and loads"
+    ),
+    "error_pct": ("error of pad forces", "%", "the same in % of range_n"),
     **{f"error_{axis}_n": (f"error of F{axis}", "N", f"the same of F{axis} alone") for axis in AXES},
     "range_n": ("range", "N", "force along z that every pad can carry, alone or all together, below the strain cap"),
     "pressure_one_mpa": (
@@ -43,8 +45,10 @@ METRICS = {
     "condition": (
         "condition number", "1", "condition number of the map from forces to relative resistances, at rest"
     ),
-    "touch_net_pct": ("net force of a touch", "%", "least deviation of the normal force of a touch of touch_n, median"),
-    "touch_place_mm": ("place of a touch", "mm", "least deviation of its centre of pressure, median"),
+    "touch_net_pct": (
+        "error of a touch's net force", "%", "least deviation of the normal force of a touch of touch_n, median"
+    ),
+    "touch_place_mm": ("error of a touch's place", "mm", "least deviation of its centre of pressure, median"),
     "area_cm2": ("area", "cm²", "footprint of the slab"),
     "volume_cm3": ("volume", "cm³", "volume of the slab"),
     "conductive_cm3": ("conductive rubber", "cm³", "volume of all pillars"),

@@ -14,10 +14,16 @@ from tripillar.sweep.rows import Row, column
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable
 
-SHOWN = ("error_n", "error_pct", "range_n", "area_cm2", "crosstalk_1", "condition")  #: metrics of the table, at least
+#: metrics of the table, beside what is minimised and bounded
+SHOWN = (
+    *("touch_net_pct", "touch_place_mm", "error_n", "error_pct", "range_n", "crosstalk_1", "condition", "area_cm2"),
+    *("channels", "rate_hz", "conductive_cm3", "wall_mm", "undercut_mm"),
+)
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
 #: metrics of the Pareto picture, and whether more is better
 AGAINST = (("range_n", True), ("area_cm2", False), ("channels", False))
+BESIDE = 5  #: designs to a table
+DIGITS = 4  #: of a number in pictures: what differs by less is the same
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
 
 
@@ -32,25 +38,39 @@ def told(rows: Sequence[Row], sweep: Sweep) -> list[Row]:
     return [row for row in rows if row.metrics.get(sweep.least) is not None]
 
 
-def best_table(rows: Sequence[Row], sweep: Sweep, count: int) -> Table:
-    """The best designs within the bounds, a line each."""
+def best_tables(rows: Sequence[Row], sweep: Sweep, count: int) -> list[Table]:
+    """The best designs within the bounds, a column each, `BESIDE` to a table."""
     best = ranked(rows, sweep)
     failed = sum(row.failed for row in rows)
     sound, known = len(rows) - failed, len(told(rows, sweep))
     least = escape(sweep.metrics[sweep.least].label)
     outside = f", {known - len(best)} out of bounds" if sweep.bounds else ""
     outside += f", {sound - known} that do not tell it" if known < sound else ""
-    table = Table(title=f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed")
-    deciding = (sweep.least, *sweep.bounds)
-    counted = ("channels",) if len({row.metrics.get("channels") for row in best}) > 1 else ()
-    shown = tuple(dict.fromkeys((*deciding, *counted, *SHOWN)))[: max(len(SHOWN), len(deciding))]
-    for label in (*(variable.label for variable in sweep.variables), *(sweep.metrics[name].label for name in shown)):
-        table.add_column(escape(label.replace(" ", "\n")), justify="right", vertical="bottom")
-    for row in best[:count]:
-        values = (row.values[variable.name] for variable in sweep.variables)
-        words = (escape(value) if isinstance(value, str) else f"{value:.4g}" for value in values)
-        table.add_row(*words, *("–" if row.metrics.get(name) is None else f"{row.metric(name):.3g}" for name in shown))
-    return table
+    title = f"The {min(count, len(best))} designs of least {least} of {sound}{outside}; {failed} failed"
+    shown = [
+        name for name in dict.fromkeys((sweep.least, *sweep.bounds, *SHOWN)) if any(name in row.metrics for row in best)
+    ]
+    tables = []
+    for first in range(0, max(min(count, len(best)), 1), BESIDE):
+        part = best[first : min(first + BESIDE, count)]
+        table = Table(title="" if first else title)
+        table.add_column("design")
+        for number, _ in enumerate(part, first + 1):
+            table.add_column(str(number), justify="right", overflow="fold")
+        for variable in sweep.variables:
+            values = (row.values[variable.name] for row in part)
+            words = (escape(value) if isinstance(value, str) else f"{value:.4g}" for value in values)
+            table.add_row(escape(variable.label), *words)
+        table.add_section()
+        for name in shown:
+            table.add_row(escape(sweep.metrics[name].label), *(_number(row.metrics.get(name)) for row in part))
+        tables.append(table)
+    return tables
+
+
+def _number(value: float | None) -> str:
+    """A metric to three digits, a large one to its last."""
+    return "–" if value is None else f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def reasons(rows: Sequence[Row]) -> dict[str, list[str]]:
@@ -81,18 +101,18 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = told(rows, sweep)
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    error = column(sound, sweep.least)
+    error = _drawn(sound, sweep.least)
     variable = telling_variable(sound, sweep)
     shade = _shades(sound, variable)
     norm: Normalize = LogNorm() if _is_wide(shade) else Normalize()
     ticks = range(len(variable.values)) if variable.changes else None
     if ticks is not None:
         norm = BoundaryNorm(np.arange(len(ticks) + 1) - 0.5, 256)
-    against = [pair for pair in AGAINST if np.ptp(column(sound, pair[0])) > 0] or [AGAINST[0]]
+    against = [pair for pair in AGAINST if np.ptp(_drawn(sound, pair[0])) > 0] or [AGAINST[0]]
     figure = Figure(figsize=(4.5 + 3.5 * len(against), 5.2), dpi=120, layout="constrained")
     panels = figure.subplots(1, len(against), sharey=True, squeeze=False)[0]
     for axes, (name, more) in zip(panels, against, strict=True):
-        other = column(sound, name)
+        other = _drawn(sound, name)
         if not within.all():
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
@@ -146,6 +166,11 @@ def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
         return abs(float(spearmanr(values, error).statistic))
 
     return max(sweep.variables, key=agreement)
+
+
+def _drawn(rows: Sequence[Row], name: str) -> FloatArray:
+    """A metric of all rows as pictures have it, to `DIGITS`."""
+    return np.array([float(f"{value:.{DIGITS}g}") for value in column(rows, name)])
 
 
 def _shades(rows: Sequence[Row], variable: Variable) -> FloatArray:

@@ -29,17 +29,6 @@ def wrote(files: Iterable[Path]) -> None:
         print(path, file=sys.stderr)
 
 
-def run_alone(function: Callable[..., None]) -> NoReturn:
-    """Run a function as a program of its own, `python -m studies...`."""
-    interrupts.install()
-    app = cyclopts.App(
-        help_format="plaintext", help_formatter="plain", result_action="return_value", version_flags=(),
-        default_parameter=cyclopts.Parameter(negative=()), exit_on_error=False, print_error=False,
-    )  # fmt: skip
-    app.default(function)
-    run(lambda: int(app(sys.argv[1:]) or 0))
-
-
 def run(called: Callable[[], int]) -> NoReturn:
     """Run what was asked for; a user's mistake ends with one line on stderr and exit code 2."""
     for folder in (cache_folder(), Path(tempfile.gettempdir())):

@@ -17,8 +17,8 @@ from hardware.link.reception import LinkStatistics, Scan
 from hardware.readout.forces import Forces, LiveSensor
 from hardware.readout.wrench import Wrench
 from hardware.session import scans_within
-from hardware.streams.addresses import Stream
 from hardware.streams.scene import colours
+from hardware.streams.stream import Stream
 from hardware.streams.topics import wrench_content
 
 ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
@@ -63,16 +63,16 @@ def live_view(
         f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[k]:.1f}'} N"
         for axis, k in zip(axes, (AXES.index(axis) for axis in axes), strict=True)
     )
-    unsure = "" if deviation_n is None else f"   ± {float(deviation_n.mean()):.1f} N each (68 %)"
+    unsure = "" if deviation_n is None else f"; each pad ± {float(deviation_n.mean()):.1f} N (68 %)"
     damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
-        f"{rate_hz:5.1f} frames/s   {stats.ok} ok   {stats.lost} lost   {damaged} damaged   "
-        f"{stats.overruns_said}   {stats.dropped} dropped   {stats.reconnects} reconnects"
+        f"{rate_hz:5.1f} frames/s  {stats.ok} ok  {stats.lost} lost  {damaged} damaged  "
+        f"{stats.overruns_said}  {stats.dropped} dropped  {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"
     head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
-    pressed = Text(f"centre of pressure {_centre(wrench)}")
-    lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums + unsure)]
+    pressed = Text(f"centre of pressure {_centre(wrench)}{unsure}")
+    lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums)]
     remembered = [] if scan.memory_rise is None else [memory_line(scan)]
     lines += [pressed, *map(Text, contact_lines(scan) + remembered), Text(link)]
     return Group(*lines, *(Text(note, style="bold red") for note in notes))
@@ -133,6 +133,8 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
             view = live_view(frame, axes, full_scale, pace(newest), scanner.stats, notes)
             screen.update(view, refresh=True)
+    if not screen.console.is_terminal:  # on one, `Live` ends the line itself
+        screen.console.line()
 
 
 def notes_on(scan: Forces) -> list[str]:

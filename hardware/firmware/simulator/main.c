@@ -173,28 +173,9 @@ static double run(avr_t *avr, const options_t *options)
 
 // ---- reports ----------------------------------------------------------------------------------------------
 
-static void print_string(const char *text)
-{
-    putchar('"');
-    for (; *text; text++) {
-        if (*text == '"' || *text == '\\')
-            putchar('\\');
-        if ((unsigned char)*text < ' ')
-            printf("\\u%04x", *text);
-        else
-            putchar(*text);
-    }
-    putchar('"');
-}
-
 static void report_start(const options_t *options)
 {
-    printf("{\"port\": \"%s\", \"link\": ", port_name());
-    if (options->link)
-        print_string(options->link);
-    else
-        printf("null");
-    printf(", \"mcu\": \"%s\"}\n", options->mcu);
+    printf("{\"port\": \"%s\", \"mcu\": \"%s\"}\n", port_name(), options->mcu);
     fflush(stdout);
 }
 
@@ -226,7 +207,7 @@ int main(int argc, char **argv)
     avr_t *avr = board_with(options.mcu, options.elf);
     crossbar_connect(avr, options.mcu, &table);
     uart_connect(avr, options.damage);
-    port_open(options.link);
+    port_open();
     avr->reset = on_reset;
     on_reset(avr);
     report_start(&options);

@@ -8,11 +8,11 @@
 #include <stdlib.h>
 
 static const char USAGE[] =
-    "usage: simavr-board --elf FILE --mcu atmega328p|atmega2560 --table FILE [--link PATH] [--seconds S] [--fast]\n"
+    "usage: simavr-board --elf FILE --mcu atmega328p|atmega2560 --table FILE [--seconds S] [--fast]\n"
     "                   [--with-parent] [--damage N]\n"
     "\n"
     "Runs the firmware in FILE on a simulated board. Its serial port is a pseudo terminal, named on the first\n"
-    "line of output and, if asked for, linked to from PATH; the readings of its converter come from the table.\n"
+    "line of output; the readings of its converter come from the table.\n"
     "  --seconds S  stop after S seconds of the board's time\n"
     "  --fast       as fast as possible instead of in real time; waits for a reader, so that nothing is lost\n"
     "  --with-parent  stop when the program that started this one is gone, however it ended\n"
@@ -53,10 +53,10 @@ options_t options_parse(int argc, char **argv)
 {
     static const struct option LONG[] = {
         {"elf", required_argument, NULL, 'e'},     {"mcu", required_argument, NULL, 'm'},
-        {"table", required_argument, NULL, 't'},   {"link", required_argument, NULL, 'l'},
-        {"seconds", required_argument, NULL, 's'}, {"fast", no_argument, NULL, 'f'},
-        {"help", no_argument, NULL, 'h'},          {"with-parent", no_argument, NULL, 'p'},
-        {"damage", required_argument, NULL, 'd'},  {NULL, 0, NULL, 0},
+        {"table", required_argument, NULL, 't'},   {"seconds", required_argument, NULL, 's'},
+        {"fast", no_argument, NULL, 'f'},          {"help", no_argument, NULL, 'h'},
+        {"with-parent", no_argument, NULL, 'p'},   {"damage", required_argument, NULL, 'd'},
+        {NULL, 0, NULL, 0},
     };
     options_t options = {0};
     opterr = 0;
@@ -65,7 +65,6 @@ options_t options_parse(int argc, char **argv)
         case 'e': options.elf = optarg; break;
         case 'm': options.mcu = optarg; break;
         case 't': options.table = optarg; break;
-        case 'l': options.link = optarg; break;
         case 's': options.seconds = seconds_from(optarg); break;
         case 'f': options.fast = true; break;
         case 'p': options.with_parent = true; break;

@@ -9,7 +9,6 @@ typedef struct {
     const char *elf;
     const char *mcu;
     const char *table;
-    const char *link;  // NULL: none
     double seconds;    // of device time; 0: until stopped
     bool fast;
     bool with_parent;

@@ -7,11 +7,8 @@
 #include <limits.h>
 #include <poll.h>
 #include <pty.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
-#include <sys/stat.h>
 #include <termios.h>
 #include <time.h>
 #include <unistd.h>
@@ -20,29 +17,8 @@
 
 static int master, slave;
 static char name[128];
-static const char *link_path;
 
-static void remove_link(void)
-{
-    char target[sizeof name] = "";
-    ssize_t length = readlink(link_path, target, sizeof target - 1);
-    if (length > 0 && strcmp(target, name) == 0)  // another board may have taken it over
-        unlink(link_path);
-}
-
-static void make_link(void)
-{
-    struct stat status;
-    if (lstat(link_path, &status) == 0 && !S_ISLNK(status.st_mode))
-        fail("%s: exists and is no link: choose another --link, or remove it.", link_path);
-    char temporary[PATH_MAX];
-    snprintf(temporary, sizeof temporary, "%s.%ld", link_path, (long)getpid());
-    if (symlink(name, temporary) < 0 || rename(temporary, link_path) < 0)  // a rename replaces an old link at once
-        fail("%s: %s: choose another --link.", link_path, strerror(errno));
-    atexit(remove_link);
-}
-
-void port_open(const char *link)
+void port_open(void)
 {
     struct termios raw;
     if (openpty(&master, &slave, name, NULL, NULL) < 0 || tcgetattr(slave, &raw) < 0)
@@ -53,9 +29,6 @@ void port_open(const char *link)
     fcntl(master, F_SETFL, O_NONBLOCK);
     fcntl(master, F_SETFD, FD_CLOEXEC);
     fcntl(slave, F_SETFD, FD_CLOEXEC);
-    link_path = link;
-    if (link)
-        make_link();
 }
 
 const char *port_name(void)

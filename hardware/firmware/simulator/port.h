@@ -7,8 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// Opens it; `link` may be NULL. Whatever ends the program, the link is removed.
-void port_open(const char *link);
+void port_open(void);
 
 const char *port_name(void);
 

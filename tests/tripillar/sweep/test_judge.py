@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named
 from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.layout import LAYOUTS, Layout
 from tripillar.sweep import judge
-from tripillar.sweep.sweep_file import Judging
 
 C = 1e-3  #: compliance of the springs [mm/N]
 FALL = 0.3  #: of the influence, each pitch
@@ -49,7 +49,7 @@ def test_noise_limited_error_of_alone_standing_springs():
     """z: σ/|Gzz|. The x pillar shortens by C/√2 under Fz as under Fx, so Fx takes up the error of both readings."""
     sigma, z, x = 1e-3, 2 * C / 10, C / 10
     expected = [np.hypot(sigma / x, sigma / z), np.hypot(sigma / x, sigma / z), sigma / z]
-    errors = judge.noise_limited_errors(forward(springs(fall=0)), np.zeros((1, 30)), sigma, None)
+    errors = judge.noise_limited_errors(forward(springs(fall=0)), np.zeros((1, 30)), ReadingError(noise=sigma), (2, 5))
     assert errors == pytest.approx(expected, rel=1e-12)
 
 
@@ -86,8 +86,9 @@ def test_what_a_design_cannot_tell_is_a_reason():
     assert "do not tell forces along x and y" in found["error_n"]
     pair = replace(SPRINGS, array=Array(rows=1, cols=2))
     assert judge.metrics_of(springs(design=pair), 1e-3, None, 0.3)["crosstalk_z_2"] == "no unit is 2 × pitch away"
-    conducting = judge.touch_of(replace(SPRINGS, electrics=Electrics(model="conduction")), Judging(touch_n=20.0))
-    assert "conduction under contact takes plates" in conducting["touch_net_pct"]
+    conducting = replace(SPRINGS, electrics=Electrics(model="conduction"))
+    untold = judge.known(("net", "place"), lambda: judge.touch_limits(conducting, 20.0, ReadingError(noise=1e-3)))
+    assert all("conduction under contact takes plates" in reason for reason in untold.values())
 
 
 def test_what_a_design_takes_to_be_read():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from fem.array.closed_forms import layer_response
 from geometry.design_file import design_from_toml, read_design
@@ -18,6 +19,7 @@ from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all, kept_rows
 from tripillar.sweep.sampling import samples_of
 from tripillar.sweep.sweep_file import sweep_from_dict
+from tripillar.sweep.trade_offs import best_tables, draw_pareto
 
 GRID = sweep_from_dict(
     {
@@ -106,6 +108,21 @@ def test_touches_are_judged_where_a_force_is_given(monkeypatch, house):
     row = judge.row_of(samples_of(GRID)[0], replace(GRID.judging, touch_n=20.0))
     assert (row.metric("touch_net_pct"), row.metric("touch_place_mm")) == (20.0, GRID.judging.noise)
     assert "touch_net_pct" not in judge.row_of(samples_of(GRID)[0], GRID.judging).metrics
+
+
+def test_the_best_designs_stand_beside_each_other_and_equal_ranges_make_no_panel(tmp_path):
+    """Five to a table; ranges that differ by rounding are one, so that the picture is of channels alone."""
+    metrics = [{"error_n": 1.0 + k, "range_n": 509.0 + 1e-9 * k, "area_cm2": 9.0, "channels": 12 + k} for k in range(7)]
+    rows = [
+        Row(cache_key=str(k), values={"pad.size_mm": 9.0 + k, "resistivity_ohm_mm": 4e3}, design="x", metrics=each)
+        for k, each in enumerate(metrics)
+    ]
+    tables = best_tables(rows, GRID, 8)
+    assert [[str(column.header) for column in table.columns[1:]] for table in tables] == [list("12345"), list("67")]
+    assert list(tables[1].columns[1].cells)[:3] == ["14", "4000", "6"]
+    draw_pareto(rows, GRID, tmp_path / "pareto.png")
+    with Image.open(tmp_path / "pareto.png") as picture:
+        assert picture.width == 960  # 8 inches: one panel
 
 
 def test_a_design_that_ends_its_worker_is_a_row(tmp_path, monkeypatch):

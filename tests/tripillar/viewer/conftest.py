@@ -10,8 +10,8 @@ import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, SensorDesign
-from hardware.streams.addresses import listening_on
-from tripillar.viewer import sights
+from hardware.streams.stream import listening_on
+from tripillar.viewer import panels as shown
 from tripillar.viewer.page.page import Subject
 from tripillar.viewer.page.sensing import PressedSensor, inverse_forces
 from tripillar.viewer.page.server import Server
@@ -45,8 +45,8 @@ def subject(pair_field):
 def panels(subject):
     """Parts of its array under 1 and 3 MPa on every pad."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sights, "solve_array_field", lambda *_: subject.field)
-        return sights.panels_of(DESIGN, (1.0, 3.0), "uniform", stress=True)
+        patch.setattr(shown, "solve_array_field", lambda *_: subject.field)
+        return shown.panels_of(DESIGN, (1.0, 3.0), "uniform", stress=True)
 
 
 def a_feed(**said):

@@ -13,7 +13,7 @@ import aiohttp
 import psutil
 import pytest
 
-from hardware.streams.addresses import listening_on
+from hardware.streams.stream import listening_on
 from tests.tripillar.viewer.visitor import PATIENT_S, Visitor, frame, memory_mb, rest
 from tripillar.viewer.page import server as server_module
 from tripillar.viewer.page.server import FILES, MAX_BROWSERS, MAX_BYTES, Guard, Server

@@ -18,15 +18,16 @@ from decoupler.model.model_file import write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.pictures.deformation import DeformedPicture
 from geometry.layout import upper_electrodes
+from hardware.boards.python_board import PythonBoard
 from hardware.boards.simulated import STEP_S, PressAndSlide, press_and_slide
-from hardware.boards.virtual_board import VirtualBoard
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics
 from tests.house import House
 from tests.tripillar.viewer.conftest import DESIGN
 from tests.tripillar.viewer.visitor import Visitor
 from tripillar.face import inputs
-from tripillar.viewer import saving, sights
+from tripillar.viewer import panels as shown
+from tripillar.viewer import saving
 
 INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, rate_hz=100)
 RECTANGLE = "center_mm = [6.0, 6.0]\nsize_mm = [6.0, 6.0]"
@@ -54,7 +55,7 @@ def house(tmp_path):
 
 
 def test_several_pressures_are_drawn_side_by_side_and_a_window_needs_a_display(house, subject, monkeypatch):
-    monkeypatch.setattr(sights, "solve_array_field", lambda *_: subject.field)
+    monkeypatch.setattr(shown, "solve_array_field", lambda *_: subject.field)
     told = house.result("view", "small.toml", "--pressure", "1", "3", "--save", "two.png", "--scale", "auto", "-q")
     assert told["file"] == "two.png"
     one, three = (told["largest_displacement_mm"][f"{p} MPa at the indenter's middle"] for p in (1, 3))
@@ -108,11 +109,11 @@ def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels,
     seen = field.observe(points.reshape(-1, 3)).displacement_mm(field.state(np.tile([0.0, 0.0, -3.0], (2, 1))))
     moved_mm = seen.reshape(2, len(points), -1, 3).mean(axis=2)
     expected = pillar_strains(moved_mm, pillar_lengths(moved_mm, unit), unit).max()
-    assert sights.pillar_strain(DESIGN, panels["3 MPa on every pad"]) == pytest.approx(
+    assert shown.pillar_strain(DESIGN, panels["3 MPa on every pad"]) == pytest.approx(
         expected, rel=0.02
     )  # 16 points of each
-    assert sights.linear_note(DESIGN, panels).startswith("linear, but a pillar strain of ")
-    assert sights.linear_note(DESIGN, {"1 MPa": panels["1 MPa on every pad"]}) == ""
+    assert shown.linear_note(DESIGN, panels).startswith("linear, but a pillar strain of ")
+    assert shown.linear_note(DESIGN, {"1 MPa": panels["1 MPa on every pad"]}) == ""
 
 
 def test_a_board_deforms_the_array_until_ctrl_c(subject, tmp_path):
@@ -135,7 +136,7 @@ def test_a_board_deforms_the_array_until_ctrl_c(subject, tmp_path):
             assert "scans/s" in browser.shown["link"]
             assert browser.shown["applied_n"] == [None] * 6  # nobody knows what acts
 
-    with VirtualBoard(counts, INFO, step_s=STEP_S) as board:
+    with PythonBoard(counts, INFO, step_s=STEP_S) as board:
         words = "view", "--serve", "--http-port", "0", "--model", "model.safetensors", "--json", "-q", "--port"
         process = subprocess.Popen(
             house.command(*words, board.port), stdout=subprocess.PIPE, stderr=subprocess.PIPE,

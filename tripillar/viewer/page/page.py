@@ -33,7 +33,7 @@ from tripillar.viewer.page.controls import (
 from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, Reading, SensorFeed
-from tripillar.viewer.sights import beyond_linear
+from tripillar.viewer.panels import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces

@@ -137,7 +137,7 @@ class Server:
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=GOODBYE_S)
 
     async def start(self, listening: socket.socket) -> str:
-        """Serve on a socket of `hardware.streams.addresses.listening_on`; returns the page's address."""
+        """Serve on a socket of `hardware.streams.stream.listening_on`; returns the page's address."""
         await self._runner.setup()
         http, loop = self._runner.server, asyncio.get_running_loop()
         assert http is not None
@@ -197,7 +197,7 @@ class Server:
 async def serve(subject: Subject, host: str, listening: socket.socket, on_ready: Callable[[str], None]) -> None:
     """Serve the page, and look at its sensor, until Ctrl-C or a termination; a second one interrupts.
 
-    The host is as the user gave it, the socket one of `hardware.streams.addresses.listening_on`. `on_ready` is called
+    The host is as the user gave it, the socket one of `hardware.streams.stream.listening_on`. `on_ready` is called
     with the page's address, which holds its token, once browsers can come.
     """
     server = Server(subject, host)

@@ -1,4 +1,4 @@
-"""Opening streams: addresses, who can reach them, and files with room for their own end."""
+"""What a stream is; addresses to serve it on, who can reach them, and files with room for their own end."""
 
 import shutil
 import socket

@@ -3,7 +3,6 @@
 Until then they are in a folder beside it, so that a killed run is taken up again and nothing is copied in the end.
 """
 
-import hashlib
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -24,8 +23,8 @@ from fem.array.response import ArrayResponse
 from geometry.errors import NotWrittenError
 from geometry.pool import open_pool
 from geometry.storage.files import digest, reported
-from geometry.storage.journal import Journal
-from tripillar.sweep.parts import made_parts
+from geometry.storage.journal import Journal, hashes_of, intact
+from tripillar.datasets.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 
 
@@ -137,7 +136,7 @@ def make_directory(
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
     with reported(out, folder / "any"), journal.alone(), last_words(f"stopped; {go_on}"):
         try:
-            read = {number: journal.read(job.key(number), partial(_intact, folder)) for number in numbers}
+            read = {number: journal.read(job.key(number), partial(intact, folder / "data.zarr")) for number in numbers}
             found = {number: record for number, record in read.items() if record is not None}
             kept = sum(job.size(number) for number in found)
             progress(kept)
@@ -147,7 +146,7 @@ def make_directory(
                     write_leaf(folder / "data.zarr", made)
                     found[number] = {
                         "redrawn": redrawn,
-                        "files": {name: _hash(content) for name, content in made.content.items()},
+                        "files": hashes_of(made.content),
                         "hashes": made.hashes,
                     }
                     journal.keep(job.key(number), found[number])
@@ -171,14 +170,6 @@ def unfinished(out: Path, job: LeafJob) -> Path:
     return target.with_name(f"{target.name}.unfinished-{job.cache_key[:8]}")
 
 
-def _intact(folder: Path, record: dict[str, Any]) -> dict[str, Any]:
-    """A record of a leaf; `ValueError` or `OSError` if its files are not those that it states."""
-    for name, stated in record["files"].items():
-        if _hash((folder / "data.zarr" / name).read_bytes()) != stated:
-            raise ValueError
-    return record
-
-
 def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], attributes: Mapping[str, Any]) -> None:
     """Add the headers, last of all, and remove what is of a longer data set."""
     tree, header = folder / "data.zarr", folder / "header"
@@ -198,7 +189,3 @@ def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], a
             target.mkdir(exist_ok=True)
         else:
             path.replace(target)
-
-
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

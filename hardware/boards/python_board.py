@@ -9,8 +9,8 @@ import sys
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import MAX_OVERRUNS, Errors, Frame, FrameError, Info, encode
-from hardware.link.serial_ports import PortError, link_to
+from hardware.link.serial_ports import PortError
 
 _RATES_HZ = range(1, 1001)  # that it can hold
 _TURN_S = 0.05  # longest wait for the host
@@ -39,7 +39,7 @@ def a_frame(info: Info, counts: NDArray[Any], number: int, time_us: int, overrun
 
 
 class CountedPort(BoardPort):
-    """A board in memory of known counts, `info.rate_hz` times a second; parameters as of `VirtualBoard`, `BoardPort`.
+    """A board in memory of known counts, `info.rate_hz` times a second; parameters as of `PythonBoard`, `BoardPort`.
 
     A scan that is late by more than a period is skipped and counted in the frames' overruns.
     """
@@ -79,7 +79,7 @@ class CountedPort(BoardPort):
         return encode(self.info)
 
 
-class VirtualBoard:
+class PythonBoard:
     """Sends frames of known counts `info.rate_hz` times a second on a pseudo-terminal, until closed.
 
     Parameters
@@ -91,39 +91,30 @@ class VirtualBoard:
     step_s : float, optional
         How long the board stays at each row of counts [s]; one period of `info.rate_hz` unless given. Counts
         belong to times, not to frames: neither another rate nor overruns change how fast they go by.
-    link : path, optional
-        A symbolic link to keep on the port, so that its name stays the same.
 
     Notes
     -----
-    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full. `dropped_bytes` counts them.
+    As from a UART, bytes that nobody reads are lost once the terminal's buffer is full.
 
     Examples
     --------
-    >>> with VirtualBoard(np.full(108, 512), Info(rate_hz=100)) as board:
+    >>> with PythonBoard(np.full(108, 512), Info(rate_hz=100)) as board:
     ...     with open(board.port, "rb", buffering=0) as port:
     ...         len(port.read(1))
     1
     """
 
-    def __init__(
-        self, counts: ArrayLike, info: Info, *, step_s: float | None = None, link: Path | str | None = None
-    ) -> None:
+    def __init__(self, counts: ArrayLike, info: Info, *, step_s: float | None = None) -> None:
         if sys.platform == "win32":
             raise PortError(NO_TERMINALS)
         import tty
 
         self._board = CountedPort(counts, info, step_s)
         self.sent = self._board.sent  #: sequence numbers of the last frames, time.perf_counter() when they were sent
-        self.dropped_bytes = 0  #: that nobody read in time
-        self._link = None if link is None else Path(link)
         self._end, self._host_end = os.openpty()  # the board's; the host's, which only stays open
-        self._terminal = os.ttyname(self._host_end)
-        self.port = str(link or self._terminal)  #: for the host to open: the link, if there is one
+        self.port = os.ttyname(self._host_end)  #: for the host to open
         tty.setraw(self._host_end)
         os.set_blocking(self._end, False)
-        if self._link:
-            link_to(self._link, self._terminal)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="virtual board", daemon=True)
         self._thread.start()
@@ -140,8 +131,6 @@ class VirtualBoard:
             return
         self._closing.set()
         self._thread.join()
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._terminal:  # not another board's
-            self._link.unlink()
         for end in (self._end, self._host_end):
             os.close(end)
 
@@ -153,8 +142,5 @@ class VirtualBoard:
             if ready:
                 self._board.write(os.read(self._end, 4096))
             wire = self._board.read(self._board.in_waiting) if self._board.in_waiting else b""
-            try:
-                n_sent = os.write(self._end, wire)
-            except BlockingIOError:  # the buffer is full
-                n_sent = 0
-            self.dropped_bytes += len(wire) - n_sent
+            with suppress(BlockingIOError):  # the buffer is full
+                os.write(self._end, wire)

@@ -12,7 +12,7 @@ from fem.finite.samples import typical_conduction
 from geometry.pool import open_pool
 from geometry.storage.files import cache_folder
 from geometry.storage.journal import Journal
-from tripillar.sweep.parts import made_parts
+from tripillar.datasets.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 
 _solvers: dict[str, GroupSolver] = {}  #: of this process, the last one only

@@ -12,7 +12,7 @@ from geometry.design import Array, Pad, SensorDesign
 from geometry.errors import DesignError
 from geometry.pool import WorkerLost
 from tests.dataset.conftest import made_up_response
-from tripillar.sweep import finite_samples as finite
+from tripillar.datasets import finite_samples as finite
 
 DESIGN = SensorDesign(array=Array(rows=1, cols=1, pitch_mm=20.0), pad=Pad(kind="stiff"))
 NOMINAL = made_up_response(DESIGN)  #: samples at finite strain need one to correct their grids

@@ -13,7 +13,7 @@ from geometry import Array, SensorDesign
 from geometry.errors import NotWrittenError
 from geometry.storage.journal import Journal
 from tests.dataset.conftest import made_up_response
-from tripillar.sweep.leaves import LeafJob, make_directory, unfinished
+from tripillar.datasets.leaves import LeafJob, make_directory, unfinished
 
 RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
 
