@@ -16,9 +16,9 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.layout import AXES, LAYOUTS
+from studies.program import run_alone
 from studies.tables import Row, report
 from studies.touched import unknown_samples
-from tripillar.terminal.entry import run_alone
 
 READ = ReadingError(noise=1e-3, bits=12)  #: of touches
 TESTS = 200  #: samples of pad loads that test
