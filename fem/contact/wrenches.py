@@ -39,9 +39,9 @@ def moved_by_wrenches(
         progress("cell")
         squares = cell_rectangles(design)
         if design.is_homogeneous:  # a mesh of tetrahedra has edges along all tiles
-            bears = on_tiles.any(axis=1)
-            squares = np.delete(squares, np.flatnonzero(~bears[::3]), axis=0)
-            on_tiles = on_tiles[bears]
+            bears = np.flatnonzero(on_tiles.any(axis=1))
+            idle = np.setdiff1d(np.arange(tiles**2), bears // 3)
+            squares, on_tiles = np.delete(squares, idle, axis=0), on_tiles[bears]
         cell = own_cell(DesignCell(design, squares, pad_plate(design)))
         n_seen = cell.transfer.shape[1] - len(on_tiles)
         taken = np.zeros((cell.transfer.shape[1], N_LOADS + n_seen))
