@@ -25,7 +25,7 @@ def draw_contact(contact: Contact, path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    below_title = ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 0.96))
+    below_title = ConstrainedLayoutEngine(rect=(0.0, 0.04, 1.0, 0.92))  # legends hang a little below
     figure = Figure(figsize=(12.5, 6.0), dpi=120, layout=below_title)
     array, zoom = figure.subplots(1, 2)
     _draw_units(array, contact)
@@ -112,4 +112,5 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
 
 def _explain(axes: "Axes", drawn: "Quiver", length: float, label: str) -> None:
     """Put an arrow of a length of the axes, with what it stands for, above the axes' corner."""
-    axes.quiverkey(drawn, 0.02, 1.03, length, label, labelpos="E", fontproperties={"size": 8})
+    low, high = axes.get_xlim()
+    axes.quiverkey(drawn, 0.02 + length / (high - low), 1.03, length, label, labelpos="E", fontproperties={"size": 8})

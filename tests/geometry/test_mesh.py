@@ -172,6 +172,7 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
         np.array(end[:2]) + ring * generator.uniform(0.98, 1.02, (10, 1)) for end in (column.base_mm, column.top_mm)
     ]
     points = np.vstack([np.column_stack([one, np.full(10, z)]) for one, z in zip(rings, (0.0, 6.0), strict=True)])
+    points = np.vstack([points, column.base_mm])  # on the axis, of no face
     k, after = np.arange(10), (np.arange(10) + 1) % 10
     faces = np.vstack([np.column_stack([k, after, 10 + k]), np.column_stack([after, 10 + after, 10 + k])])
     moved = snap_to_side(points, faces, column, 0.05)
@@ -179,7 +180,7 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     assert column.volume_mm3 == pytest.approx(np.pi * 1.5 * 6.0)
     assert hull.volume == pytest.approx(column.volume_mm3, rel=1e-9)
     assert np.array_equal(moved[:, 2], points[:, 2])
-    on_side = column.own(moved[:, :2] - column.axis_at(moved[:, 2])) / column.section_mm
+    on_side = (column.own(moved[:, :2] - column.axis_at(moved[:, 2])) / column.section_mm)[:-1]
     assert np.ptp(np.linalg.norm(on_side, axis=1)) < 1e-12  # on one ellipse
     assert np.array_equal(snap_to_side(points, faces, column, 1e-3), points)  # further away than the slack
 

@@ -111,6 +111,17 @@ def test_files_hold_the_solids_exactly_and_one_design_gives_the_same_bytes_twice
     assert STEP_TIME.encode() in first["unit.step"]  # the two may be written within a second
 
 
+def test_round_pillars_have_as_many_sides_as_asked():
+    """Of the same volume: for the mesher fewer than for the mould."""
+    unit = Unit(layout=round_of(LAYOUTS["upright-four"]))
+    alone = SensorDesign(unit=unit, array=Array(rows=1, cols=1))
+    for sides in (8, 24):
+        assert [len(pillar.faces()) for pillar in pillar_solids(unit, sides)] == [sides + 2] * 4
+        array = array_solid(alone, sides)
+        assert len(array.faces()) == 4 * (sides + 2)
+        assert array.volume == pytest.approx(pillar_volumes(unit).sum(), rel=EXACT)
+
+
 def overlap_mm3(a, b) -> float:
     common = a & b
     return sum(solid.volume for solid in common.solids()) if common else 0.0
