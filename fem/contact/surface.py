@@ -179,8 +179,13 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
     progress("cells")
     source = DesignCell(design, cell_rectangles(design), pad_plate(design))
-    own = own_cell(source)
-    plain = _plain_cell(source, own)
+    own = plain = own_cell(source)
+    if not design.is_homogeneous:  # of bare matrix, on the same mesh
+        mesh = source.tetrahedra(MESH_LEVEL).mesh
+        matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
+        plain = CellSides.of(CellBody.of_tetrahedra(matrix), source.rectangles).cell(MESH_DEGREE)
+    elif source.plate is not None:
+        plain = _extrapolated(DesignCell(design, source.rectangles))
     progress(f"coupling {rows} × {cols}")
     moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
@@ -208,16 +213,6 @@ def own_cell(source: DesignCell) -> CondensedCell:
     if not source.design.is_homogeneous:
         return source.condensed(MESH_LEVEL, MESH_DEGREE)
     return source.condensed(GRID_LEVEL, GRID_DEGREE) if source.plate is None else _extrapolated(source)
-
-
-def _plain_cell(source: DesignCell, own: CondensedCell) -> CondensedCell:
-    """The same of bare matrix, on the same mesh."""
-    design = source.design
-    if design.is_homogeneous:
-        return own if source.plate is None else _extrapolated(DesignCell(design, source.rectangles))
-    mesh = source.tetrahedra(MESH_LEVEL).mesh
-    matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return CellSides.of(CellBody.of_tetrahedra(matrix), source.rectangles).cell(MESH_DEGREE)
 
 
 def _extrapolated(source: DesignCell) -> CondensedCell:
