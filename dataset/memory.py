@@ -30,15 +30,13 @@ class PillarMemory:
     def spread(cls, memory: Memory, factors: Any) -> "PillarMemory":
         """Of pillars whose a₁, a₂, both b, τ₁ and τ₂ differ from a rubber's by `factors` (6, ...)."""
         a1, a2, lengthen, shorten, tau1, tau2 = factors
-        return cls(
-            a=(a1 * memory.a[0], a2 * memory.a[1]),
-            b_lengthen=lengthen * memory.b_lengthen,
-            b_shorten=shorten * memory.b_shorten,
-            tau_s=(tau1 * memory.tau_s[0], tau2 * memory.tau_s[1]),
-            g1=memory.g1,
-            g2=memory.g2,
-            direction=memory.direction,
-        )
+        own = {
+            "a": (a1 * memory.a[0], a2 * memory.a[1]),
+            "b_lengthen": lengthen * memory.b_lengthen,
+            "b_shorten": shorten * memory.b_shorten,
+            "tau_s": (tau1 * memory.tau_s[0], tau2 * memory.tau_s[1]),
+        }
+        return cls(**vars(memory) | own)
 
 
 AnyMemory = Memory | PillarMemory
