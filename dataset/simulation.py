@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 from dataset.histories import between, programme
-from dataset.imperfections import PAPERS, SEEDS, Imperfections
+from dataset.imperfections import SEEDS, Imperfections
 from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
@@ -25,9 +25,9 @@ from dataset.resistance import conducted_lengths, exact_resistances, largest_str
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
-from geometry.design import Electrics, Memory, SensorDesign
+from geometry.design import Memory, SensorDesign
 from geometry.errors import DesignError, TriPillarError, require_type
-from geometry.layout import AXES, FloatArray, Layout, rest_lengths
+from geometry.layout import AXES, FloatArray, rest_lengths
 from geometry.quantity import quantity
 from geometry.storage.files import digest
 from geometry.threads import one_blas_thread
@@ -222,19 +222,14 @@ def measured_again(
         lengths = samples.effective_length_mm
     if design is None or lengths is None:
         raise SampleError("samples without lengths and design cannot be measured again: take what simulate gave.")
+    rise = _rise(samples.length_mm, design, imperfections, samples.time_s)
+    exact_ohm = exact_resistances(lengths, design, rise)
     other = {spec.name for spec in fields(Imperfections)} | {"readout", "recipe"}
     kept = {name: value for name, value in samples.made_from.items() if name not in other}
     return replace(
         samples,
         design=design,
-        resistance_ohm=read_resistances(
-            exact_resistances(lengths, design, _rise(samples.length_mm, design, imperfections, samples.time_s)),
-            imperfections,
-            seed,
-            readout,
-            electrics=design.electrics,
-            layout=design.unit.layout,
-        ),
+        resistance_ohm=read_resistances(exact_ohm, imperfections, seed, readout, design),
         **imperfections.of_samples(design),
         made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
     )
@@ -256,11 +251,10 @@ def read_resistances(
     imperfections: Imperfections,
     seed: int,
     readout: Readout | None,
+    design: SensorDesign,
     first: int = 0,
-    electrics: Electrics | None = None,
-    layout: Layout = PAPERS,
 ) -> FloatArray:
-    """Exact resistances (n, rows, cols, n_pillars) [Ω] as a sensor of these imperfections reads them.
+    """Exact resistances (n, rows, cols, n_pillars) [Ω] as a sensor of this design and these imperfections reads them.
 
     Their first is sample number `first`. Each block, and each of series (n, time, rows, cols, n_pillars), has a stream
     of noise that no loads use.
@@ -271,8 +265,8 @@ def read_resistances(
             exact_ohm[start : start + size],
             np.random.default_rng([seed, (first + start) // size, MAX_ROUNDS]),
             readout,
-            electrics,
-            layout,
+            design.electrics,
+            design.unit.layout,
         )
         for start in range(0, len(exact_ohm), size)
     ]
@@ -330,9 +324,7 @@ def labelled(
         "force_n": forces(traction, design),
         "displacement_mm": displacement,
         "length_mm": length,
-        "resistance_ohm": read_resistances(
-            exact_ohm, settings, settings.seed, readout, first, design.electrics, design.unit.layout
-        ),
+        "resistance_ohm": read_resistances(exact_ohm, settings, settings.seed, readout, design, first),
     } | ({} if effective_mm is None else {"effective_length_mm": effective})
 
 

@@ -271,15 +271,11 @@ class SensorDesign(Sound):
                 f"raise pitch_mm to at least {footprint_mm:.4g} or shrink span_mm or pillar_width_mm."
             )
         end_mm = max(abs(self.pad.offset_x_mm), abs(self.pad.offset_y_mm)) + self.pad.size_mm / 2
-        if end_mm > pitch_mm / 2:
-            raise DesignError(
-                f"pad size_mm={self.pad.size_mm:g} with its offset ends {end_mm:g} mm from the unit's centre, half the "
-                f"pitch is {pitch_mm / 2:g} mm: pads may touch, not overlap; shrink the pad or raise pitch_mm."
-            )
         if end_mm > self.pad_room_mm:
+            may = "stiff pads may not touch" if self.pad.kind == "stiff" else "pads may touch, not overlap"
             raise DesignError(
-                f"stiff pads may not touch: size_mm={self.pad.size_mm:g} with its offset must end within "
-                f"{self.pad_room_mm:g} mm of the unit's centre; shrink the pad or raise pitch_mm."
+                f"pad size_mm={self.pad.size_mm:g} with its offset ends {end_mm:g} mm from the unit's centre, where "
+                f"{self.pad_room_mm:g} mm are free: {may}; shrink the pad or raise pitch_mm."
             )
 
     def _repr_html_(self) -> str:

@@ -5,6 +5,7 @@ Units run k = i·cols + j over rows i (along y) and columns j (along x); electro
 """
 
 import math
+import operator
 import re
 import reprlib
 from collections.abc import Sequence
@@ -271,8 +272,7 @@ def pillar_volumes(unit: "Unit") -> FloatArray:
 
 def leans_both_ways(unit: "Unit") -> NDArray[np.bool_]:
     """Whether each pillar leans along x and along y, shape (n_pillars,)."""
-    bottom, top = pillar_ends(unit).transpose(1, 0, 2)
-    return np.asarray((top != bottom)[:, :2].all(axis=1))
+    return np.asarray((pillar_vectors(unit)[:, :2] != 0).all(axis=1))
 
 
 def pillar_sections(unit: "Unit") -> FloatArray:
@@ -285,15 +285,14 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     >>> pillar_sections(Unit()).round(3).tolist()
     [[2.0, 2.0], [2.828, 2.0], [2.0, 2.828]]
     """
-    h, runs = unit.height_mm, pillar_vectors(unit)[:, :2].tolist()
-    widths = zip(pillar_widths(unit), runs, strict=True)
-    sections = np.array([[w * math.hypot(run, h) / h if run else w for run in both] for w, both in widths])
-    for k in np.flatnonzero(leans_both_ways(unit)):
-        w, run = pillar_widths(unit)[k], math.hypot(*runs[k])
-        x, y, along = abs(runs[k][0]) / run, abs(runs[k][1]) / run, w * math.hypot(run, h) / h
-        around = math.hypot if unit.layout.pillars[k].is_round else lambda a, b: a + b
-        sections[k] = around(along * x, w * y), around(along * y, w * x)
-    return sections
+    found, h = [], unit.height_mm
+    leans = np.abs(pillar_vectors(unit)[:, :2]).tolist()
+    for pillar, w, (x, y) in zip(unit.layout.pillars, pillar_widths(unit), leans, strict=True):
+        run = math.hypot(x, y)
+        along, x, y = (w * math.hypot(run, h) / h, x / run, y / run) if run else (w, 1.0, 0.0)
+        around = math.hypot if pillar.is_round else operator.add
+        found.append((around(along * x, w * y), around(along * y, w * x)))
+    return np.array(found)
 
 
 def untold(unit: "Unit", axes: Sequence[str] = AXES, turns: Sequence[float] = TURNS) -> list[str]:

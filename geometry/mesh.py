@@ -225,7 +225,7 @@ def snap_to_side(points: FloatArray, faces: NDArray[np.int64], prism: Prism, sla
     along = faces[(np.abs(radius[faces] - 1) * half.min() <= slack_mm).all(axis=1)]
     if not len(along):
         return points
-    on_side = np.column_stack([across / radius[:, None], points[:, 2]])
+    on_side = np.column_stack([across / np.where(radius, radius, 1.0)[:, None], points[:, 2]])
     a, b, c = on_side[along].swapaxes(0, 1)
     enclosed = np.abs(((a + b + c)[:, :2] * np.cross(b - a, c - a)[:, :2]).sum(axis=1)) / 6  # ∫ x·n dA, flat
     turn, rise = (np.stack([angle_between(a, one), one[:, 2] - a[:, 2]]) for one in (b, c))

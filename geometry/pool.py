@@ -24,7 +24,7 @@ from typing import Any
 
 import psutil
 
-from geometry.errors import DesignError
+from geometry.errors import DesignError, needing
 from geometry.storage.files import cache_folder, scratch
 from geometry.storage.unfinished import remove_unfinished
 
@@ -129,6 +129,15 @@ def _why(error: BaseException) -> str:
     return ENDS.get(code[0], f"ended by {code[0]}") if code else f"was lost: {error}".splitlines()[0]
 
 
+def require_pool(count: int | None, scheduler: str | None) -> None:
+    """Refuse workers here and a scheduler at once, and a scheduler without the package that reaches it."""
+    if scheduler is not None:
+        with needing("scheduler=", "sweep"):
+            import distributed  # noqa: F401
+        if count is not None:
+            raise DesignError("workers= are begun on this machine, scheduler= has its own: give one of them.")
+
+
 @contextmanager
 def open_pool(count: int | None = None, scheduler: str | None = None, tasks: int | None = None) -> Iterator[Pool]:
     """Workers, ended when the context is left; what they print, the mesher's pages among it, is lost.
@@ -148,8 +157,7 @@ def open_pool(count: int | None = None, scheduler: str | None = None, tasks: int
     DesignError
         If both are given, there is no scheduler at the address, or it has no workers.
     """
-    if count is not None and scheduler is not None:
-        raise DesignError("--workers are begun on this machine, --scheduler has its own: give one of them.")
+    require_pool(count, scheduler)
     count = count or os.cpu_count() or 1
     if scheduler is not None and tasks != 0:
         with _connected(scheduler) as pool:

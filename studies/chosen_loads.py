@@ -51,8 +51,7 @@ def measured_pairs(truth: ArrayResponse, loads: list[KnownLoad], seed: int) -> P
 
 def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray, force_n: FloatArray) -> FloatArray:
     """Errors of the most probable sensor's inverse on test samples, over the usual force of each axis, (3,)."""
-    pillars = range(pairs.resistance_ohm.shape[-1])
-    found = infer(expected, readings_of(pairs, [*range(force_n.shape[-1])], [*pillars]), draws=2)
+    found = infer(expected, readings_of(pairs, EVERYTHING), draws=2)
     columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
     missed = (exact_inverse(found.sensor, columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)

@@ -83,10 +83,6 @@ class StrainMaps:
         s = (self.own(state_n) ** 2).mean(axis=2)
         return (self.growth[0] + self.growth[1] * s**2)[..., None] * self.misfit**2
 
-    def forces(self, state_n: FloatArray) -> FloatArray:
-        """Forces F that act in states G, both (n, 3 k) [N]."""
-        return state_n + self.values(state_n)[..., :N_AXES].reshape(state_n.shape)
-
     def values(self, state_n: FloatArray) -> FloatArray:
         """χ and ρ of each pad, (n, 3 k) [N] -> (n, k, m); the same bits alone and in any batch."""
         n, k = len(state_n), len(self.near)
@@ -119,12 +115,6 @@ class StrainMaps:
             ],
             axis=2,
         )
-
-    def few(self, state_n: FloatArray) -> FloatArray:
-        """The features `FEW` of each pad, (n, 3 k) [N] -> (n, k, 292)."""
-        o, around, pairs, _ = self._parts(state_n)
-        triples = o[..., _TRIPLES[0]] * pairs[..., _TRIPLES[1]]
-        return np.concatenate([np.ones((*o.shape[:2], 1)), o, around, pairs, triples], axis=2)
 
     def own(self, state_n: FloatArray) -> FloatArray:
         """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
@@ -267,7 +257,14 @@ def neighbours(rows: int, cols: int) -> NDArray[np.int64]:
     >>> neighbours(1, 2).tolist()
     [[2, 2, 2, 2, 1, 2, 2, 2], [2, 2, 2, 0, 2, 2, 2, 2]]
     """
-    padded = np.full((rows + 2, cols + 2), rows * cols)
-    padded[1:-1, 1:-1] = np.arange(rows * cols).reshape(rows, cols)
-    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return np.delete(units_around(rows, cols, 1, rows * cols), 4, axis=1)
+
+
+def units_around(rows: int, cols: int, reach: int, beyond: int) -> NDArray[np.int64]:
+    """Numbers of the units at most so many pitches away along x and y, each unit's own in the middle, row by row.
+
+    Shape (rows·cols, (2 reach + 1)²); `beyond` stands where there is none.
+    """
+    padded = np.pad(np.arange(rows * cols).reshape(rows, cols), reach, constant_values=beyond)
+    shifts = np.ndindex(2 * reach + 1, 2 * reach + 1)
     return np.stack([padded[i : i + rows, j : j + cols].reshape(-1) for i, j in shifts], axis=1)

@@ -34,7 +34,7 @@ from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, Layout, pillar_volumes
+from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
@@ -279,13 +279,8 @@ class Decoupler:
             return True
         if self.inverse is None or self.design is None:
             return False
-        forward, volumes = self.inverse.forward, pillar_volumes(self.design.unit)
-        designed = replace(
-            forward,
-            ohm_per_mm2=np.tile(self.design.resistivity_ohm_mm / volumes[self.pillars], self.rows * self.cols),
-            offset_ohm=np.full(forward.n_pillars, self.design.electrics.contacts_ohm),
-        )
-        return bool(np.abs(forward.at_rest_ohm() / designed.at_rest_ohm() - 1.0).max() > ALIKE)
+        designed = np.tile(rest_resistances(self.design)[self.pillars], self.rows * self.cols)
+        return bool(np.abs(self.inverse.forward.at_rest_ohm() / designed - 1.0).max() > ALIKE)
 
     @cached_property
     def pillars(self) -> list[int]:

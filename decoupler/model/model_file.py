@@ -194,11 +194,6 @@ def _try_out(decoupler: Decoupler) -> None:
             raise ValueError(f"the {name} of a scan is not finite")
 
 
-def _errors(header: dict[str, Any]) -> ReadingError:
-    """Errors of the readings; a drift that the header does not state is none."""
-    return ReadingError(**{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header})
-
-
 def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
     if header["format"] != FORMAT:
         raise ValueError(f"format is {header['format']}, not {FORMAT}: of another version, train it again")
@@ -215,6 +210,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     component, dead = component_named(header["component"]), arrays.get("dead")
     design = None if header["design"] is None else design_from_toml(header["design"])
     layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
+    errors = {spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header}
     said = {
         "component": component,
         "rows": header["rows"],
@@ -224,7 +220,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         "layout": layout,
         "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
-        "uncertainty.errors": _errors(header),
+        "uncertainty.errors": ReadingError(**errors),  # a drift that is not stated is none
         "least_squares.component": component,
         "least_squares.dead": dead,
         "least_squares.layout": layout,

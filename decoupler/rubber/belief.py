@@ -66,12 +66,7 @@ class SensorFollower:
     """The state of a filter for n pillars: bounded, whatever comes."""
 
     def __init__(self, known: SensorFilter, pillars: int) -> None:
-        self._known, self._pillars = known, pillars
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all."""
-        memory, n = self._known.memory, self._pillars
+        memory, n, self._known = known.memory, pillars, known
         ways = ("lengthening", "loading") if memory.direction == "unknown" else (memory.direction,)
         memories = [*(replace(memory, direction=way) for way in ways), replace(memory, a=(0.0, 0.0))]
         self._law = LawInverse(memories, n)

@@ -67,15 +67,9 @@ class Follower:
     """The state of a filter for n pillars: bounded; filters are exact for readings that change at a constant rate."""
 
     def __init__(self, causal: CausalFilter, pillars: int) -> None:
-        self._filter, self._n = causal, pillars
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all."""
-        self._age_s = -1.0
-        memory = replace(self._filter.memory, direction="lengthening")
-        self._law = LawInverse([memory], self._n, self._filter.strains)
-        self._lifted = np.zeros((1, self._n))
+        self._filter, self._n, self._age_s = causal, pillars, -1.0
+        self._law = LawInverse([replace(causal.memory, direction="lengthening")], pillars, causal.strains)
+        self._lifted = np.zeros((1, pillars))
 
     def step(self, log_ratio: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
         """Strains (n,) and their standard deviations by readings ln R/R₀ (n,) so many seconds after the last ones."""

@@ -2,23 +2,30 @@
 
 A plate tells of what touches it by its six motions, so that its loads are six numbers, whatever the shape. Readings
 follow from these by the array's response and eq. 1 or conduction. Plates have a prior each: wrenches of contacts
-somewhere on a pad, their size unknown and found by the largest evidence, which takes most plates for untouched.
+somewhere on a pad, their size unknown and found by the largest evidence, which takes most plates for untouched. It is
+no `inverse.posterior`, whose prior is one for all scans, about a network's answer: with one size for all plates Fz errs
+by 1.3 instead of 0.28 N (12 contacts, 6 × 6, six pillars, 0.1 %, 12 bits).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.special import ndtri, stdtrit
 
+from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
-from fem.contact.surface import SurfaceCompliance
-from fem.contact.tiles import cell_strips, edges, tiles_per_pitch
+from fem.contact.wrenches import N_LOADS, moved_by_wrenches
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+from geometry.storage.cache import kept, read_arrays, write_arrays
+from geometry.storage.files import digest
 
-N_LOADS = 6  #: of a plate: see `Touched.load`
+VERSION = 1  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
@@ -41,32 +48,27 @@ class PlateResponse(Displacements):
     sign: FloatArray | None = None  #: of the same shape
 
 
-def plate_response(surface: SurfaceCompliance) -> PlateResponse:
-    """What forces on the tiles of a plate do that add up to each load."""
-    design, tiles, own = surface.design, tiles_per_pitch(surface.design), []
-    for axis in (0, 1):
-        strips = cell_strips(design, axis)
-        lines = edges(strips)
-        plate = np.repeat([strip.is_plate for strip in strips], [strip.tiles for strip in strips])
-        own.append((np.flatnonzero(plate), ((lines[:-1] + lines[1:]) / 2)[plate]))
-    (columns, x), (rows, y) = own
-    x, y = (each.ravel() for each in np.meshgrid(x, y))
-    loads = np.zeros((N_LOADS, 3, len(x)))
-    loads[0, 0] = loads[1, 1] = 1.0
-    loads[2, 2], loads[3, 2], loads[4, 2] = -1.0, -x, -y
-    loads[5, :2] = -y, x
-    spread = np.linalg.pinv(loads.reshape(N_LOADS, -1)).T.reshape(N_LOADS, 3, len(rows), len(columns))
-    conducted, shape = surface.conducted, (design.array.rows, tiles, design.array.cols, tiles)
-    by_tiles = surface.on_electrodes if conducted is None else conducted.influence_mm_per_n
-    cells = by_tiles.reshape(*by_tiles.shape[:5], *shape)
-    plates = cells[:, :, :, :, :, :, rows][..., columns]
-    moved = np.einsum("ijeabkrlc,mbrc->klmijea", plates, spread, optimize=True)
-    moved = moved.reshape(design.n_units, N_LOADS, -1)
-    moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
-    if conducted is None:
-        return PlateResponse(moved_mm=moved, cache_key=surface.cache_key)
-    d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
-    return PlateResponse(moved_mm=moved, cache_key=surface.cache_key, components_mm=d, sign=sign)
+def plate_response(
+    design: SensorDesign, progress: Callable[[str], None] = lambda step: None
+) -> tuple[PlateResponse, Path, bool]:
+    """Response of an array with stiff pads, its file, and whether it was there already.
+
+    `progress` and errors as of `surface_compliance`.
+    """
+    cache_key = digest("plates", VERSION, design)
+
+    def make() -> PlateResponse:
+        moved, conducted = moved_by_wrenches(design, progress)
+        if conducted is None:
+            return PlateResponse(moved_mm=moved, cache_key=cache_key)
+        d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
+        return PlateResponse(moved_mm=moved, cache_key=cache_key, components_mm=d, sign=sign)
+
+    def read(path: Path) -> PlateResponse:
+        found: PlateResponse = built_of(PlateResponse, read_arrays(path), {"cache_key": cache_key})
+        return found
+
+    return kept("plates.npz", cache_key, make, read, lambda made, path: write_arrays(dict(arrays_of(made)), path))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -203,7 +203,6 @@ def drawn_samples(
     loads_n: FloatArray,
     design: SensorDesign,
     errors: ReadingError,
-    seed: int = 0,
     ensemble: Ensemble | None = None,
 ) -> Columns:
     """Samples drawn from a sensor at finite strain as it would show them, or from an ensemble of such.
@@ -216,7 +215,7 @@ def drawn_samples(
     A draw's state is the one to which its load leads to first order, with what that leaves of another's own; its
     forces and resistances are then those of that state, whatever load it was drawn for.
     """
-    forward, generator = posterior.forward, np.random.default_rng(seed)
+    forward, generator = posterior.forward, np.random.default_rng(0)
     maps, n = forward.maps, len(loads_n)
     assert maps is not None
     known_n = maps.nearest_states(posterior.loads_n)[0]
@@ -257,20 +256,20 @@ def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> Flo
     return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
 
 
-def loads_like(data: Samples, count: int) -> FloatArray:
-    """Loads (count, 3 k) [N]: of the protocol that drew the samples', or images of theirs."""
-    protocol, design = str(data.made_from.get("protocol")), data.design
-    if protocol in PROTOCOLS and design is not None:
-        return loads_of(protocol, design, count).reshape(count, -1)
-    return images_of(data.force_n, [0, 1, 2], count).reshape(count, -1)
-
-
 def trained_at_strain(
     data: Samples, response: "ArrayResponse", training: TrainingConfig, progress: Progress
 ) -> Decoupler:
-    """The decoupler of an array at finite strain, from samples of it as designed, which hold displacements."""
+    """The decoupler of an array at finite strain, from samples of it as designed, which hold displacements.
+
+    It is trained for loads of the protocol that drew the samples', or for images of theirs.
+    """
     posterior = posterior_of(with_strain_maps(response, COMPONENTS["all"], data), data)
-    drawn = drawn_samples(posterior, loads_like(data, DRAWS), response.design, data.errors)
+    protocol, design = str(data.made_from.get("protocol")), data.design
+    if protocol in PROTOCOLS and design is not None:
+        loads_n = loads_of(protocol, design, DRAWS)
+    else:
+        loads_n = images_of(data.force_n, [0, 1, 2], DRAWS)
+    drawn = drawn_samples(posterior, loads_n.reshape(DRAWS, -1), response.design, data.errors)
     return refined(posterior, drawn, response.design, training, progress)
 
 

@@ -1,13 +1,12 @@
 """From the posterior of a sensor to the decoder of its forces, made for readings drawn from that posterior."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Columns, Component
+from decoupler.data.columns import Columns
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
@@ -23,27 +22,23 @@ from geometry.layout import FloatArray, Layout
 
 def decoder_of(
     found: Specimen,
-    component: Component,
-    size: tuple[int, int],
     loads_n: FloatArray,
     errors: ReadingError,
+    dead: NDArray[np.bool_],
+    layout: Layout,
     design: SensorDesign | None = None,
-    dead: np.ndarray | None = None,
-    made_from: dict[str, Any] | None = None,
-    layout: Layout = PAPERS,
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
-    `size` are rows and columns, `loads_n` (n, Q) usual loads [N], to which rest and light touches are added, `errors`
-    those of the readings that it will take, `dead` (rows, cols, n_pillars) pillars that are not read.
+    `loads_n` (n, Q) are usual loads [N], to which rest and light touches are added, `errors` those of the readings that
+    it will take, `dead` (rows, cols, n_pillars) pillars that are not read.
 
     Notes
     -----
     The inverse of the most probable response, then a linear map of its forces by ridge regression, fitted to readings
     of the posterior's sensors: the more these differ, or the noisier they read, the nearer to the usual loads.
     """
-    generator = np.random.default_rng(0)
-    forward = found.sensor
+    generator, forward, size = np.random.default_rng(0), found.sensor, (dead.shape[0], dead.shape[1])
 
     def read(force_n: FloatArray) -> FloatArray:
         drawn = found.ensemble.readings(forward, force_n)
@@ -52,7 +47,7 @@ def decoder_of(
     light_n = light_loads(loads_n, generator)
     force_n = np.concatenate([loads_n, light_n])
     data = Columns(
-        component=component,
+        component=found.expected.component,
         shape=size,
         resistance_ohm=read(force_n),
         force_n=force_n,
@@ -71,7 +66,6 @@ def decoder_of(
         Decoupler.untrained(data, network, design, inverse),
         usual=UsualLoads.of(data[: len(loads_n)]),
         ensemble=found.ensemble,
-        made_from=made_from or {},
     )
     A = untrained.activations(data.resistance_ohm)
     missing = untrained.output_scaling.scale(force_n) - A[:, :-1]
@@ -84,19 +78,12 @@ def decoder_of(
 
 
 def decoder_at_strain(
-    found: Specimen,
-    designed: Posterior,
-    loads_n: FloatArray,
-    errors: ReadingError,
-    design: SensorDesign,
-    dead: np.ndarray | None = None,
-    made_from: dict[str, Any] | None = None,
+    found: Specimen, designed: Posterior, loads_n: FloatArray, errors: ReadingError, design: SensorDesign
 ) -> Decoupler:
     """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
 
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, 0, found.ensemble)
-    decoder = refined(own, drawn, design)
-    return replace(decoder, ensemble=found.ensemble, dead=dead, made_from=made_from or {})
+    drawn = drawn_samples(own, loads_n, design, errors, found.ensemble)
+    return replace(refined(own, drawn, design), ensemble=found.ensemble)

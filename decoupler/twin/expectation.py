@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from decoupler.data.columns import Component
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.inverse.strain_maps import units_around
 from decoupler.twin.start import started
-from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
+from geometry.layout import FloatArray
 from geometry.tolerances import changed, value_of
 
 if TYPE_CHECKING:
@@ -93,17 +93,19 @@ class Expectation:
         deviations = np.zeros(0) if sensitivities is None else sensitivities.deviation
         by_eq1 = replace(response, conducted=None)
         forward = SensorModel.of(by_eq1, component).with_own_influences()
-        rest, c = _at_rest(design, component)
         by_rest, by_log_c, by_influence = [], [], []
         matrices = () if sensitivities is None else tuple(sensitivities.influence_mm_per_n)
         for name, deviation, matrix in zip(names, deviations, matrices, strict=True):
-            moved, other_c = _at_rest(changed(design, name, STEP * deviation), component)
-            by_rest.append((moved - rest) / STEP)
-            by_log_c.append(np.log(other_c / c) / STEP)
-            other = SensorModel.of(replace(by_eq1, influence_mm_per_n=deviation * matrix), component)
-            by_influence.append(other.with_own_influences().by_component)
+            near_by = replace(
+                by_eq1, design=changed(design, name, STEP * deviation), influence_mm_per_n=deviation * matrix
+            )
+            other = SensorModel.of(near_by, component).with_own_influences()
+            by_rest.append((other.rest_mm - forward.rest_mm).T / STEP)
+            by_log_c.append(np.log(other.ohm_per_mm2 / forward.ohm_per_mm2) / STEP)
+            by_influence.append(other.by_component)
         own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
-        near = _neighbours(design.array.rows, design.array.cols)[:, : 0 if sensitivities is None else None]
+        near = units_around(design.array.rows, design.array.cols, NEIGHBOURS, beyond=-1)
+        near = near[:, : 0 if sensitivities is None else None]
         there = near >= 0
         beside = np.where(there, own[np.arange(design.n_units)[:, None], near], 0.0)
         expected = cls(
@@ -113,8 +115,8 @@ class Expectation:
             values=np.array([value_of(design, name) for name in names]),
             deviations=deviations,
             by_influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
-            by_rest_mm=np.array(by_rest).reshape(-1, *rest.shape),
-            by_log_c=np.array(by_log_c).reshape(-1, len(c)),
+            by_rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
+            by_log_c=np.array(by_log_c).reshape(-1, forward.n_pillars),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
             widths=HELD if sensitivities is None else Widths(),
@@ -270,13 +272,6 @@ class Expectation:
         return found.reshape(self.n_pillars, 3, -1) * self.reached[:, None, None]
 
 
-def _at_rest(design: SensorDesign, component: Component) -> tuple[FloatArray, FloatArray]:
-    """From lower to upper end of each pillar, (P, 3) [mm], and ρ/V of eq. 1, (P,) [Ω/mm²]."""
-    pillars = component.pillars(design.unit.layout)
-    c = design.resistivity_ohm_mm / pillar_volumes(design.unit)[pillars]
-    return np.tile(pillar_vectors(design.unit)[pillars], (design.n_units, 1)), np.tile(c, design.n_units)
-
-
 def _reached(influence: FloatArray) -> NDArray[np.bool_]:
     """Which pillars have any influence (P, C, Q), (P,)."""
     return np.asarray(influence.any(axis=(1, 2)))
@@ -286,13 +281,3 @@ def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]
     """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
     blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
     return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
-
-
-def _neighbours(rows: int, cols: int) -> NDArray[np.int64]:
-    """The unit at each distance of at most `NEIGHBOURS` pitches from each unit, (n_units, n_neighbours); −1 if none."""
-    steps = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
-    row, col = np.divmod(np.arange(rows * cols), cols)
-    i, j = row[:, None, None] + steps[:, None], col[:, None, None] + steps
-    i, j = np.broadcast_arrays(i, j)
-    inside = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
-    return np.where(inside, i * cols + j, -1).reshape(rows * cols, -1)

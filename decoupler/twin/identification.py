@@ -1,6 +1,5 @@
 """From measured pairs to a twin of the sensor on the table: open this file first."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from scipy.special import stdtrit
 
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
-from decoupler.data.columns import acting_component, component_named
+from decoupler.data.columns import Component, acting_component, component_named, force_columns
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.posterior import Posterior
@@ -93,12 +92,12 @@ def identify(
     """
     acting = [pairs.force_n, *pairs.unknown_n, *([] if response is None or loads_n is None else [loads_n])]
     parts = component_named("all" if at_strain is not None else component or acting_component(*acting))
-    axes, pillars = [AXES.index(axis) for axis in parts.axes], parts.pillars(pairs.layout)
+    axes = [AXES.index(axis) for axis in parts.axes]
     n, rows, cols, _ = pairs.force_n.shape
     design = None if response is None else response.design
     drifts = None if design is None else design.electrics
     errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(drifts)
-    readings, most = readings_of(pairs, axes, pillars, errors), LOADS if at_strain is None else DRAWS
+    readings, most = readings_of(pairs, parts, errors), LOADS if at_strain is None else DRAWS
     if response is None or design is None:
         expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
     else:
@@ -116,8 +115,7 @@ def identify(
     usual_n = images_of(usual_n, axes, most)
     usual_n = usual_n.reshape(len(usual_n), -1)
     dead = np.zeros((rows, cols, len(pairs.layout.pillars)), dtype=bool)
-    dead[..., pillars] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
-    missing, made_from = dead if dead.any() else None, {"identified_on": pairs.content_hash, "pairs": n}
+    dead[..., parts.pillars(pairs.layout)] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     share = 1.0
     with one_blas_thread():  # products are too small for two threads to share
         if at_strain is not None and response is not None and sensitivities is not None:
@@ -132,12 +130,14 @@ def identify(
             progress(0.1)
         found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
         if at_strain is not None and design is not None:
-            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design, missing, made_from)
+            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design)
             progress(0.2)
         else:
-            decoder = decoder_of(found, parts, (rows, cols), usual_n, errors, design, missing, made_from, pairs.layout)
+            decoder = decoder_of(found, usual_n, errors, dead, pairs.layout, design)
             if n > 1 and response is not None and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
+    made_from = {"identified_on": pairs.content_hash, "pairs": n}
+    decoder = replace(decoder, dead=dead if dead.any() else None, made_from=made_from)
     return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
 
 
@@ -180,10 +180,10 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
 
 
-def readings_of(pairs: Pairs, axes: list[int], pillars: list[int], errors: ReadingError | None = None) -> Readings:
-    """Pairs as columns; what pillars share of the readings' errors is taken for what they have of their own."""
+def readings_of(pairs: Pairs, component: Component, errors: ReadingError | None = None) -> Readings:
+    """Pairs as columns of a component; what pillars share of readings' errors is taken for what each has of its own."""
     n, rows, cols, _ = pairs.force_n.shape
-    ohms = pairs.resistance_ohm[..., pillars].reshape(n, -1)
+    ohms = pairs.resistance_ohm[..., component.pillars(pairs.layout)].reshape(n, -1)
     read = np.isfinite(ohms)
     ohms = np.where(read, ohms, 1e4)
     pair = np.repeat(np.arange(n), [len(part) for part in pairs.unknown_n])
@@ -192,12 +192,11 @@ def readings_of(pairs: Pairs, axes: list[int], pillars: list[int], errors: Readi
             f"the forces of these {n} pairs have {len(pair)} unknown parts, at most {MAX_UNKNOWN} can be solved for: "
             "give fewer pairs, or forces that are exact."
         )
-    unknown = np.concatenate(pairs.unknown_n)[..., axes]
     return Readings(
         resistance_ohm=ohms,
         read=read,
-        force_n=pairs.force_n[..., axes].reshape(n, -1),
-        unknown_n=unknown.reshape(len(pair), -1) if len(pair) else np.zeros((0, math.prod(unknown.shape[1:]))),
+        force_n=force_columns(pairs.force_n, component),
+        unknown_n=force_columns(np.concatenate(pairs.unknown_n), component),
         pair=pair,
         deviation_ohm=(errors or ReadingError(noise=pairs.noise, bits=pairs.bits)).total(ohms, rows, cols),
         scale=np.ones(n),

@@ -88,7 +88,7 @@ class NearDesigns:
         squares = found.squares_mm2.reshape(y.shape) - y - self._missed
         parts = [(self._force_n - force_n).reshape(self._shape), squares.reshape(self._shape)]
         targets = np.concatenate(parts, axis=2)[sound].reshape(-1, self._maps.weights.shape[1])
-        A = self._maps.few(state_n)[sound].reshape(-1, len(FEW))
+        A = self._maps.features(state_n)[sound][..., FEW].reshape(-1, len(FEW))
         size = np.sqrt((A**2).mean(axis=0))
         usable = np.where(size > 0, size, 1.0)  # no pad of small arrays has some neighbours
         A = A / usable

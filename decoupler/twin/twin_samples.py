@@ -65,16 +65,14 @@ def simulate_twin(
     drawn = decoder.ensemble.readings(forward, force_n, numbers.start)
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., decoder.pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
-    design, layout = twin.design, twin.design.unit.layout
-    own = design.electrics.by_four_wires  # contacts are in the twin's own offsets
+    # contacts are in the twin's own offsets
+    design = replace(twin.design, electrics=twin.design.electrics.by_four_wires)
     return replace(
         samples,
-        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, numbers.start, own, layout),
+        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, design, numbers.start),
         displacement_mm=None,
         length_mm=None,
-        noise=settings.noise,
-        bits=settings.bits,
-        dead=settings.dead_mask(design.array.rows, design.array.cols, layout),
+        **settings.of_samples(design),
         made_from={
             **samples.made_from,
             **settings.as_attributes(),

@@ -14,7 +14,7 @@ from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import infer
 from geometry.errors import FileFormatError
-from geometry.layout import AXES, FloatArray
+from geometry.layout import FloatArray
 from geometry.storage.files import digest
 from hardware.readout.calibration import Electronics, SensorCalibration
 
@@ -67,9 +67,9 @@ def calibrated(
     """
     forward, modelled = _modelled(pairs, response)
     noise = pairs.noise if noise is None else noise
-    layout = response.design.unit.layout
-    readings = readings_of(replace(pairs, noise=noise), [*range(len(AXES))], [*range(len(layout.pillars))])
-    own = infer(Expectation.of(response, None, component_named("all")), readings, draws=1).sensor
+    layout, everything = response.design.unit.layout, component_named("all")
+    readings = readings_of(replace(pairs, noise=noise), everything)
+    own = infer(Expectation.of(response, None, everything), readings, draws=1).sensor
     gain = own.ohm_per_mm2 / forward.ohm_per_mm2  # resistivity is a gain of all pillars
     found = SensorCalibration(
         gain=gain.reshape(modelled.shape[1:]),

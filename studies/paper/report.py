@@ -7,11 +7,12 @@ in the template, beside the words about them. Sentences there hold for any run; 
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import isnan
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markdown import markdown
 
 from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
@@ -38,13 +39,18 @@ class Computed:
     results: Results
 
 
-def as_markdown(computed: Computed) -> str:
-    """The report as Markdown, with its pictures beside it."""
+@cache
+def _template() -> Template:
     jinja = Environment(
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         keep_trailing_newline=True,
     )  # fmt: skip
     jinja.filters |= {"f": format, "percent": percent, "share": share, "listed": listed, "yes": yes}
+    return jinja.get_template("report.md")
+
+
+def as_markdown(computed: Computed) -> str:
+    """The report as Markdown, with its pictures beside it."""
     results, design = computed.results, computed.response.design
 
     def error(network: str, force: str, loads: str = "contact", **wanted: Any) -> float:
@@ -62,7 +68,7 @@ def as_markdown(computed: Computed) -> str:
     names = {
         name: getattr(experiments, name) for name in ("FIGURE_9", "TABLE_2", "PAPERS", "FLOOR", "SKIP", "INFORMED")
     }
-    return jinja.get_template("report.md").render(
+    return _template().render(
         **names, **vars(computed), paper=printed, design=design, forces=experiments.COMPONENTS, kinds=experiments.LOADS,
         networks=experiments.NETWORKS, HOOKE=HOOKE, LINEAR=LINEAR, loads=LOADS, rings=RINGS, disturbed=disturbed,
         pressed_n=PRESSED_N, ALIKE=ALIKE, VISIBLE=VISIBLE, QUIET=QUIET, cap=CAP, normal_mpa=NORMAL_MPA,

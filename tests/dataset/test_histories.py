@@ -184,7 +184,7 @@ def test_a_directory_of_series_is_taken_up_again_and_is_the_same(remembering, tm
     assert make_directory(job, out, count=1)["kept"] == 19
     chunk = out / "force_n/1.0.0.0.0"
     chunk.write_bytes(chunk.read_bytes()[:-1])
-    assert make_directory(job, out, count=1).kept == 0
+    assert make_directory(job, out, count=1)["kept"] == 0
 
 
 def test_an_hour_of_programme_lies_between_its_corners():

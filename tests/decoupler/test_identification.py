@@ -8,7 +8,7 @@ import pytest
 
 from dataset import DatasetSettings, simulate
 from dataset.measurement import ReadingError
-from decoupler import train
+from decoupler import component_named, train
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
 from decoupler.twin.identification import readings_of
@@ -91,7 +91,7 @@ def test_deviations_hold_on_a_sensor_unlike_the_design(name, n, most):
 def test_a_pair_left_out_errs_as_if_the_others_alone_were_measured():
     """The formula of one fit beside fits to all other pairs; widths alone, which those estimate anew, may differ."""
     pairs = Pairs.of(measured("made", 10, 3))
-    whole = readings_of(pairs, [0, 1, 2], [0, 1, 2])
+    whole = readings_of(pairs, component_named("all"))
     error_ohm, covariance = without_each(twin_of("made", 10).posterior, whole, np.arange(2))
     for k in range(2):
         others = identified(pairs[np.delete(np.arange(10), k)]).posterior

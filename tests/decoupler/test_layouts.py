@@ -138,7 +138,7 @@ def test_what_pairs_leave_open_of_a_sensor_moves_no_reference():
     gain = 1.0 + 0.2 * generator.uniform(-1.0, 1.0, (2, 2, 4))
     noise = 1e-3 * generator.standard_normal(data.resistance_ohm.shape)
     data = replace(data, resistance_ohm=data.resistance_ohm * gain * (1.0 + noise), noise=1e-3)
-    linear = Linear(expected, readings_of(Pairs.of(data), [0, 1, 2], [0, 1, 2, 3]), mean)
+    linear = Linear(expected, readings_of(Pairs.of(data), ALL), mean)
     slopes = np.array([np.abs(linear.pillar(p).J[:, 2:]).max() for p in range(16)]).reshape(4, 4)
     assert ((slopes > 0) == [True, True, True, False]).all()
     found = identify(Pairs.of(data), response=response(design), sensitivities=softness(design))

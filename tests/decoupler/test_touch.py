@@ -12,9 +12,10 @@ from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, fitted
+from decoupler.touch.plates import PlateResponse
 from decoupler.touch.presses import Grid, middles
 from decoupler.touch.regression import NEAREST
-from decoupler.touch.sensing import Displacements, Pillars
+from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, Turned, press, surface_compliance
@@ -221,9 +222,8 @@ def test_three_pillars_take_a_plate_s_moment_for_a_force_and_six_do_not(monkeypa
 
     A touch that is taken for rest is missed whole, and as much may be hidden.
     """
-    monkeypatch.setattr("decoupler.touch.limits.surface_compliance", lambda design: (design, None, True))
     monkeypatch.setattr(
-        "decoupler.touch.limits.plate_response", lambda design: Displacements(moved_mm=rigid_plates(design))
+        "decoupler.touch.limits.plate_response", lambda one: (PlateResponse(moved_mm=rigid_plates(one)), None, True)
     )
     three, six = (replace(DESIGN, unit=Unit(layout=LAYOUTS[name]), pad=PLATE) for name in ("song2018", "six-pillar"))
     assert touch_limits(three, 20.0, ReadingError(noise=1e-3, bits=None))[0] > 20.0

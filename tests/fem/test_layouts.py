@@ -18,14 +18,17 @@ from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, pillars_per_mm, unit_conductances
 from fem.contact.surface import Patch, PatchCompliance, endless_surface
+from fem.factor import checked_solve
 from fem.finite.samples import SampleSolver
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.loads import DeadLoad
+from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Scene, Sensor
+from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
 from geometry.layout import (
     LAYOUTS,
+    Layout,
     electrode_squares,
     pad_squares,
     pillar_areas,
@@ -35,6 +38,9 @@ from geometry.layout import (
     unit_centres,
     upper_electrodes,
 )
+from geometry.layout import Electrode as ElectrodeOf
+from geometry.layout import Pillar as PillarOf
+from geometry.prism import unit_prisms
 from hardware.readout.shunts import shunts
 from tests.fem.scenes import BESIDE, DIAGONAL, FOUR, mean, round_of
 
@@ -119,6 +125,35 @@ def test_conduction_of_four_pillars():
     assert np.abs(found.matrix_mm.sum(axis=0)).max() < 1e-8
     assert (found.error_estimate < 2e-4).all()
     assert found.pillars_per_mm == pytest.approx([2.58964, 4.18831, 2.66317, 3.81533], rel=1e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_round", [False, True], ids=["square", "round"])
+def test_a_pillar_is_as_stiff_as_its_area_and_its_second_moment_say(is_round):
+    """One upright pillar in rubber 1e8 times as soft, under a plate, at ν = 0: δ = F h / E A and θ = M h / E I."""
+    one = Layout((ElectrodeOf("U", (0, 0)),), (ElectrodeOf("L", (0, 0)),), (PillarOf("p", "L", "U"),))
+    h, w, E = 10.0, 3.0, 6.1
+    design = SensorDesign(
+        unit=Unit(pillar_width_mm=w, layout=round_of(one) if is_round else one),
+        array=Array(rows=1, cols=1),
+        pad=Pad(kind="stiff"),
+        pillar_material=Material(young_mpa=E, poisson=0.0),
+        matrix_material=Material(young_mpa=1e-8 * E, poisson=0.0),
+    )
+    body = DesignCell(design, functionals(design), pad_plate(design)).tetrahedra(0)
+    load = StiffLoad(center_mm=(0.0, 0.0), size_mm=(12.0, 12.0), force_n=(0.0, 0.0, -3.0), moment_nmm=(0.0, 5.0, 0.0))
+    system = TetrahedralSystem(body, [load])
+    factor = system.new_factor()
+    factor.factor(system.rest_tangent())
+    forces = np.zeros((system.n_unknowns, 1))
+    forces[: 3 * system.n_blocks, 0] = system.loads_on(system.rest()).ravel()
+    moved = system.displaced(checked_solve(factor, forces)[0])[0].reshape(-1, 3)
+    at = system.plates.node
+    fit = np.linalg.lstsq(np.column_stack([np.ones(len(at)), system.points_mm[at, :2]]), moved[at, 2])[0]
+    area, second = (np.pi / 4 * w**2, np.pi / 64 * w**4) if is_round else (w**2, w**4 / 12)
+    # faces between unequal chords leave round sections that vary by some 5 % along it: its square counts
+    assert -fit[0] == pytest.approx(3.0 * h / (E * area), rel=5e-3 if is_round else 1e-4)
+    assert -fit[1] == pytest.approx(5.0 * h / (E * second), rel=1e-2 if is_round else 1e-4)
 
 
 @pytest.mark.long
@@ -286,3 +321,8 @@ def test_conduction_keeps_kirchhoff_s_law_and_the_unit_s_symmetry(name):
         alone = np.array(apart) & upright
         assert resistances[alone] == pytest.approx(lone[alone], rel=1e-10)
         assert (resistances[upright & ~alone] > lone[upright & ~alone]).all()  # current leaves it at a shared end
+        assert upright.all() or resistances[upright].max() < resistances[~upright].min()
+        points = conductor.mesh.points_mm  # all are inside pillars, of round ones inside a coarse polygon's corners
+        assert np.min([one.distance(points) for one in unit_prisms(unit)], axis=0).max() < (
+            0.3 if lone[0] > 2.5 else 1e-9
+        )

@@ -29,7 +29,7 @@ from geometry.layout import (
     upper_electrodes,
 )
 from geometry.mould import Mould, mould_solids
-from geometry.prism import Prism, pillar_prisms, prisms_at, slab_prism, unit_prisms
+from geometry.prism import MESHED_SIDES, SIDES, Prism, pillar_prisms, prisms_at, slab_prism, unit_prisms
 from geometry.shares import pillar_shares
 from geometry.wiring import unit_crossings
 from tests.fem.scenes import BESIDE, DIAGONAL, round_of
@@ -127,6 +127,21 @@ def test_round_prisms_hold_what_lies_on_their_ellipses():
         moved = np.column_stack([[3.5, 0.0] + ratio * (on_side[:, :2] - [3.5, 0.0]), on_side[:, 2]])
         assert (prism.holds(moved) == inside).all()
     assert prism.distance(np.array([[3.5, 2.0, 5.0], [4.0, 0.0, 7.0]])).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("sides", "stiffer"), [(MESHED_SIDES, 2.25e-3), (SIDES, 2.6e-5)])
+def test_polygons_of_round_sections_have_their_area_and_bend_nearly_as_they_do(sides, stiffer):
+    """Of n sides: ∫ x² = A² (2 + cos θ) / 6 n sin θ with θ = 2π/n, where a circle has A² / 4π."""
+    prism = Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 1.0), section_mm=(3.0, 2.0), is_round=True)
+    x, y = prism.corners(sides)[:sides, :2].T
+    u, v = np.roll(x, -1), np.roll(y, -1)
+    cross = x * v - u * y
+    assert cross.sum() / 2 == pytest.approx(prism.volume_mm3, rel=1e-12)
+    theta = 2 * np.pi / sides
+    ratio = 4 * np.pi * (2 + np.cos(theta)) / (6 * sides * np.sin(theta))
+    assert ratio - 1 == pytest.approx(stiffer, rel=0.1)
+    moments = [(cross * (p * p + p * q + q * q)).sum() / 12 for p, q in ((x, u), (y, v))]
+    assert moments == pytest.approx([ratio * np.pi / 64 * 3.0**3 * 2.0, ratio * np.pi / 64 * 2.0**3 * 3.0], rel=1e-12)
 
 
 @pytest.mark.parametrize("is_round", [False, True], ids=["square", "round"])

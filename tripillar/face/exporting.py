@@ -11,7 +11,7 @@ from geometry.storage.files import write_text
 from geometry.wiring import wires
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, ModelLike, design_of, job, pads_model_of, to_write
+from tripillar.face.inputs import DesignLike, File, ModelLike, design_of, job, model_of, name_of, to_write
 
 if TYPE_CHECKING:
     Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.AnyDecoder | stages.Twin
@@ -69,10 +69,15 @@ def export(
     result: dict[str, Any] = {"file": str(path)}
     if model is not None:
         to_write("out", path, ".onnx .h", (model,))
-        exported = stages.export_model(pads_model_of(model, "export"), path, precision)
+        decoupler = model_of(model)
+        if not isinstance(decoupler, stages.Decoupler):
+            raise DesignError(
+                f"{name_of(model, 'model')} is a decoder of touch: export takes a model of loads on pads."
+            )
+        exported = stages.export_model(decoupler, path, precision)
         text = f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})"
         result |= asdict(exported)
-    elif _is_recording(source := Path(data or "")):
+    elif not (source := Path(data or "")).is_dir() and source.suffix not in (".zarr", ".csv", ".nc"):
         to_write("out", path, ".nc .mcap .csv", (source,))
         recorded = stages.read_recording(source)
         caller.say(damage(source, recorded))
@@ -101,11 +106,6 @@ def _write_header(design: SensorDesign, path: Path) -> Path:
     text = f"{n} channels on {n_rows} row and {n_columns} column wires, {result['rate_hz']} scans a second"
     current().answer(lambda: result, text, path)
     return path
-
-
-def _is_recording(path: Path) -> bool:
-    """Whether a file is a recording, and no data set."""
-    return path.suffix not in (".zarr", ".csv", ".nc") and not path.is_dir()
 
 
 def damage(path: Path, recorded: "stages.Recording") -> str:

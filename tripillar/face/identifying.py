@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from geometry.design import SensorDesign
-from geometry.design_file import read_design, read_tolerances
+from geometry.design_file import read_tolerances
 from geometry.errors import DesignError, FileFormatError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -155,11 +155,10 @@ def identify(
     to_write("twin", twin, ".toml", (*read, out))
     if noise is not None and not 0 < noise < 1:
         raise DesignError(f"noise={noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
-    sensor, tolerances = _sensor(data, design, tolerances)
+    measured, sensor, tolerances = _given(data, design, tolerances)
     known = stages.Electronics() if calibration is None else stages.read_calibration(Path(calibration)).electronics
     electronics = replace(known, **WIRES.of(more))
     name, serial, path = name_of(data or port, "samples"), 0, None if out is None else Path(out)
-    measured: stages.AnySamples | stages.Pairs | None = None if data is None else _pairs(data, sensor)
     if port is not None:
         board = (port, None if loads is None else Path(loads), sensor or SensorDesign(), electronics)
         if Path(port).is_file():
@@ -227,32 +226,24 @@ def _require_sense(
             raise DesignError(said)
 
 
-def _is_table(data: object) -> bool:
-    """Whether a file is a table of loads, not of samples."""
-    return isinstance(data, Path | str) and Path(data).suffix == ".csv" and not stages.holds_samples(Path(data))
-
-
-def _sensor(
+def _given(
     data: "PairsLike | None", design: "DesignLike | None", tolerances: Mapping[str, float] | None
-) -> tuple[SensorDesign | None, Mapping[str, float] | None]:
-    """The design: the stated one with its tolerances, else that of samples, which may have none, else the paper's."""
-    if isinstance(design, Path | str):
-        return read_design(Path(design)), read_tolerances(Path(design)) if tolerances is None else tolerances
-    if design is not None or data is None or _is_table(data):
-        return design_of(design), tolerances
-    samples = samples_of(data) if isinstance(data, Path | str) else data
-    return getattr(samples, "design", None), tolerances
+) -> "tuple[stages.AnySamples | stages.Pairs | None, SensorDesign | None, Mapping[str, float] | None]":
+    """Pairs as given, of a table or of a data set; the design, with its tolerances, and these.
 
-
-def _pairs(data: "PairsLike", sensor: SensorDesign | None) -> "stages.AnySamples | stages.Pairs":
-    """Pairs of a table, of a data set, or as given."""
-    if isinstance(data, Path | str):
-        if sensor is None or not _is_table(data):
-            return samples_of(data)
-        return stages.read_pairs(Path(data), sensor)
-    if not isinstance(data, stages.Samples | stages.StoredSamples):
+    The design is the stated one, else that of samples, which may have none, else the paper's.
+    """
+    file = Path(data) if isinstance(data, Path | str) else None
+    is_table = file is not None and file.suffix == ".csv" and not stages.holds_samples(file)
+    sensor = None if design is None and data is not None and not is_table else design_of(design)
+    if isinstance(design, Path | str) and tolerances is None:
+        tolerances = read_tolerances(Path(design))
+    measured: Any = data
+    if file is not None:
+        measured = stages.read_pairs(file, sensor or SensorDesign()) if is_table else samples_of(file)
+    elif data is not None and not isinstance(data, stages.Samples | stages.StoredSamples):
         require_type("data", data, stages.Pairs, "give samples, or decoupler.data.pairs.Pairs")
-    return data
+    return measured, sensor or getattr(measured, "design", None), tolerances
 
 
 def _calibrated(

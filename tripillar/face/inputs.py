@@ -35,6 +35,7 @@ Protocol = Literal[
     "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
     "light-fz", "light-fx", "light",
 ]  # fmt: skip
+Circuit = Literal["zero-potential", "grounded", "divider", "four-wire"]  #: that reads an array
 MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 TIMES = {"seconds": math.inf, "timeout": 3600.0}  #: arguments that must be above 0, and the most that they may be [s]
 COUNTS = ("workers", "trials", "best", "pairs")  #: arguments that must be at least 1
@@ -201,25 +202,9 @@ def model_of(source: "ModelLike") -> "stages.AnyDecoder":
     return stages.read_model(Path(source)) if isinstance(source, Path | str) else source
 
 
-def pads_model_of(source: "ModelLike", what: str) -> "stages.Decoupler":
-    """A model of loads on pads; one of touch is refused."""
-    model = model_of(source)
-    if not isinstance(model, stages.Decoupler):
-        raise DesignError(f"{name_of(source, 'model')} is a decoder of touch: {what} takes a model of loads on pads.")
-    return model
-
-
 def name_of(source: object, otherwise: str) -> str:
     """Name of what a job was given, for messages: its file, if it is one."""
     return str(source) if isinstance(source, Path | str) else otherwise
-
-
-def require_pool(workers: int | None, scheduler: str | None) -> None:
-    """Refuse workers here and a scheduler at once, and a scheduler without the package that reaches it."""
-    if scheduler is not None:
-        require_packages("sweep", "dask", "distributed")
-        if workers is not None:
-            raise DesignError("workers= are begun on this machine, scheduler= has its own: give one of them.")
 
 
 def require_packages(extra: str = "", *names: str) -> None:

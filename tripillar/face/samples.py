@@ -12,7 +12,7 @@ from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, DesignLike, File, Options, Protocol, design_of, job, require_pool
+from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, Protocol, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
@@ -42,7 +42,7 @@ def dataset(
     cap: float = 0.3,
     history: float | None = None,
     rate: float | None = None,
-    crossbar: Literal["zero-potential", "grounded", "divider", "four-wire"] | None = None,
+    crossbar: Circuit | None = None,
     sense_ohm: float | None = None,
     correct: Annotated[bool, Parameter(negative="--no-correct")] = True,
     strain: Literal["linear", "finite"] | None = None,
@@ -116,13 +116,13 @@ def dataset(
     if path is not None:
         stages.require_zarr_place(path) if in_leaves else stages.require_dtype(dtype, path)
     sensor, twin, solved = _sensor(design)
-    require_pool(workers, scheduler)
+    stages.require_pool(workers, scheduler)
     names = None if only is None else _variables(only)
     read: dict[str, Any] = {
         name: tuple(value) if name.startswith("dead_") else value for name, value in SPECIMEN.of(more).items()
     }
     if "dead_pillars" in read:
-        read["dead_pillars"] = tuple(map(_place, read["dead_pillars"]))
+        read["dead_pillars"] = tuple(place_of(at) if isinstance(at, str) else at for at in read["dead_pillars"])
     if rate is not None and history is None:
         raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
     asked = {"history_s": history, "rate_hz": rate}
@@ -193,11 +193,6 @@ def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, stages.TwinFile
         return source.design, None, source
     require_type("design", source, stages.TwinFile, "give a design, a response or what decoupler.twin.read_twin gave")
     return source.design, source, None
-
-
-def _place(text: "str | tuple[int, int, str]") -> tuple[int, int, str]:
-    """A place of a pillar, as typed or as a tuple."""
-    return place_of(text) if isinstance(text, str) else text
 
 
 def _variables(only: str) -> tuple[str, ...]:

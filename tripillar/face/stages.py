@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
-    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid, surface_compliance
+    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, Turned, press, read_solid
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.methods.solving import beyond_linear, follow
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from fem.scene.solution import Solution, solution_as_plain, write_field
     from geometry.design_file import states_twin
     from geometry.mould import write_cad
-    from geometry.pool import open_pool
+    from geometry.pool import open_pool, require_pool
     from hardware.boards.simulated import (
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,
     )  # fmt: skip

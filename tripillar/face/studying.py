@@ -12,7 +12,7 @@ from geometry.storage.files import write_text
 from geometry.storage.journal import Journal
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages, require_pool
+from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages
 from tripillar.terminal.interrupts import last_words
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
@@ -96,7 +96,7 @@ def sweep(
         The designs with their measures; of a search the best one first.
     """
     caller, source, folder = current(), Path(file), Path(out)
-    require_pool(workers if scheduler is None else None, scheduler)
+    stages.require_pool(workers, scheduler)
     if optimize and retry:
         raise DesignError("retry=True is of sweeps: leave it out with optimize=True.")
     if trials is not None and not optimize:

@@ -39,10 +39,6 @@ class Grade:
         wanted = max(math.sqrt(pixels / (wide * high)), self.least_zoom)
         return min(wanted, MAX_ZOOM, math.sqrt(MAX_PIXELS / (wide * high)))
 
-    def learn(self, pixels: int, seconds: float) -> None:
-        """Take into account what one picture took."""
-        self.pixels_per_s += 0.3 * (pixels / seconds - self.pixels_per_s)
-
 
 class Pictures:
     """The pictures of one browser: of the plotter's scene; `on_resize` is called once its window has another size."""
@@ -82,20 +78,16 @@ class Pictures:
     async def _drawn(self, grade: Grade) -> bytes:
         """A picture as JPEG."""
         start = time.perf_counter()
-        image = self._rendered(grade.zoom(*self._size))
+        zoom = grade.zoom(*self._size)
+        self._window.SetSize(*(max(1, round(zoom * side)) for side in self._size))
+        self._plotter.reset_camera_clipping_range()  # nothing near is cut off
+        self._window.Render()
+        image = Image.fromarray(image_from_window(self._window, ignore_alpha=True))
         written = io.BytesIO()
         # thin lines keep their colours without subsampling
         await asyncio.to_thread(image.save, written, "JPEG", quality=grade.quality, subsampling=0)
         seconds = time.perf_counter() - start
-        grade.learn(image.width * image.height, seconds)
+        grade.pixels_per_s += 0.3 * (image.width * image.height / seconds - grade.pixels_per_s)
         if grade is self._moving:
             self.draw_ms = 1e3 * seconds
         return written.getvalue()
-
-    def _rendered(self, zoom: float) -> Image.Image:
-        """A picture of so many pixels for one of the place's, along each side."""
-        wide, high = self._size
-        self._window.SetSize(max(1, round(zoom * wide)), max(1, round(zoom * high)))
-        self._plotter.reset_camera_clipping_range()  # nothing near is cut off
-        self._window.Render()
-        return Image.fromarray(image_from_window(self._window, ignore_alpha=True))
