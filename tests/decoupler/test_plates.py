@@ -15,6 +15,7 @@ from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.contact import Flat, Sphere, SurfaceCompliance, Turned, press
+from fem.contact.tiles import cell_rectangles, tiles_per_pitch
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from tests.dataset.conftest import made_up_response
@@ -37,8 +38,12 @@ def surfaces() -> dict[str, SurfaceCompliance]:
 
 def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
     design = surface.design
-    plates, pillars = plate_response(surface), Pillars.designed(design)
-    return PlateDecoder(design=design, errors=READ, library=plates, pillars=pillars)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fem.contact.surface._extrapolated", lambda source: source.condensed(1, 3))
+        patch.setattr("fem.contact.wrenches.surface_compliance", lambda design, progress: (surface, None, True))
+        patch.setattr("decoupler.touch.plates.kept", lambda kind, key, make, *_: (make(), None, False))
+        plates = plate_response(design)[0]
+    return PlateDecoder(design=design, errors=READ, library=plates, pillars=Pillars.designed(design))
 
 
 def wrenches(n: int) -> np.ndarray:
@@ -50,6 +55,20 @@ def wrenches(n: int) -> np.ndarray:
             x, y, along = generator.uniform(-5.5, 5.5), generator.uniform(-5.5, 5.5), generator.uniform(-0.4, 0.4, 2)
             own[plate] = generator.uniform(5.0, 200.0) * np.array([*along, 1.0, x, y, 0.0])
     return loads
+
+
+def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do(surfaces):
+    """Pressure that pushes its tiles evenly, and that tilts them, of the whole compliance: to its single precision."""
+    surface = surfaces["six-pillar"]
+    tiles = tiles_per_pitch(surface.design)
+    squares = cell_rectangles(surface.design)[: tiles**2]
+    x, y = ((squares[:, :2] + squares[:, 2:]) / 2).T.reshape(2, tiles, tiles)
+    on = np.maximum(np.abs(x), np.abs(y)) < surface.design.pad.size_mm / 2
+    pushed = surface.on_electrodes.reshape(*SHAPE, 3, 3, 3, 2, tiles, 2, tiles)[:, :, :, :, 2, 1, :, 0]  # unit 2's
+    moved = decoder_of(surface).library.moved_mm[2]
+    for load, pressure in ((2, on / on.sum()), (3, x * on / (x[on] ** 2).sum())):
+        expected = -np.einsum("ijeayx,yx->ijea", pushed, pressure)
+        assert moved[load] == pytest.approx(expected.ravel(), rel=1e-5, abs=1e-9)
 
 
 @pytest.mark.parametrize(("layout", "bound_n"), [("six-pillar", 0.6), ("conduction", 0.6), ("song2018", 30.0)])

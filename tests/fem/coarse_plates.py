@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from fem.conduction.meshes import unit_hexahedra
@@ -10,6 +11,7 @@ from fem.contact import SurfaceCompliance
 from fem.contact import surface as surface_module
 from fem.contact.conducting import conducted_by_tiles
 from geometry.design import SensorDesign
+from geometry.layout import FloatArray, upper_electrodes
 
 
 def coarse_surface(design: SensorDesign, level: int, degree: int) -> SurfaceCompliance:
@@ -26,3 +28,13 @@ def coarse_surface(design: SensorDesign, level: int, degree: int) -> SurfaceComp
         patch.setattr("fem.array.meshed.GRID_DEGREE", degree)
         patch.setattr("fem.contact.conducting.kept", lambda kind, key, make, *_: (make(), None, False))
         return replace(made, conducted=conducted_by_tiles(design, made.on_electrodes)[0])
+
+
+def rigid_plates(design: SensorDesign) -> FloatArray:
+    """Electrodes that move with plates on springs, 10 µm/N and 1e-4 rad/(N mm), by a hundredth with others."""
+    x, y, _ = upper_electrodes(design.unit).T
+    own = np.zeros((6, len(x), 3))
+    own[0, :, 0] = own[1, :, 1] = 1e-2
+    own[2:5, :, 2] = np.stack([0 * x - 1e-2, -1e-4 * x, -1e-4 * y])
+    own[5, :, 0], own[5, :, 1] = -1e-4 * y, 1e-4 * x
+    return np.einsum("uv,lea->ulvea", 0.01 + np.eye(design.n_units), own).reshape(design.n_units, 6, -1)
