@@ -227,13 +227,12 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
     pitch, electrode = design.array.pitch_mm, design.unit.electrode_mm
     step = pitch / np.ceil(pitch * STEPS_PER_ELECTRODE / electrode)
     n = int(np.ceil(max(design.slab_mm[:2]) / step)) + 2
-    half, spot = electrode / 2, 0.5 * step  # a spot is a square of a step's side
+    target, spot = electrode / 2 * np.array([-1, -1, 1, 1]), 0.5 * step  # a spot is a square of a step's side
     places = np.arange(n) * step
-    targets = np.tile([-half, -half, half, half], (n, 1))
     table = np.empty((n, n, 3, 3))
     for row, y in enumerate(places):  # bounds the memory; a square sees along y what it sees along x
         loads = np.stack([places - spot, np.full(n, y - spot), places + spot, np.full(n, y + spot)], axis=1)[row:]
-        table[row, row:] = layer_mean_compliance(targets[row:], loads, design.unit.height_mm, design.matrix_material)
+        table[row, row:] = layer_mean_compliance(target, loads, design.unit.height_mm, design.matrix_material)
         table[row:, row] = table[row, row:][:, [1, 0, 2]][..., [1, 0, 2]]
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
