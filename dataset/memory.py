@@ -11,7 +11,8 @@ import numpy as np
 from geometry.design import Memory, Prony
 from geometry.layout import FloatArray
 
-BLOCK = 256  #: steps that are followed together, whose states fit the processor's cache
+BLOCK = 256  #: steps that are followed together, or more of fewer than `NARROW` states: they fit the processor's cache
+NARROW = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,8 +119,9 @@ def _followed(keep: FloatArray, gain: FloatArray, is_cycle: bool = False) -> Flo
     states = np.zeros((len(gain) + 1, *gain.shape[1:]))
     if is_cycle:
         states[0] = _followed(keep, gain)[-1] / (1.0 - keep.prod(axis=0))
-    for start in range(0, len(gain), BLOCK):
-        state, left, apart = gain[start : start + BLOCK].copy(), keep[start : start + BLOCK].copy(), 1
+    block = BLOCK * max(1, NARROW // max(1, gain[:1].size))
+    for start in range(0, len(gain), block):
+        state, left, apart = gain[start : start + block].copy(), keep[start : start + block].copy(), 1
         while apart < len(state):
             state[apart:] += left[apart:] * state[:-apart]
             left[apart:] = left[apart:] * left[:-apart]

@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.design import SensorDesign, Unit
 from geometry.errors import DesignError
-from geometry.layout import FloatArray, pillar_ends, pillar_vectors, pillar_widths
+from geometry.layout import FloatArray, pillar_ends, pillar_sections, pillar_vectors, pillar_widths
 from geometry.prism import Prism, unit_prisms
 from geometry.shares import pillar_shares
 
@@ -38,7 +38,7 @@ def castability(design: SensorDesign) -> Castability:
     """
     unit, pitch_mm = design.unit.body, design.array.pitch_mm
     outlines, names = _outlines(unit), unit.layout.pillar_names
-    walls = [pitch_mm / 2 - float(np.abs(outlines).max())]
+    walls = [pitch_mm / 2 - float((np.abs(pillar_ends(unit)[..., :2]) + pillar_sections(unit)[:, None] / 2).max())]
     for one, other in combinations(range(len(names)), 2):
         if _is_joined(unit, one, other):
             continue

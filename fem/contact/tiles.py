@@ -37,7 +37,8 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
     if design.pad.kind == "soft":
         tiles = round(TILES_PER_HEIGHT * design.array.pitch_mm / height)
         return [Strip(-half, half, int(np.clip(tiles, MIN_TILES, MAX_TILES)))]
-    low, high = (plate_middle(design, axis) + sign * design.pad.size_mm / 2 for sign in (-1, 1))
+    middle = (design.pad.offset_x_mm, design.pad.offset_y_mm)[axis]
+    low, high = (middle + sign * design.pad.size_mm / 2 for sign in (-1, 1))
     beside = round(
         TILES_PER_HEIGHT * (half - design.pad.size_mm / 2) / height
     )  # as many on both sides: cells are alike
@@ -51,11 +52,6 @@ def cell_rectangles(design: SensorDesign) -> FloatArray:
     y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
     y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
     return np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(lone_unit(design))])
-
-
-def plate_middle(design: SensorDesign, axis: int) -> float:
-    """Of a pad from its unit's middle along x (0) or y (1) [mm]."""
-    return (design.pad.offset_x_mm, design.pad.offset_y_mm)[axis]
 
 
 def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
@@ -92,8 +88,6 @@ def plated_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, 
 
 def on_plates(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
     """Which places (ny, nx) lie on plates, of lines x (nx,) and y (ny,)."""
-    if design.pad.kind == "soft":
-        return np.zeros((len(y_mm), len(x_mm)), dtype=bool)
     x, y = (_plated(places, slab_strips(design, axis, 0)) for axis, places in enumerate((x_mm, y_mm)))
     return np.asarray(y[:, None] & x)
 

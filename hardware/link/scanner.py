@@ -145,8 +145,6 @@ class Scanner:
         How many scans wait to be taken; then the oldest is dropped.
     baud : int
         Bits a second.
-    opener : callable
-        Opens a port as `open_port` does.
 
     Raises
     ------
@@ -174,7 +172,6 @@ class Scanner:
         timeout: float = 4.0,
         queue: int = 256,
         baud: int = BAUD,
-        opener: Callable[..., Any] = open_port,
     ) -> None:
         if queue < 1:
             raise ScannerError(f"queue={queue} must be 1 or more: the scans that may wait.")
@@ -188,7 +185,7 @@ class Scanner:
         self._error: BaseException | None = None  # that ended the thread
         self._is_error_raised = self._has_ended = False
         self._closing = threading.Event()
-        open_again = partial(opener, self._name, baud=baud) if self._is_own else None
+        open_again = partial(open_port, self._name, baud=baud) if self._is_own else None
         opened = port if open_again is None else open_again()
         self._link = Link(opened, open_again, timeout, self._protocol, wait=self._closing.wait)
         self._thread = threading.Thread(target=self._run, name="scanner", daemon=True)

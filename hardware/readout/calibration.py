@@ -63,12 +63,10 @@ class SensorCalibration:
     layout: Layout = SONG2018  #: of a unit; files that state none are of the paper's
 
     @classmethod
-    def as_designed(
-        cls, rows: int, cols: int, electronics: Electronics | None = None, layout: Layout = SONG2018
-    ) -> "SensorCalibration":
+    def as_designed(cls, rows: int, cols: int, layout: Layout = SONG2018) -> "SensorCalibration":
         """The calibration of a sensor of which nothing is known."""
-        shape, electronics = (rows, cols, len(layout.pillars)), electronics or Electronics()
-        return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), electronics=electronics, layout=layout)
+        shape = rows, cols, len(layout.pillars)
+        return cls(gain=np.ones(shape), offset_ohm=np.zeros(shape), layout=layout)
 
     @property
     def is_tare_only(self) -> bool:

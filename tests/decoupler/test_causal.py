@@ -29,8 +29,10 @@ APART_S = 0.1
 
 
 @pytest.fixture(scope="module")
-def causal():
-    return train(ASKED, MEMORY)
+def causal(made_once):
+    """Trained once, in whatever processes its tests run."""
+    folder = made_once("causal", lambda folder: write_filter(train(ASKED, MEMORY), folder / "causal.npz"))
+    return read_filter(folder / "causal.npz", MEMORY, ASKED.strains)
 
 
 @pytest.fixture(scope="module")

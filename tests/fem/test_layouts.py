@@ -40,6 +40,7 @@ from geometry.layout import (
 )
 from geometry.layout import Electrode as ElectrodeOf
 from geometry.layout import Pillar as PillarOf
+from geometry.prism import unit_prisms
 from hardware.readout.shunts import shunts
 from tests.fem.scenes import BESIDE, DIAGONAL, FOUR, mean, round_of
 
@@ -320,3 +321,8 @@ def test_conduction_keeps_kirchhoff_s_law_and_the_unit_s_symmetry(name):
         alone = np.array(apart) & upright
         assert resistances[alone] == pytest.approx(lone[alone], rel=1e-10)
         assert (resistances[upright & ~alone] > lone[upright & ~alone]).all()  # current leaves it at a shared end
+        assert upright.all() or resistances[upright].max() < resistances[~upright].min()
+        points = conductor.mesh.points_mm  # all are inside pillars, of round ones inside a coarse polygon's corners
+        assert np.min([one.distance(points) for one in unit_prisms(unit)], axis=0).max() < (
+            0.3 if lone[0] > 2.5 else 1e-9
+        )

@@ -7,12 +7,14 @@ import pytest
 from geometry import Array, DesignError, SensorDesign, Unit
 from geometry.castability import castability, conductive_mm3
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar, pillar_volumes
-from tests.fem.scenes import DIAGONAL
+from tests.fem.scenes import DIAGONAL, round_of
 from tests.geometry.closed_forms import union_mm3
 
 OBLIQUE = sqrt(2)  #: half the width of a paper's oblique pillar along its tilt
 #: corner of a foot that is turned by atan(3/8), sqrt(1.1825) behind the middle and 1 beside, from the upright one there
 HEEL = sqrt(1.1825) - (sqrt(73) - 8) / 3
+#: from the rectangle around that pillar's top, at (-1, -3.5), to the one along x = -y that is 2 mm wide
+BETWEEN = 4.5 / sqrt(2) - 1 - (11 * sqrt(1.1825) + 5) / sqrt(146)
 
 
 def layout(upper, lower, *pillars):
@@ -35,6 +37,7 @@ BESIDE = layout({"A": (1, -1), "B": (0, 1)}, {"C": (-1, -1), "D": (0, -0.4)}, "a
         (SensorDesign(unit=Unit(layout=LAYOUTS["upright-four"])), 7.5 - 6, 0.0, None),
         (SensorDesign(unit=Unit(layout=LAYOUTS["six-pillar"])), 7.5 - 5 - OBLIQUE, OBLIQUE - 1, 45.0),
         (SensorDesign(unit=Unit(layout=DIAGONAL)), 2.5 - (sqrt(3) + 1) / sqrt(2), HEEL, degrees(atan(sqrt(0.1825)))),
+        (SensorDesign(unit=Unit(layout=round_of(DIAGONAL))), BETWEEN, sqrt(1.1825) - 1, degrees(atan(sqrt(0.1825)))),
         (SensorDesign(unit=Unit(layout=BESIDE)), 3.0 - 1 - 1.0 * sqrt(1.49), 0.0, degrees(atan(0.7))),
     ],
 )

@@ -72,7 +72,7 @@ def test_regions_have_the_volumes_of_their_closed_forms_and_the_outside_lies_on_
     assert found == len(triangles)
 
 
-def test_the_cache_key_depends_on_what_shapes_the_mesh_alone():
+def test_the_cache_key_depends_on_what_shapes_the_mesh_alone(monkeypatch):
     """Another rubber or soft pad finds the same mesh; a plate, unit, pitch, edge or one rubber more does not."""
     stiff = Material(young_mpa=10.0)
     same = replace(ONE, resistivity_ohm_mm=1.0, pad=Pad(size_mm=5.0), pillar_material=stiff, matrix_material=stiff)
@@ -87,6 +87,13 @@ def test_the_cache_key_depends_on_what_shapes_the_mesh_alone():
         (ONE, replace(COARSE, envelope_mm=0.05)),
     ]
     assert len({mesh_cache_key(*each) for each in others}) == len(others)
+    rounded = replace(SOFT, unit=Unit(layout=round_of(LAYOUTS["upright-four"])))
+    keys = []
+    for sides in (8, 12):
+        monkeypatch.setattr("geometry.mesh.MESHED_SIDES", sides)
+        keys.append([mesh_cache_key(one, COARSE) for one in (rounded, SOFT)])
+    assert keys[0][0] != keys[1][0]
+    assert keys[0][1] == keys[1][1]
 
 
 def test_what_compiled_code_prints_goes_to_stderr_and_its_crash_is_one_line(capfd):
@@ -163,7 +170,7 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
 def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     """A leaning column of ten unequal chords, its points off the side by 2 %: π a b h/4, whatever the chords."""
     column = Prism(
-        base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 2.0), is_round=True, is_turned=True
+        base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 1.2), is_round=True, is_turned=True
     )
     generator = np.random.default_rng(0)
     angle = 2 * np.pi * (np.arange(10) + generator.uniform(-0.3, 0.3, 10)) / 10
@@ -175,9 +182,9 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     points = np.vstack([points, column.base_mm])  # on the axis, of no face
     k, after = np.arange(10), (np.arange(10) + 1) % 10
     faces = np.vstack([np.column_stack([k, after, 10 + k]), np.column_stack([after, 10 + after, 10 + k])])
-    moved = snap_to_side(points, faces, column, 0.05)
+    moved = snap_to_side(points, faces, column, 0.0125)  # 2 % of the shorter half
     hull = trimesh.convex.convex_hull(moved)
-    assert column.volume_mm3 == pytest.approx(np.pi * 1.5 * 6.0)
+    assert column.volume_mm3 == pytest.approx(np.pi * 0.9 * 6.0)
     assert hull.volume == pytest.approx(column.volume_mm3, rel=1e-9)
     assert np.array_equal(moved[:, 2], points[:, 2])
     on_side = (column.own(moved[:, :2] - column.axis_at(moved[:, 2])) / column.section_mm)[:-1]
@@ -187,13 +194,17 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
 
 @pytest.mark.parametrize("is_turned", [False, True])
 def test_faces_near_the_planes_of_a_prism_are_put_onto_them(is_turned):
-    """A corner lies on three: it comes back whole."""
+    """A corner lies on three: it comes back whole. Of a round prism the ends alone are planes."""
     prism = Prism(base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 2.0), is_turned=is_turned)
     faces = trimesh.convex.convex_hull(prism.corners())
     off = np.random.default_rng(0).uniform(-0.01, 0.01, faces.vertices.shape)
     found = snap_to_prism(faces.vertices + off, faces.faces, prism, 0.05)
     assert found == pytest.approx(np.array(faces.vertices), abs=1e-12)
     assert np.array_equal(snap_to_prism(faces.vertices + off, faces.faces, prism, 1e-6), faces.vertices + off)
+    ends = snap_to_prism(faces.vertices + off, faces.faces, replace(prism, is_round=True), 0.05)
+    assert ends[:, 2] == pytest.approx(np.array(faces.vertices)[:, 2], abs=1e-12)
+    across = [prism.own(points[:, :2] - prism.axis_at(points[:, 2])) for points in (ends, faces.vertices + off)]
+    assert across[0] == pytest.approx(across[1], abs=1e-12)
 
 
 SIX = LAYOUTS["six-pillar"]

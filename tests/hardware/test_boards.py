@@ -125,7 +125,8 @@ def test_a_port_is_named_with_its_protocol_and_what_it_sends_is_recorded_as_any(
     assert spoken_on("lines+socket://host:1") == (LINES, "socket://host:1")
     assert spoken_on("spam+/dev/ttyUSB0") == (PROTOCOLS["tripillar"], "spam+/dev/ttyUSB0")
     port, opened = ScriptedPort(b"I 200 3\n", *(a_line(k) for k in range(N))), []
-    with Scanner("lines+/dev/board", opener=lambda url, baud: opened.append(url) or port) as scanner:
+    monkeypatch.setattr("hardware.link.scanner.open_port", lambda url, baud: opened.append(url) or port)
+    with Scanner("lines+/dev/board") as scanner:
         n, _ = record_scans(scanner, tmp_path / "lines.frames")
     assert (n, opened, port.written) == (N, ["/dev/board"], b"info\n")
     assert np.array_equal(read_recording(tmp_path / "lines.frames").counts, COUNTS[np.arange(N) % 50])

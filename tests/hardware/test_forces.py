@@ -63,7 +63,7 @@ def test_resistances_come_back_within_the_converters_step(bits, sense_ohm):
     bound = sent**2 / (2 * full_scale * sense_ohm - sent)
     sent[1, 0, 2, 1], sent[3, 1, 0, 0] = np.inf, 0.0
     recording = parse_recording(recording_from_resistances(sent, info, electronics=ALONE))
-    found = replay(recording, Shares(), SensorCalibration.as_designed(2, 3, ALONE))
+    found = replay(recording, Shares(), replace(SensorCalibration.as_designed(2, 3), electronics=ALONE))
     assert np.argwhere(found.saturated).tolist() == [[1, 0, 2, 1], [3, 1, 0, 0]]
     bounds = sense_ohm * full_scale, sense_ohm * full_scale / (full_scale - 1)  # of counts 1 and F - 1
     assert found.resistance_ohm[found.saturated] == pytest.approx(bounds, rel=1e-5)

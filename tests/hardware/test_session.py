@@ -30,7 +30,9 @@ HEAD = encode(INFO)
 def recorded(path, *pieces, **options):
     """Record what ports give, one after the other; the summary, and what the file says."""
     ports = [ScriptedPort(HEAD, *each) for each in pieces]
-    scanner = Scanner("scripted", opener=lambda url, baud: ports.pop(0), **options)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hardware.link.scanner.open_port", lambda url, baud: ports.pop(0))
+        scanner = Scanner("scripted", **options)
     with scanner:
         n, met = record_scans(scanner, path, 60.0, append=path.exists())
     return n, met, read_recording(path)

@@ -35,6 +35,7 @@ Protocol = Literal[
     "independent-fz", "independent-fx", "contact-fz", "contact-fx", "contact", "three-axis",
     "light-fz", "light-fx", "light",
 ]  # fmt: skip
+Circuit = Literal["zero-potential", "grounded", "divider", "four-wire"]  #: that reads an array
 MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 TIMES = {"seconds": math.inf, "timeout": 3600.0}  #: arguments that must be above 0, and the most that they may be [s]
 COUNTS = ("workers", "trials", "best", "pairs")  #: arguments that must be at least 1

@@ -12,7 +12,7 @@ from geometry.design import SensorDesign, with_model
 from geometry.errors import DesignError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, DesignLike, File, Options, Protocol, design_of, job
+from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, Protocol, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
@@ -42,7 +42,7 @@ def dataset(
     cap: float = 0.3,
     history: float | None = None,
     rate: float | None = None,
-    crossbar: Literal["zero-potential", "grounded", "divider", "four-wire"] | None = None,
+    crossbar: Circuit | None = None,
     sense_ohm: float | None = None,
     correct: Annotated[bool, Parameter(negative="--no-correct")] = True,
     strain: Literal["linear", "finite"] | None = None,

@@ -14,7 +14,7 @@ from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, DesignLike, File, Options, design_of, job
+from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse
@@ -35,7 +35,7 @@ def board(
     link: File | None = None,
     pressure_mpa: float = 3.0,
     period_s: float = 6.0,
-    mode: Literal["zero-potential", "grounded", "divider", "four-wire"] = "zero-potential",
+    mode: Circuit = "zero-potential",
     rate_hz: int | None = None,
     sense_ohm: int | None = None,
     noise: float = 0.0,
