@@ -44,6 +44,7 @@ bench: $(READY)  ## run time and training time against error, beside other progr
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.virtual --out $(OUT)/bench/virtual.json
 	$(BIN)/python -m studies.bench.pressing --out $(OUT)/bench/pressing.json
+	$(BIN)/python -m studies.layouts --out $(OUT)/bench/layouts.json
 	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
 	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
 

@@ -11,13 +11,16 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
+from dataset import Samples
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
+from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.touch_file import read_model
 from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
 from fem.contact.shapes import Upright
+from geometry.design import SensorDesign
 from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from studies.program import run_alone
@@ -111,6 +114,13 @@ def unknown_contacts(surface: SurfaceCompliance, count: int, seed: int) -> list[
     return found
 
 
+def unknown_samples(design: SensorDesign, errors: ReadingError, count: int, seed: int) -> Samples:
+    """Unknown contacts with a sensor, as it is read."""
+    data = samples_of(unknown_contacts(surface_compliance(design)[0], count, seed))
+    read = errors.read(data.resistance_ohm, np.random.default_rng(seed))
+    return replace(data, resistance_ohm=read, noise=errors.noise, bits=errors.bits)
+
+
 def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int) -> Contact:
     design = surface.design
     h, slab, turn = design.unit.height_mm, np.array(design.slab_mm[:2]), generator.uniform(0, np.pi)
@@ -179,14 +189,10 @@ def assess_unknown(
 ) -> None:
     """Print the errors of touch on shapes that its library has not, at rest and under touches of 1 N."""
     decoder = read_touch(model)
-    data = samples_of(unknown_contacts(surface_compliance(decoder.design)[0], contacts, seed))
-    read = decoder.errors.read(data.resistance_ohm, np.random.default_rng(seed))
+    data = unknown_samples(decoder.design, decoder.errors, contacts, seed)
     with Bars() as bars:
         advance = bars.begin("touches", total=contacts)
-        found = assess_touch(
-            decoder, replace(data, resistance_ohm=read, noise=decoder.errors.noise, bits=decoder.errors.bits),
-            lambda done: advance(done, ""),
-        )  # fmt: skip
+        found = assess_touch(decoder, data, lambda done: advance(done, ""))
     none = float(np.sqrt((data.force_n[..., 2] ** 2).mean()))
     lightly = at_rest_and_lightly(decoder, 200, seed) if isinstance(decoder, BareDecoder) else {}
     print(json.dumps({"0 N misses fz by": none} | found.plain() | lightly, indent=2))

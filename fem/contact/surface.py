@@ -178,7 +178,14 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
     ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
     progress("cells")
-    own, plain = _cells(design)
+    source = DesignCell(design, cell_rectangles(design), pad_plate(design))
+    own = plain = own_cell(source)
+    if not design.is_homogeneous:  # of bare matrix, on the same mesh
+        mesh = source.tetrahedra(MESH_LEVEL).mesh
+        matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
+        plain = CellSides.of(CellBody.of_tetrahedra(matrix), source.rectangles).cell(MESH_DEGREE)
+    elif source.plate is not None:
+        plain = _extrapolated(DesignCell(design, source.rectangles))
     progress(f"coupling {rows} × {cols}")
     moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
@@ -201,18 +208,11 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     return _on_layer(design, on_tiles, on_electrodes)
 
 
-def _cells(design: SensorDesign) -> tuple[CondensedCell, CondensedCell]:
-    """The sensor's condensed cell, and the same of bare matrix; tiles, row by row, then electrodes are seen."""
-    rectangles, plate = cell_rectangles(design), pad_plate(design)
-    if design.is_homogeneous and plate is None:
-        cell = DesignCell(design, rectangles).condensed(GRID_LEVEL, GRID_DEGREE)
-        return cell, cell
-    if design.is_homogeneous:
-        return _extrapolated(DesignCell(design, rectangles, plate)), _extrapolated(DesignCell(design, rectangles))
-    source = DesignCell(design, rectangles, plate)
-    cell, mesh = source.condensed(MESH_LEVEL, MESH_DEGREE), source.tetrahedra(MESH_LEVEL).mesh
-    matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-    return cell, CellSides.of(CellBody.of_tetrahedra(matrix), rectangles).cell(MESH_DEGREE)
+def own_cell(source: DesignCell) -> CondensedCell:
+    """The sensor's condensed cell, of `cell_rectangles` and its plate."""
+    if not source.design.is_homogeneous:
+        return source.condensed(MESH_LEVEL, MESH_DEGREE)
+    return source.condensed(GRID_LEVEL, GRID_DEGREE) if source.plate is None else _extrapolated(source)
 
 
 def _extrapolated(source: DesignCell) -> CondensedCell:

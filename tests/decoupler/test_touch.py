@@ -12,15 +12,17 @@ from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library
 from decoupler.touch.limits import touch_limits
 from decoupler.touch.morph import PRIOR, Part, fitted
+from decoupler.touch.plates import PlateResponse
 from decoupler.touch.presses import Grid, middles
 from decoupler.touch.regression import NEAREST
-from decoupler.touch.sensing import Displacements, Pillars
+from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, Turned, press, surface_compliance
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.errors import FileFormatError
-from geometry.layout import LAYOUTS, upper_electrodes
+from geometry.layout import LAYOUTS
+from tests.fem.coarse_plates import rigid_plates
 
 pytestmark = pytest.mark.usefixtures("shared_cache")
 DESIGN = SensorDesign(array=Array(rows=3, cols=3))
@@ -206,24 +208,13 @@ def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp
         decoder.forces(np.full((1, 3, 3, 3), np.nan))
 
 
-def rigid_plates(design):
-    """Electrodes that move with plates on springs, 10 µm/N and 1e-4 rad/(N mm), by a hundredth with others."""
-    x, y, _ = upper_electrodes(design.unit).T
-    own = np.zeros((6, len(x), 3))
-    own[0, :, 0] = own[1, :, 1] = 1e-2
-    own[2:5, :, 2] = np.stack([0 * x - 1e-2, -1e-4 * x, -1e-4 * y])
-    own[5, :, 0], own[5, :, 1] = -1e-4 * y, 1e-4 * x
-    return np.einsum("uv,lea->ulvea", 0.01 + np.eye(design.n_units), own).reshape(design.n_units, 6, -1)
-
-
 def test_three_pillars_take_a_plate_s_moment_for_a_force_and_six_do_not(monkeypatch):
     """Plates of their own: three readings leave three of six loads to the prior; six err by the noise.
 
     A touch that is taken for rest is missed whole, and as much may be hidden.
     """
-    monkeypatch.setattr("decoupler.touch.limits.surface_compliance", lambda design: (design, None, True))
     monkeypatch.setattr(
-        "decoupler.touch.limits.plate_response", lambda design: Displacements(moved_mm=rigid_plates(design))
+        "decoupler.touch.limits.plate_response", lambda one: (PlateResponse(moved_mm=rigid_plates(one)), None, True)
     )
     three, six = (replace(DESIGN, unit=Unit(layout=LAYOUTS[name]), pad=PLATE) for name in ("song2018", "six-pillar"))
     assert touch_limits(three, 20.0, ReadingError(noise=1e-3, bits=None))[0] > 20.0

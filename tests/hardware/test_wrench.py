@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from dataset import measured
-from geometry.design import SensorDesign
+from dataset.measurement import ReadingError
+from decoupler.touch.plates import PlateDecoder, PlateResponse
+from decoupler.touch.sensing import Pillars
+from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.layout import LAYOUTS
+from hardware.link.frames import Info, ScanMode
+from hardware.readout.forces import ForceReader
 from hardware.readout.wrench import MIN_NORMAL_N, SIGNS, net_wrench, pad_positions, wrench_weights
 from tests.decoupler.synthetic_sensor import labelled, sensor
+from tests.fem.coarse_plates import rigid_plates
 
 AXES = ("x", "y", "z")
 PLACES = pad_positions(SensorDesign())
@@ -34,6 +41,24 @@ def test_moments_of_units_count_too(moments):
     found = net_wrench(load[None], wrench_weights(PLACES, AXES, moments)).moment_nmm[0]
     expected = np.cross(PLACES[:, :, None] + np.pad(off_mm, [(0, 0)] * 3 + [(0, 1)]), vectors).sum(axis=(0, 1, 2))
     assert found[:moments] == pytest.approx(expected[:moments], rel=1e-12)
+
+
+def test_a_board_s_net_moment_has_the_torques_of_plates():
+    """Six loads of one of two plates, read from counts: their wrench, to two deviations, a tenth of the torque."""
+    array, pad = Array(rows=1, cols=2), Pad(kind="stiff")
+    design = SensorDesign(unit=Unit(layout=LAYOUTS["six-pillar"]), array=array, pad=pad)
+    of_sensor = {"errors": ReadingError(noise=1e-4, bits=16), "pillars": Pillars.designed(design)}
+    decoder = PlateDecoder(design=design, library=PlateResponse(moved_mm=rigid_plates(design)), **of_sensor)
+    load = np.zeros((2, 6))
+    load[1] = 3.0, -2.0, 50.0, 20.0, -30.0, 200.0
+    moved = load.ravel() @ decoder.library.moved_mm.reshape(12, -1)
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(1, 1, 2, -1)
+    info = Info(rows=1, cols=2, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, layout=design.unit.layout)
+    reader = ForceReader(info, decoder)
+    wrench = reader.forces(reader.crossbar.counts(ohms)).wrench
+    expected = np.cross((7.5, 0.0, 0.0), (3.0, -2.0, -50.0)) + np.array([30.0, 20.0, 200.0])
+    assert (np.abs(wrench.moment_nmm[0] - expected) < 2 * wrench.moment_deviation_nmm[0]).all()
+    assert wrench.moment_deviation_nmm[0, 2] < 20.0
 
 
 def test_there_is_no_centre_of_what_hardly_presses():

@@ -89,7 +89,7 @@ def train(
         Forces that the network tells, along one axis or all; default: those that act.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, 4 minutes, once; on stiff pads from forces and moments of the plates, a minute.
+        solved, 4 minutes, once; on stiff pads from forces and moments of the plates, 10 seconds.
     shape : list of path, optional
         STL files of tools that press: a decoder of touches knows them as well.
     out : path, optional
@@ -307,9 +307,9 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     of_sensor |= {"pillars": pillars, "made_from": made_from}
     decoder: stages.TouchDecoder
     if is_plated:
-        advance = caller.bars.begin("compliance of the top", total=1)
-        surface, _, reused = stages.surface_compliance(design, lambda step: advance(0, step))
-        decoder = stages.PlateDecoder(library=stages.plate_response(surface), **of_sensor)
+        advance = caller.bars.begin("plates", total=1)
+        plates, _, reused = stages.plate_response(design, lambda step: advance(0, step))
+        decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
         advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))

@@ -1,0 +1,80 @@
+"""``python -m studies.layouts``: what layouts are worth, pad loads behind a converter and touch through plates."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from dataset import DatasetSettings, Samples, simulate
+from dataset.measurement import ReadingError
+from decoupler import assess, train
+from decoupler.touch.assessment import assess_touch
+from decoupler.touch.plates import PlateDecoder, plate_response
+from decoupler.touch.sensing import Pillars
+from fem.array.response import ArrayResponse
+from fem.array.solving import array_response
+from geometry.design import Array, Pad, SensorDesign, Unit
+from geometry.layout import AXES, LAYOUTS
+from studies.program import run_alone
+from studies.tables import Row, report
+from studies.touched import unknown_samples
+
+READ = ReadingError(noise=1e-3, bits=12)  #: of touches
+TESTS = 200  #: samples of pad loads that test
+KNOWN_SEED, UNKNOWN_SEED = 5, 77  #: those of docs/decoder.md
+
+
+def back_again(response: ArrayResponse, samples: int) -> dict[str, Any]:
+    """Errors of pad loads that come back from their own readings behind 12 bits alone, beside the readings' limit."""
+    asked = DatasetSettings(protocol="three-axis", samples=samples, seed=1, bits=12)
+    learned, tested = (simulate(response, each) for each in (asked, replace(asked, samples=TESTS, seed=2)))
+    found = assess(train(learned, response=response), tested, response).values()
+    return {
+        "fx / fy / fz [N]": [one.errors.rmse_n for one in found],
+        "times the limit": [one.ratio for one in found],
+    }
+
+
+def through_plates(decoder: PlateDecoder, data: Samples) -> dict[str, Any]:
+    """Errors of contacts with plates."""
+    found = assess_touch(decoder, data)
+    each = [found.by_force[f"f{axis}"] for axis in AXES]
+    _, of_fz = each[2].coverage or (None, np.nan)
+    return {
+        "fx / fy / fz [N]": [one.errors.rmse_n for one in each],
+        "net Fz, median [%]": found.net_fz_median_pct,
+        "centre, median [mm]": found.centre_mm,
+        "fz over 1 N [N]": found.loaded_rmse_n,
+        "within 95 %: fz, over 1 N [%]": [100 * of_fz, 100 * found.loaded_coverage[1]],
+    }
+
+
+def layouts(
+    names: Annotated[list[str] | None, Parameter(name="--layout", help="Layout; may be given again.")] = None,
+    units: Annotated[int, Parameter(help="Units along x, and along y.")] = 6,
+    samples: Annotated[int, Parameter(help="Samples that a decoder of pad loads learns from.")] = 5000,
+    contacts: Annotated[int, Parameter(help="Contacts of known shapes, and as many of unknown ones.")] = 120,
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/layouts.json"),
+) -> None:
+    """Print errors of layouts on their own simulator's data: of pads and back, and of shapes on plates."""
+    back, touch = list[Row](), list[Row]()
+    for name in names or ("song2018", "six-pillar", "eight-pillar"):
+        design = SensorDesign(unit=Unit(layout=LAYOUTS[name]), array=Array(rows=units, cols=units))
+        plated = replace(design, pad=Pad(kind="stiff"))
+        responses = {kind: array_response(one)[0] for kind, one in (("soft", design), ("stiff", plated))}
+        back += [{"layout": name, "pads": kind} | back_again(each, samples) for kind, each in responses.items()]
+        library, pillars = plate_response(plated)[0], Pillars.designed(plated)
+        decoder = PlateDecoder(design=plated, errors=READ, library=library, pillars=pillars)
+        asked = DatasetSettings(protocol="indent", samples=contacts, seed=KNOWN_SEED, noise=READ.noise, bits=READ.bits)
+        unknown = unknown_samples(plated, READ, contacts, UNKNOWN_SEED)
+        for shapes, data in (("known", simulate(responses["stiff"], asked)), ("unknown", unknown)):
+            touch.append({"layout": name, "shapes": shapes} | through_plates(decoder, data))
+    about = {"units": f"{units} × {units}", "samples": samples, "contacts": contacts}
+    titles = "pad loads and back, 12 bits alone", "touch through plates, 0.1 % and 12 bits"
+    report(dict(zip(titles, (back, touch), strict=True)), out, about)
+
+
+if __name__ == "__main__":
+    run_alone(layouts)
