@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 from scipy.special import ndtri, stdtrit
 
 from decoupler.model.model_file import arrays_of, built_of
@@ -24,14 +25,16 @@ from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
-VERSION = 1  #: raise when the same design gives another response, so that cached ones are not reused
+VERSION = 2  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
 OF_BETWEEN = 0.01  #: of a force, what the rubber between plates may bear unseen
-FIRST_N, LEAST_N = 10.0, 0.02  #: sizes of wrenches: at first, and of untouched plates
+#: sizes of wrenches: usual ones; at first, as a small one grows at once where a plate is touched, while a large one
+#: falls slowly; and of untouched plates
+USUAL_N, START_N, LEAST_N = 10.0, 0.3, 0.02
 OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
-STEPS, CONVERGED = 30, 1e-2  #: of the sizes; change of their logarithms at which they end
+ROUNDS, STEPS = 3, 7  #: linearisations of a reading, and steps of the sizes by each
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +89,7 @@ class PlateDecoder(TouchDecoder):
     @property
     def usual_n(self) -> FloatArray:
         """Those that strain a pillar by some 10 %."""
-        return np.full(3, FIRST_N)
+        return np.full(3, USUAL_N)
 
     @property
     def hidden(self) -> FloatArray:
@@ -108,29 +111,25 @@ class PlateDecoder(TouchDecoder):
         the last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
         n = self.design.n_units
-        size2, told, x = np.full(n, FIRST_N**2), np.zeros(n), np.zeros((n, N_LOADS))
+        size2, told, x = np.full(n, START_N**2), np.zeros(n), np.zeros((n, N_LOADS))
         on = np.ones(n, dtype=bool)  # plates that are not taken for untouched
-        for _ in range(STEPS):
+        for _ in range(ROUNDS):
             J, missed = self._about(x, reading, deviation)
-            J = J[:, np.repeat(on, N_LOADS)]
-            prior = np.outer(size2[on], self._scale**2)
-            covariance = np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel()))
-            x_on = covariance @ (J.T @ (missed + J @ x[on].ravel()))
-            x = np.zeros((n, N_LOADS))
-            x[on] = x_on.reshape(-1, N_LOADS)
-            told[on] = (1 - np.diagonal(covariance).reshape(-1, N_LOADS) / prior).sum(axis=1)
-            before = size2[on]
-            size2[on] = ((x[on] / self._scale) ** 2).sum(axis=1) / np.maximum(told[on], 1e-9)
-            steady = np.abs(np.log(size2[on] / before)).max() < CONVERGED
-            size2 = np.maximum(size2, LEAST_N**2)
-            on = size2 > LEAST_N**2
-            if steady or not on.any():
-                break
+            precision, pull = J.T @ J, J.T @ (missed + J @ x.ravel())
+            for _ in range(STEPS):
+                own = np.flatnonzero(np.repeat(on, N_LOADS))
+                prior = np.outer(size2[on], self._scale**2)
+                root = _root(precision[np.ix_(own, own)], prior)
+                x = np.zeros((n, N_LOADS))
+                x[on] = (root @ (root.T @ pull[own])).reshape(-1, N_LOADS)
+                told[on] = (1 - (root**2).sum(axis=1).reshape(-1, N_LOADS) / prior).sum(axis=1)
+                size2[on] = ((x[on] / self._scale) ** 2).sum(axis=1) / np.maximum(told[on], 1e-9)
+                size2 = np.maximum(size2, LEAST_N**2)
+                on = size2 > LEAST_N**2
         # a size is known by as many numbers as the reading tells of its plate: Student's t has wider tails
         wider = np.where(on, stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE), 1.0)
-        prior = np.outer(wider**2 * size2, self._scale**2)
         J, missed = self._about(x, reading, deviation)
-        factors = np.linalg.cholesky(np.linalg.inv(J.T @ J + np.diag(1 / prior.ravel())))
+        factors = _root(J.T @ J, np.outer(wider**2 * size2, self._scale**2))
         between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
         factors = np.hstack([factors, between])
         return Touched(load=x, factors=factors, chi2=float(missed @ missed) / len(reading))
@@ -141,3 +140,9 @@ class PlateDecoder(TouchDecoder):
         moved = load.ravel() @ by_load
         more, less = (self.sensing.reading(moved + each) for each in (by_load, -by_load))  # exact: squares
         return (more - less).T / (2 * deviation[:, None]), (reading - self.sensing.reading(moved)) / deviation
+
+
+def _root(precision: FloatArray, prior: FloatArray) -> FloatArray:
+    """Factor of (P + diag(1/v))⁻¹, upper triangular; its rows' squares add up to variances."""
+    inverse, _ = dtrtri(np.linalg.cholesky(precision + np.diag(1 / prior.ravel())), lower=1)
+    return np.asarray(inverse.T)
