@@ -25,7 +25,7 @@ from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
-VERSION = 1  #: raise when the same design gives another response, so that cached ones are not reused
+VERSION = 2  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
