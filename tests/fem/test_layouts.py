@@ -50,13 +50,18 @@ CONDUCTION = Electrics(model="conduction")
 SETTINGS = ResponseSettings(tolerance=5e-2)
 
 
+def conduct_coarsely(unit, monkeypatch):
+    """Let one coarse mesh of a unit serve as all of its meshes."""
+    conductor = Conductor(unit_hexahedra(unit, 2, 1))
+    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
+        monkeypatch.setattr(name, lambda unit, strained=False: (conductor, conductor))
+
+
 def test_conduction_has_every_pillar_and_a_file_keeps_a_layout_of_one_s_own(tmp_path, monkeypatch, shared_cache):
     """On coarse meshes; references read as eq. 1 has them, whatever the loads."""
     monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)  # of conduction alone
     monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
-    conductor = Conductor(unit_hexahedra(UNIT, 2, 1))
-    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-        monkeypatch.setattr(name, lambda unit, strained=False: (conductor, conductor))
+    conduct_coarsely(UNIT, monkeypatch)
     found = solve_response(replace(PAPERS, unit=UNIT, array=Array(rows=1, cols=1), electrics=CONDUCTION), SETTINGS)
     assert found.influence_mm_per_n.shape == (1, 1, 3, 3, 1, 1, 3)
     conducted = found.conducted
@@ -106,8 +111,9 @@ def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, at_
     assert off.max() < (error + response.error_estimate) * np.linalg.norm(superposed, axis=1).min()
 
 
-def test_a_reference_asks_for_no_response_of_its_own(shared_cache):
+def test_a_reference_asks_for_no_response_of_its_own(monkeypatch, shared_cache):
     """The paper's is found in the cache; at rest it is R = ρ l/S by conduction, too, and no shunt of the rubber."""
+    conduct_coarsely(Unit(), monkeypatch)
     array_response(PAPERS, SETTINGS)
     design = replace(PAPERS, unit=Unit(layout=BESIDE), electrics=CONDUCTION)
     found, _, reused = array_response(replace(design, electrics=Electrics()), SETTINGS)
@@ -119,6 +125,7 @@ def test_a_reference_asks_for_no_response_of_its_own(shared_cache):
     assert np.array_equal(unit_conductances(design.unit).matrix_mm, unit_conductances(Unit()).matrix_mm)
 
 
+@pytest.mark.long  # the short one is that of the paper's unit
 def test_conduction_of_four_pillars():
     """NGSolve, order 4 on three levels toward edges, finds 2.58964, 4.18831, 2.66317 and 3.81533 ρ/mm."""
     found = unit_conductances(UNIT)
