@@ -73,11 +73,6 @@ class StrainMaps:
     misfit: FloatArray  #: root mean square of what each misses on samples that it has not seen, (m,) [N, mm²]
     growth: FloatArray  #: a, b of the misfit's variance over its mean at a mean square s of o: a + b s², (2,)
 
-    @property
-    def misfit_n(self) -> FloatArray:
-        """Of the forces, (3,) [N]."""
-        return self.misfit[:N_AXES]
-
     def misfit_variance(self, state_n: FloatArray) -> FloatArray:
         """Variance of what the values miss in states (n, 3 k) [N], (n, k, m) [N², mm⁴]."""
         s = (self.own(state_n) ** 2).mean(axis=2)
@@ -198,7 +193,7 @@ class StrainMaps:
             found[on[better]], misfit[on[better]], J[on[better]] = trial[better], after[better], J_after[better]
             damping[on] *= np.where(better, 0.1, 10.0)
         left = np.sqrt((misfit.reshape(len(misfit), -1, N_AXES) ** 2).mean(axis=1))
-        return found, (left <= BEYOND * self.misfit_n + enough).all(axis=1)
+        return found, (left <= BEYOND * self.misfit[:N_AXES] + enough).all(axis=1)
 
     def _misfit(self, force_n: FloatArray, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Forces less those that act (n, 3 k) [N], and derivatives of the latter (n, 3 k, 3 k)."""

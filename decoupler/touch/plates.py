@@ -20,12 +20,12 @@ from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.wrenches import N_LOADS, moved_by_wrenches
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, bent
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
-VERSION = 1  #: raise when the same design gives another response, so that cached ones are not reused
+VERSION = 2  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
@@ -55,10 +55,11 @@ def plate_response(
 
     `progress` and errors as of `surface_compliance`.
     """
-    cache_key = digest("plates", VERSION, design)
+    solved = design if design.electrics.is_conduction else bent(design)
+    cache_key = digest("plates", VERSION, solved)
 
     def make() -> PlateResponse:
-        moved, conducted = moved_by_wrenches(design, progress)
+        moved, conducted = moved_by_wrenches(solved, progress)
         if conducted is None:
             return PlateResponse(moved_mm=moved, cache_key=cache_key)
         d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))

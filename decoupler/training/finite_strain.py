@@ -11,7 +11,7 @@ from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Columns, Component, Resting, force_columns, pillar_columns
+from decoupler.data.columns import COMPONENTS, Columns, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
 from decoupler.data.usual_loads import images_of, loads_of
 from decoupler.inverse.posterior import Posterior
@@ -26,6 +26,7 @@ from geometry.layout import FloatArray, Layout
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
+EVERYTHING = COMPONENTS["all"]  #: finite strain mixes all forces
 RIDGES = (1e-5, 1e-4, 1e-3)  #: per row, of features whose root mean squares are their `SCALES`
 ENOUGH_ROWS = 2  #: equations a feature, from which on images in a mirror are left out
 TINY = 1e-100  #: instead of 0, the size of features of neighbours that no pad has
@@ -52,7 +53,7 @@ def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> F
     return moved.reshape(len(moved), -1) @ np.linalg.pinv(electrodes_mm_per_n)
 
 
-def with_strain_maps(response: "ArrayResponse", component: Component, data: Samples) -> SensorModel:
+def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     """The forward model of an array with what samples at finite strain, of all forces and pillars, add to its response.
 
     The samples are of a sensor as designed; without displacements they are a `SampleError`.
@@ -69,12 +70,12 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
             "samples at finite strain hold no displacements (displacement_mm), which say how the rubber is deformed: "
             "keep them in the file."
         )
-    forward = SensorModel.of(response, component)
+    forward = SensorModel.of(response, EVERYTHING)
     design, layout = response.design, response.design.unit.layout
     body = replace(response, design=replace(design, unit=design.unit.body), conducted=None)
-    electrodes = SensorModel.of(body, component).influence
+    electrodes = SensorModel.of(body, EVERYTHING).influence
     rows, cols = data.shape
-    state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, component)
+    state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, EVERYTHING)
     n_values = N_AXES + forward.n_pillars // (rows * cols)
     moved = _moved(state_n, electrodes, rows, cols)
     empty = StrainMaps(
@@ -89,7 +90,7 @@ def with_strain_maps(response: "ArrayResponse", component: Component, data: Samp
     )
     lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
     if lengths_mm is None:
-        squares = pillar_columns(data.resistance_ohm, component, data.layout) / forward.ohm_per_mm2
+        squares = pillar_columns(data.resistance_ohm, EVERYTHING, data.layout) / forward.ohm_per_mm2
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]
@@ -182,11 +183,9 @@ def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
     return weights, left_out
 
 
-def posterior_of(forward: SensorModel, data: Samples) -> Posterior:
-    """The posterior of a design at finite strain before any network answers first.
-
-    `forward` is as `with_strain_maps` gives it for `data`.
-    """
+def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
+    """The posterior of a design at finite strain before any network answers first; as of `with_strain_maps`."""
+    forward = with_strain_maps(response, data)
     assert forward.maps is not None
     assert data.displacement_mm is not None
     state_n = states_of(data.displacement_mm, forward.maps.influence)
@@ -240,7 +239,7 @@ def drawn_samples(
     y, forces = y[possible], forces[possible]
     ohms = (forward.ohm_per_mm2 * y + forward.offset_ohm).reshape(len(y), design.array.rows, design.array.cols, -1)
     return Columns(
-        component=COMPONENTS["all"],
+        component=EVERYTHING,
         shape=(design.array.rows, design.array.cols),
         resistance_ohm=errors.read(ohms, generator).reshape(y.shape),
         force_n=forces,
@@ -263,7 +262,7 @@ def trained_at_strain(
 
     It is trained for loads of the protocol that drew the samples', or for images of theirs.
     """
-    posterior = posterior_of(with_strain_maps(response, COMPONENTS["all"], data), data)
+    posterior = posterior_of(response, data)
     protocol, design = str(data.made_from.get("protocol")), data.design
     if protocol in PROTOCOLS and design is not None:
         loads_n = loads_of(protocol, design, DRAWS)

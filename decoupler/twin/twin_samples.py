@@ -57,7 +57,7 @@ def simulate_twin(
         raise DesignError(
             f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
         )
-    exact = replace(settings, **{name: value for name, value in vars(Imperfections()).items()})
+    exact = replace(settings, **vars(Imperfections()))
     numbers = numbers or range(settings.samples)
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     force_n = force_columns(samples.force_n, decoder.component)

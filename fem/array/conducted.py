@@ -14,7 +14,7 @@ import numpy as np
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, PADS, expanded, influence_range, reduced, representatives
+from fem.array.substructured import MAX_TESTED, expanded, influence_range, reduced, representatives
 from fem.conduction.potentials import (
     Conductor,
     Piezoresistivity,
@@ -59,7 +59,7 @@ def conducted_pillars(
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
     interior = design_interior(design, functionals(design), pad_plate(design), progress)
     accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
-    found = conducted_by_loads(design, interior, PADS, accurate, (rows, cols), progress)
+    found = conducted_by_loads(design, interior, USUAL, accurate, (rows, cols), progress)
     wide = design.array.rows, design.array.cols
     influence = found.influence_mm_per_n.reshape(*found.sign.shape, rows, cols, 3)
     return replace(
@@ -73,35 +73,37 @@ def conducted_pillars(
 def conducted_by_loads(
     design: SensorDesign,
     interior: CellInterior,
-    loads: range,
+    usual: FloatArray,
     accurate: FloatArray,
     shape: tuple[int, int],
     progress: Callable[[str], None] = lambda step: None,
     components: int = COMPONENTS,
 ) -> ConductedPillars:
-    """The same in the first of a cell's functionals, `loads`, of every cell of an array of a shape.
+    """The same in the first m of a cell's functionals as loads, of every cell of an array of a shape.
+
+    `usual` (m,) are loads relative to each other: what is left out of a polynomial is small under these.
 
     `accurate` (n_cells, n_upper, 3, n) is the displacement of the upper electrodes by the n loads of all cells [mm/N].
     The influence has shape (rows, cols, n_pillars, n_components, n).
     """
-    rows, cols = shape
+    (rows, cols), m = shape, len(usual)
     piezo = Piezoresistivity.of(design.electrics)
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
-    amplitudes, parts = _modes(interior, conductors[0], design, loads)
-    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0], loads)
+    amplitudes, parts = _modes(interior, conductors[0], design, usual)
+    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0], m)
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
-    n_modes, m = second.shape[1], len(loads)
+    n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
     electrodes = np.hstack([interior.cell.transfer[:, m:].T, interior.cell.compliance[m:, :m]])
-    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), loads)
+    seen, _ = CoupledArray(interior.cell, rows, cols).seen(np.vstack([first, parts, electrodes]), range(m))
     seen = seen.reshape(*seen.shape[:2], -1)
     rest, n_pillars = pillar_vectors(design.unit), len(second)
     square_mm2 = at_rest.pillars_per_mm * pillar_volumes(design.unit)  # ρ/V times that is R at rest
-    scale = np.tile(USUAL, seen.shape[2] // 3)
+    scale = np.tile(usual, rows * cols)
     polynomials = [
         _components(
             square_mm2[p],
@@ -176,7 +178,7 @@ def _components(
 
 
 def _modes(
-    interior: CellInterior, conductor: Conductor, design: SensorDesign, loads: range
+    interior: CellInterior, conductor: Conductor, design: SensorDesign, usual: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement gradients that loads excite most where current flows.
 
@@ -187,11 +189,11 @@ def _modes(
     some = np.arange(0, len(mesh.points_mm), max(1, len(mesh.points_mm) // SPREAD))
     size = np.linalg.norm(conductor.at_rest.gradients[some], axis=1)
     weight = mesh.weight_mm3[some] * sum(size[:, i] * size[:, j] for i, j in mesh.pairs)
-    n = interior.cell.stiffness.shape[0] + len(loads)
+    n, m = interior.cell.stiffness.shape[0] + len(usual), len(usual)
     gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
     rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
     shape = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), loads)[0] * np.tile(USUAL, len(loads) // 3)
+    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), range(m))[0] * usual
     value, vector = np.linalg.eigh(rows.T @ rows)
     value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
     to_energy = np.sqrt(value)[:, None] * vector.T
@@ -205,13 +207,14 @@ def _first_derivatives(
     conductors: tuple[Conductor, Conductor],
     piezo: Piezoresistivity,
     beyond: float,
-    loads: range,
+    m: int,
 ) -> FloatArray:
     """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes).
 
-    From both meshes; `beyond` is how much of their difference is added to the finer one's.
+    Of ports and the first m functionals. From both meshes; `beyond` is how much of their difference is added to the
+    finer one's.
     """
-    n = interior.cell.stiffness.shape[0] + len(loads)
+    n = interior.cell.stiffness.shape[0] + m
     found = []
     for conductor in conductors:
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)

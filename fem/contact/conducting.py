@@ -7,17 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from fem.array.conducted import conducted_by_loads
+from fem.array.conducted import USUAL, conducted_by_loads
 from fem.array.meshed import design_interior, pad_plate
 from fem.array.response import ConductedPillars
-from fem.contact.tiles import cell_rectangles, tiles_per_pitch
+from fem.contact.tiles import cell_rectangles, cell_strips, tiles_per_pitch
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.storage.cache import kept, read_arrays, write_arrays
 from geometry.storage.files import digest
 
 COMPONENTS = 12  #: of a pillar's polynomial: with 8, of loads on pads, a turned plate loses 0.1 % of a resistance
-VERSION = 1  #: raise when the same design gives other polynomials
+BETWEEN = 0.1  #: usual force on a tile between plates, over that on a plate's
+VERSION = 2  #: raise when the same design gives other polynomials
 
 
 def conducted_by_tiles(
@@ -31,13 +32,15 @@ def conducted_by_tiles(
     key = digest("contact conduction", VERSION, design)
     rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
     cells, n_loads = (rows, cols, tiles, tiles, 3), 3 * tiles**2
+    plate = np.concatenate([np.full(strip.tiles, strip.is_plate) for strip in cell_strips(design, 0)])
+    usual = np.outer(np.where(np.outer(plate, plate), 1.0, BETWEEN), USUAL).ravel()
 
     def make() -> ConductedPillars:
         interior = design_interior(design, cell_rectangles(design), pad_plate(design), progress)
         accurate = on_electrodes.reshape(*on_electrodes.shape[:5], rows, tiles, cols, tiles)
         accurate = accurate.transpose(0, 1, 2, 3, 5, 7, 6, 8, 4).reshape(rows * cols, -1, 3, rows * cols * n_loads)
         exact = accurate.astype(np.float64)
-        found = conducted_by_loads(design, interior, range(n_loads), exact, (rows, cols), progress, COMPONENTS)
+        found = conducted_by_loads(design, interior, usual, exact, (rows, cols), progress, COMPONENTS)
         by_cell = found.influence_mm_per_n.astype(np.float32).reshape(*found.sign.shape, *cells)
         influence = by_cell.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(*found.sign.shape, 3, rows * tiles, -1)
         return replace(found, influence_mm_per_n=np.ascontiguousarray(influence))

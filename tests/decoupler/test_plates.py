@@ -9,17 +9,18 @@ import pytest
 from dataset import DatasetSettings, simulate
 from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
-from dataset.resistance import exact_resistances, rest_resistances
+from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
+from fem.array.conducted import conducted_pillars
 from fem.contact import Flat, Sphere, SurfaceCompliance, Turned, press
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from tests.dataset.conftest import made_up_response
-from tests.fem.coarse_plates import coarse_surface
+from tests.fem.coarse_plates import coarse, coarse_surface
 
 READ = ReadingError(noise=1e-3, bits=12)
 SHAPE = (2, 2)
@@ -111,6 +112,28 @@ def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name
     assert assessed.by_force["fz"].errors.rmse_n < 1.2
     assert assessed.net_fz_median_pct < net_pct
     assert assessed.centre_mm < 0.3
+
+
+def test_a_force_on_a_plate_s_middle_reads_as_in_the_array_s_response_by_conduction(surfaces):
+    """Another path, by loads on pads: to 0.2 % of the change, and as squares beyond what is linear."""
+    surface, thickness_mm = surfaces["conduction"], Pad().plate.thickness_mm
+    moved = decoder_of(surfaces["six-pillar"]).library.moved_mm
+    by_force = moved[:, :3].copy()
+    by_force[:, :2] -= thickness_mm * moved[:, 3:5]  # at the middle of the underside
+    by_force[:, 2] *= -1.0
+    influence = by_force.reshape(4, 3, 4, 3, 3).transpose(2, 3, 4, 0, 1).reshape(2, 2, 3, 3, 2, 2, 3)
+    with coarse(surface.design, 1, 3):
+        pads = conducted_pillars(surface.design, influence)
+    force_n = np.zeros((1, 4, 3))
+    force_n[0, 1], force_n[0, 2] = (30.0, -10.0, -200.0), (0.0, 15.0, -60.0)
+    squares = conducted_lengths(pads, force_n)[0].ravel() ** 2
+    loads = np.zeros((4, 6))
+    loads[:, :3] = force_n[0] * [1.0, 1.0, -1.0]
+    loads[:, 3:5] = -thickness_mm * loads[:, :2]
+    decoder = decoder_of(surface)
+    found = decoder.sensing.reading(loads.ravel() @ decoder.library.moved_mm.reshape(24, -1))
+    expected = squares - decoder.sensing.rest_mm2
+    assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
 
 
 def test_samples_of_contacts_hold_resistances_by_conduction(surfaces, monkeypatch):

@@ -1,5 +1,7 @@
 """Tops of plates on coarse cells, and conduction under them on one coarse mesh: a second each."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -14,19 +16,26 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, upper_electrodes
 
 
-def coarse_surface(design: SensorDesign, level: int, degree: int) -> SurfaceCompliance:
-    """The compliance of a top of plates from cells of one level and degree; of conduction with what that adds."""
+@contextmanager
+def coarse(design: SensorDesign, level: int, degree: int) -> Iterator[None]:
+    """Cells of one level and degree, and of conduction one coarse mesh; nothing of conduction is kept."""
     conductor = Conductor(unit_hexahedra(design.unit, 2, 1)) if design.electrics.is_conduction else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(level, degree))
-        made = replace(surface_module._solved(design, lambda step: None), design=design)
-        if conductor is None:
-            return made
-        for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-            patch.setattr(name, lambda unit, strained=False: (conductor, conductor))
         patch.setattr("fem.array.meshed.GRID_LEVEL", level)
         patch.setattr("fem.array.meshed.GRID_DEGREE", degree)
+        for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
+            patch.setattr(name, lambda unit, strained=False: (conductor, conductor))
         patch.setattr("fem.contact.conducting.kept", lambda kind, key, make, *_: (make(), None, False))
+        yield
+
+
+def coarse_surface(design: SensorDesign, level: int, degree: int) -> SurfaceCompliance:
+    """The compliance of a top of plates; of conduction with what that adds."""
+    with coarse(design, level, degree):
+        made = replace(surface_module._solved(design, lambda step: None), design=design)
+        if not design.electrics.is_conduction:
+            return made
         return replace(made, conducted=conducted_by_tiles(design, made.on_electrodes)[0])
 
 

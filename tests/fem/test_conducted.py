@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fem.array import conducted as module
-from fem.array.conducted import conducted_by_loads, conducted_pillars, displacement_gradients
+from fem.array.conducted import USUAL, conducted_by_loads, conducted_pillars, displacement_gradients
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import design_interior, pad_plate
 from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
@@ -91,11 +91,11 @@ def test_polynomials_follow_whole_solves_under_a_plate_and_what_touches_beside_i
     monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
     for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
         monkeypatch.setattr(name, lambda unit, strained=False: (COARSE, COARSE))
-    interior, loads = design_interior(design, cell_rectangles(design), pad_plate(design)), range(3 * 7 * 7)
-    amplitudes = CoupledArray(interior.cell, 1, 1).seen(np.eye(len(interior.cell.stiffness) + 147), loads)[0][0, :, 0]
-    electrodes = np.hstack([interior.cell.transfer[:, 147:].T, interior.cell.compliance[147:, :147]])
+    interior, n = design_interior(design, cell_rectangles(design), pad_plate(design)), 3 * 7 * 7
+    amplitudes = CoupledArray(interior.cell, 1, 1).seen(np.eye(len(interior.cell.stiffness) + n), range(n))[0][0, :, 0]
+    electrodes = np.hstack([interior.cell.transfer[:, n:].T, interior.cell.compliance[n:, :n]])
     moved = (electrodes @ amplitudes).reshape(1, 2, 3, -1)
-    found = conducted_by_loads(design, interior, loads, moved, (1, 1), components=COMPONENTS)
+    found = conducted_by_loads(design, interior, np.tile(USUAL, 7 * 7), moved, (1, 1), components=COMPONENTS)
     force_n = np.zeros((7, 7, 3))
     force_n[2:5, 2:5] = np.linspace([1.0, -2.0, -10.0], [3.0, 1.0, -40.0], 3)
     force_n[3, 6] = 2.0, 0.0, -8.0

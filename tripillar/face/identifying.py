@@ -356,8 +356,7 @@ def _at_strain(finite: "SamplesLike | ModelLike", response: "stages.ArrayRespons
         raise DesignError("finite strain is of another design than the pairs': give one of this design.")
     if found is None:
         current().say("learning finite strain from the samples")
-        maps = stages.with_strain_maps(response, stages.component_named("all"), source)
-        found = stages.posterior_of(maps, source)
+        found = stages.posterior_of(response, source)
     return found
 
 

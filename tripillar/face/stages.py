@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from decoupler.touch.plates import PlateDecoder, plate_response
     from decoupler.touch.sensing import Pillars
     from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
-    from decoupler.training.finite_strain import posterior_of, with_strain_maps
+    from decoupler.training.finite_strain import posterior_of
     from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
