@@ -363,7 +363,8 @@ def min_span(unit: "Unit") -> tuple[float, str]:
 def crossing_pillars(unit: "Unit", samples: int = 65) -> tuple[str, str] | None:
     """Names of two pillars without a common electrode that meet, outside one that joins an electrode of each.
 
-    Of round pillars the rectangles around their sections count: some that nearly meet are refused.
+    Of round sections, and of those turned along a lean both ways, the rectangles along x and y around them count: some
+    that nearly meet are refused.
     """
     unit = unit.body
     ends, sections, pairs = pillar_ends(unit)[..., :2], pillar_sections(unit), unit.layout.pillar_terminals

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, simulate
-from dataset.indentation import drawn_press, largest_strain, samples_of
+from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
 from decoupler.touch.assessment import assess_touch
@@ -15,7 +15,7 @@ from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.conducted import conducted_pillars
-from fem.contact import ContactError, Flat, Sphere, SurfaceCompliance, Turned, press, surface_compliance
+from fem.contact import Flat, Sphere, SurfaceCompliance, Turned, press
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
@@ -163,25 +163,3 @@ def test_rest_is_rest_and_the_file_holds_all(surfaces, tmp_path, name: str):
     assert isinstance(again, PlateDecoder)
     assert np.array_equal(again.forces(pressed), decoder.forces(pressed))
     assert np.array_equal(again.half_widths(pressed), decoder.half_widths(pressed))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("model", ["eq1", "conduction"])
-def test_touch_through_plates_is_read_by_either_equation(model: str):
-    """Thirty presses of `indent` on 2 × 2 units of six pillars, whole meshes: fz to 0.6 N, the net force to 3 %."""
-    unit, array = Unit(layout=LAYOUTS["six-pillar"]), Array(rows=SHAPE[0], cols=SHAPE[1])
-    design = SensorDesign(unit=unit, array=array, pad=Pad(kind="stiff"), electrics=Electrics(model=model))
-    surface, contacts = surface_compliance(design)[0], []
-    for number in range(60):
-        try:
-            contact = drawn_press(np.random.default_rng([5, number]), surface)
-        except ContactError:  # it misses the sensor
-            continue
-        if largest_strain(contact) < 0.3 and len(contacts) < 30:
-            contacts.append(contact)
-    data = samples_of(contacts)
-    data = replace(data, resistance_ohm=READ.read(data.resistance_ohm, np.random.default_rng(0)), noise=1e-3, bits=12)
-    assessed = assess_touch(decoder_of(surface), data)
-    assert assessed.by_force["fz"].errors.rmse_n < 0.6
-    assert assessed.net_fz_median_pct < 3.0
-    assert assessed.by_force["fz"].coverage[1] > 0.93

@@ -81,4 +81,5 @@ def test_presses_on_plates_are_ngsolve_s_to_two_percent():
     pytest.importorskip("ngsolve")
     for one in plates.compared(plates.FINE, cells=96).values():
         assert max(one.off) < 0.02
+        assert np.abs(one.resistance_off[0]).max() < 0.01  # of R at rest
         assert max(one.own) < 0.01  # a bar means little where the peer does not know better

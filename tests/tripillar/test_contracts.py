@@ -239,6 +239,7 @@ view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at
 view block.toml --save x.png --pressure 3 -> has its own loads
 view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
 view --serve --host 192.0.2.1 -> cannot listen on 192.0.2.1
+view --serve --port board -> --port needs --model
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leave --trials out
 info missing -> missing: no such port; there are

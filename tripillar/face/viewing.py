@@ -47,10 +47,10 @@ NEEDS = {
 class Served:
     """The page of an array: where it is served, and the sensor that it shows."""
 
-    host: str = quantity("127.0.0.1", "address that the page is served on; by default for this machine alone")
+    host: str = quantity("127.0.0.1", "address of the page, by default for this machine alone")
     http_port: int = quantity(8080, "port of the page; 0: any free one")
-    port: str | None = quantity(None, "sensor to show on the page: a port as of 'live', or a recording")
-    model: File | None = quantity(None, "model file that reads the forces of the sensor on the page, which needs one")
+    port: str | None = quantity(None, "sensor to show: a port as of 'live', or a recording")
+    model: File | None = quantity(None, "model file that reads the forces of that sensor, which needs one")
     calibration: File | None = quantity(None, "calibration file of that sensor")
 
     def __post_init__(self) -> None:

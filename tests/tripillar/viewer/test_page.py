@@ -22,7 +22,7 @@ from tests.hardware.boards import recording_from_resistances
 from tests.tripillar.viewer.conftest import DESIGN, a_feed
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.scene import TITLES, ArrayScene
-from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, tractions
+from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
 
 SQUARE = SensorDesign(array=Array(rows=2, cols=2))
 SOFT = replace(SQUARE, pillar_material=Material(young_mpa=1.0), matrix_material=Material(young_mpa=1.0))
@@ -34,15 +34,22 @@ INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_oh
 @pytest.mark.parametrize(("force_n", "is_drawn"), [(100.0, True), (1e6, False)])
 def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n, is_drawn):
     """As a broken wire makes the model find them."""
-    scan = SimpleNamespace(force_n=np.full((1, 2, 3), force_n), resistance_ohm=np.full((1, 2, 3), 1e4))
+    scan = SimpleNamespace(force_n=np.full((1, 2, 3), force_n), resistance_ohm=np.full((1, 2, 3), 1e4), moment_nmm=None)
     page = Page(replace(subject, feed=a_feed(scan=scan, faults=["open"])))
     before = np.array(page.scene.pillars.points)
     shown = page.update()
     moved_mm = np.abs(np.asarray(page.scene.pillars.points) - before).max()
     page.close()
     assert (shown["faults"], shown["force_n"], shown["applied_n"]) == (["open"], [force_n] * 6, [None] * 6)
+    assert shown["moment_nmm"] == []
     assert (moved_mm > 0.1) == is_drawn
     assert ("at rest" in shown["strain_note"]) != is_drawn
+
+
+def test_moments_of_pressure_are_those_about_the_axes():
+    """10 N pressed 2 mm along x and 3 mm along y turn about -x and +y; soft pads tell no torque."""
+    assert moments(np.array([20.0, 30.0, 5.0])).tolist() == [-30.0, 20.0, 5.0]
+    np.testing.assert_array_equal(moments(np.array([20.0, 30.0])), [-30.0, 20.0, np.nan])
 
 
 @pytest.mark.parametrize(("design", "error"), [(SQUARE, 0.003), (SOFT, 0.03)], ids=["paper's", "soft"])

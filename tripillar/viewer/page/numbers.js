@@ -35,10 +35,11 @@ export function unitPillars({ pillars }, { resistance_ohm, change_pct, strain_pc
   return pillars.map((name, k) => [name, words(ohm[k] / 1e3, 3), words(change[k], 2), words(strain[k] ?? Infinity, 1)]);
 }
 
-export function unitForces({ applied_n, force_n }, unit) {
-  const applied = three(applied_n, unit), found = three(force_n, unit);
-  return AXES.map((name, k) =>
+export function unitForces({ applied_n, force_n, moment_nmm }, unit) {
+  const applied = three(applied_n, unit), found = three(force_n, unit), moments = three(moment_nmm, unit);
+  const forces = AXES.map((name, k) =>
     [`F${name}`, words(applied[k], 1), words(found[k], 1), words(minus(found[k], applied[k]), 2)]);
+  return [...forces, ...moments.map((moment, k) => [`M${AXES[k]} [N mm]`, words(null), words(moment, 0), words(null)])];
 }
 
 export const tableHead = ({ pillars }) =>

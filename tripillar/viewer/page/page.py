@@ -240,6 +240,7 @@ class Page:
             "traction_mpa": listed(self._traction, 4),
             "applied_n": listed(reading.applied_n, 3),
             "force_n": listed(reading.force_n, 3),
+            "moment_nmm": [] if reading.moment_nmm is None else listed(reading.moment_nmm, 1),
             "resistance_ohm": listed(reading.resistance_ohm, 3),
             "change_pct": listed(100.0 * reading.change, 4),
             "strain_pct": listed(100.0 * reading.strain, 4),

@@ -29,7 +29,7 @@ from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
-from hardware.readout.wrench import on_all_axes
+from hardware.readout.wrench import OF_MOMENTS, on_all_axes
 from hardware.session import live
 from tripillar.terminal.force_view import RATE_OVER, contact_lines, notes_on, pace
 
@@ -50,6 +50,7 @@ class Reading:
     change: FloatArray  #: (rows, cols, P): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
     strain: FloatArray  #: (rows, cols, P): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
+    moment_nmm: FloatArray | None = None  #: (rows, cols, 3): of touch, about each unit's middle; NaN where unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,7 @@ class PressedSensor:
         return Reading(
             traction_mpa=traction_mpa, applied_n=np.full_like(scan.force_n, np.nan), resistance_ohm=scan.resistance_ohm,
             change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
+            moment_nmm=None if scan.moment_nmm is None else moments(scan.moment_nmm),
         )  # fmt: skip
 
     def _strains(self, moved_mm: FloatArray) -> FloatArray:
@@ -112,6 +114,13 @@ def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:
 def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
     """Tractions (n_units, 3) [MPa] on the pads from forces (rows, cols, 3) [N]; unknown forces count as 0."""
     return np.nan_to_num(force_n).reshape(-1, 3) / forces(np.ones(3), design)
+
+
+def moments(load_nmm: FloatArray) -> FloatArray:
+    """Moments (..., 3) [N mm] about x, y and z from those of `Touched.load` (..., 2 or 3); NaN where there is none."""
+    kinds = load_nmm.shape[-1]
+    found = load_nmm @ OF_MOMENTS[:kinds, 3:]
+    return np.where(OF_MOMENTS[:kinds, 3:].any(axis=0), found, np.nan)
 
 
 class SensorFeed:
