@@ -15,6 +15,7 @@ from decoupler.touch.sensing import Displacements, Pillars, Sensing
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from decoupler.touch.morph import Fit
@@ -173,6 +174,7 @@ class TouchDecoder(ABC):
             raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
         return self.sensing.shown(ohms.reshape(len(ohms), -1))
 
+    @one_blas_thread()
     def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
         """Touch of one reading (m,) [mm²], after the scan before if there was one."""
         own = self.sensing.deviation(reading, self.errors)
