@@ -67,14 +67,25 @@ class Touched:
         return self.load[:, 3:5]
 
     @cached_property
+    def deviation(self) -> FloatArray:
+        """Standard deviations of the loads, of their shape."""
+        return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)
+
+    @property
     def deviation_n(self) -> FloatArray:
         """Standard deviations of the forces, (units, 3)."""
-        return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)[:, :3]
+        return self.deviation[:, :3]
+
+    @property
+    def half_widths(self) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the loads' errors, each of their shape."""
+        return WIDTHS[0] * self.deviation, WIDTHS[1] * self.deviation
 
     @property
     def half_widths_n(self) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the forces' errors, each (units, 3)."""
-        return WIDTHS[0] * self.deviation_n, WIDTHS[1] * self.deviation_n
+        """The same of the forces, each (units, 3)."""
+        one, two = self.half_widths
+        return one[:, :3], two[:, :3]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,6 +88,11 @@ def test_deviations_hold_whether_the_layout_tells_all_six_or_not(surfaces, layou
     if layout != "song2018":
         moments = np.stack([each.moment_nmm for each in found]) - loads[..., 3:5]
         assert np.sqrt((moments**2).mean()) < 5.0
+        of_all = np.abs(np.stack([each.load for each in found]) - loads)
+        held = [
+            (of_all <= np.stack(each))[..., 3:].mean() for each in zip(*(one.half_widths for one in found), strict=True)
+        ]
+        assert (held[0] > 0.66, held[1] > 0.93) == (True, True)  # of moments, as of forces
     else:  # what it cannot tell it calls unsure
         assert np.median(half[..., 2][loaded]) > 5.0
 
