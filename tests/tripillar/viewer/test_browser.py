@@ -184,7 +184,9 @@ def test_beside_the_forces_of_a_sensor_stand_their_half_widths(subject, browser)
         about = ["Mx [N mm]", "20", "0.5", "My [N mm]", "10", "0.4", "Mz [N mm]", "–", "–"]
         api.expect(cells).to_have_text(forces + about)
         page.click("#to-table")
-        api.expect(page.locator("#whole-table th")).to_have_text(["unit", "Rz", "Rx", "Ry", *"Fx ± Fy ± Fz ±".split()])
+        api.expect(page.locator("#whole-table th")).to_have_text(
+            ["unit", "Rz", "Rx", "Ry", *["Fx", "±", "Fy", "±", "Fz", "±"]]
+        )
         whole = ["0, 0", *["10.000"] * 3, "1.0", "0.40", "−2.0", "0.50", "30.0", "1.50"]
         api.expect(page.locator("#whole-table tbody tr:first-child td")).to_have_text(whole)
         page.click("#by-pads")
