@@ -11,7 +11,6 @@ from decoupler.evaluation.assessment import Assessment
 from decoupler.evaluation.metrics import component_errors
 from decoupler.touch.decoder import TouchDecoder
 from geometry.layout import FloatArray, unit_centres
-from geometry.threads import one_blas_thread
 
 LOADED_N = 1.0  #: force of a unit from which on it is loaded
 
@@ -35,7 +34,6 @@ class TouchAssessment:
         }
 
 
-@one_blas_thread()
 def assess_touch(
     decoder: TouchDecoder, data: Samples, progress: Callable[[int], None] = lambda done: None
 ) -> TouchAssessment:

@@ -15,6 +15,7 @@ from decoupler.touch.sensing import Displacements, Pillars, Sensing
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 from geometry.storage.files import digest
+from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from decoupler.touch.morph import Fit
@@ -66,14 +67,25 @@ class Touched:
         return self.load[:, 3:5]
 
     @cached_property
+    def deviation(self) -> FloatArray:
+        """Standard deviations of the loads, of their shape."""
+        return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)
+
+    @property
     def deviation_n(self) -> FloatArray:
         """Standard deviations of the forces, (units, 3)."""
-        return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)[:, :3]
+        return self.deviation[:, :3]
+
+    @property
+    def half_widths(self) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the loads' errors, each of their shape."""
+        return WIDTHS[0] * self.deviation, WIDTHS[1] * self.deviation
 
     @property
     def half_widths_n(self) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the forces' errors, each (units, 3)."""
-        return WIDTHS[0] * self.deviation_n, WIDTHS[1] * self.deviation_n
+        """The same of the forces, each (units, 3)."""
+        one, two = self.half_widths
+        return one[:, :3], two[:, :3]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +185,7 @@ class TouchDecoder(ABC):
             raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
         return self.sensing.shown(ohms.reshape(len(ohms), -1))
 
+    @one_blas_thread()
     def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
         """Touch of one reading (m,) [mm²], after the scan before if there was one."""
         own = self.sensing.deviation(reading, self.errors)

@@ -3,7 +3,7 @@
 import json
 
 from geometry.layout import Layout
-from geometry.layout_file import layout_text
+from geometry.layout_file import layout_tables
 from geometry.wiring import unit_crossings
 from hardware.link.frames import stated
 
@@ -32,8 +32,9 @@ def sensor_header(rows: int, cols: int, layout: Layout) -> str:
     """
     populated = unit_crossings(layout) >= 0
     masks = ", ".join(f"{sum(1 << k for k, is_there in enumerate(row) if is_there):#x}" for row in populated.tolist())
+    name = layout_tables(layout).get("layout", f"{len(layout.pillars)} pillars each")
     lines = [
-        f"// {rows} x {cols} units of {layout_text(layout)}; 'tripillar export --to header' wrote it.",
+        f"// {rows} x {cols} units of {name}; 'tripillar export --to header' wrote it.",
         *("#ifndef ROWS", f"#define ROWS {rows}  // units along y", "#endif"),
         *("#ifndef COLS", f"#define COLS {cols}  // units along x", "#endif"),
         f"#define UNIT_ROWS {populated.shape[0]}  // row wires of a unit",

@@ -34,8 +34,8 @@ CHUNK = 2048  #: frames worked on together
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 #: values of `Forces` by scans
 BY_SCAN = (
-    *("force_n", "moment_nmm", "contacts", "resistance_ohm", "saturated", "memory_rise", "memory_deviation"),
-    *("time_s", "stamp_ns", "device_us", "sequence"),
+    *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated"),
+    *("memory_rise", "memory_deviation", "time_s", "stamp_ns", "device_us", "sequence"),
 )
 
 
@@ -56,6 +56,7 @@ class Forces:
     model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
+    moment_deviation_nmm: FloatArray | None = None  #: of that shape: half-widths that hold 68 % of their errors
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
@@ -259,12 +260,13 @@ class ForceReader:
         touches, shape = self._uncertain.touches(resistance_ohm), resistance_ohm.shape[:-1]
         load = np.stack([each.load for each in touches]).reshape(*shape, -1)
         sums = [self._weights.T @ each.factors for each in touches]
-        half_n = np.stack([each.half_widths_n[0] for each in touches]).reshape(*shape, 3)
+        half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
         return {
             "force_n": load[..., :3],
             "moment_nmm": load[..., 3:],
+            "moment_deviation_nmm": half[..., 3:],
             "contacts": [each.contacts for each in touches],
-            "stated": (half_n, np.stack([each @ each.T for each in sums])),
+            "stated": (half[..., :3], np.stack([each @ each.T for each in sums])),
         }
 
 

@@ -88,16 +88,18 @@ def test_deviations_hold_whether_the_layout_tells_all_six_or_not(surfaces, layou
     if layout != "song2018":
         moments = np.stack([each.moment_nmm for each in found]) - loads[..., 3:5]
         assert np.sqrt((moments**2).mean()) < 5.0
+        of_all = np.abs(np.stack([each.load for each in found]) - loads)
+        held = [
+            (of_all <= np.stack(each))[..., 3:].mean() for each in zip(*(one.half_widths for one in found), strict=True)
+        ]
+        assert (held[0] > 0.66, held[1] > 0.93) == (True, True)  # of moments, as of forces
     else:  # what it cannot tell it calls unsure
         assert np.median(half[..., 2][loaded]) > 5.0
 
 
-@pytest.mark.parametrize(("name", "net_pct"), [("six-pillar", 3.0), ("conduction", 4.0)])
-def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name: str, net_pct: float):
-    """A ball across a crossing, and a turned punch that drags one plate: noise leaves 0.8 N a loaded one of these.
-
-    By conduction pillars change less, by a fifth to a third, and noise counts for as much more.
-    """
+@pytest.mark.parametrize("name", ["six-pillar", "conduction"])
+def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name: str):
+    """A ball across a crossing, and a turned punch that drags one plate, each read ten times."""
     surface = surfaces[name]
     contacts = [
         press(surface, Sphere(9.0), 0.9, at_mm=(1.0, 0.5), cells=24),
@@ -105,12 +107,12 @@ def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name
             surface, Turned(Flat((5.0, 8.0)), 20.0), 0.3, at_mm=(8.0, 6.0), slide_mm=(0.4, 0.0), friction=0.5, cells=24
         ),
     ]
-    data = samples_of(contacts)
+    data = samples_of(10 * contacts)
     data = replace(data, resistance_ohm=READ.read(data.resistance_ohm, np.random.default_rng(0)))
     decoder = decoder_of(surface)
     assessed = assess_touch(decoder, data)
     assert assessed.by_force["fz"].errors.rmse_n < 1.2
-    assert assessed.net_fz_median_pct < net_pct
+    assert assessed.net_fz_median_pct < 3.0
     assert assessed.centre_mm < 0.3
 
 

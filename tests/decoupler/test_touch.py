@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
@@ -190,6 +191,23 @@ def test_soft_rubber_and_more_pillars_feel_touches_better(monkeypatch):
     assert softer == pytest.approx(heavy, rel=1e-3)
     assert (softer < 0.8 * known).all()
     assert (denser < 0.9 * known).all()
+
+
+def test_whoever_calls_it_reads_a_scan_on_one_thread(decoder, contacts, monkeypatch):
+    """Two threads take 20 times as long for matrices this small."""
+    read, threads = BareDecoder.pressed, set()
+
+    def watched(self, *given):
+        threads.update(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return read(self, *given)
+
+    monkeypatch.setattr(BareDecoder, "pressed", watched)
+    one = contacts.resistance_ohm[:1]
+    for call in (decoder.forces, decoder.half_widths, decoder.touches, decoder.follower().touches):
+        threads.clear()
+        with threadpool_limits(2, user_api="blas"):
+            call(one)
+        assert threads == {1}
 
 
 def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):

@@ -91,3 +91,4 @@ def test_what_states_no_layout_is_the_papers():
     assert SensorCalibration.from_json(json.dumps(written)).layout == SONG2018
     assert sensor_header(6, 6, SONG2018) == (FIRMWARE / "sensor.h").read_text()
     assert 'LAYOUT ""' in sensor_header(6, 6, SONG2018)
+    assert sensor_header(2, 3, SHARED).startswith("// 2 x 3 units of 6 pillars each; ")

@@ -55,7 +55,14 @@ def test_a_board_s_net_moment_has_the_torques_of_plates():
     ohms = decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(1, 1, 2, -1)
     info = Info(rows=1, cols=2, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4700, layout=design.unit.layout)
     reader = ForceReader(info, decoder)
-    wrench = reader.forces(reader.crossbar.counts(ohms)).wrench
+    found = reader.forces(reader.crossbar.counts(ohms))
+    missed, half = (
+        each[0] for each in (found.moment_nmm - load[:, 3:].reshape(1, 1, 2, 3), found.moment_deviation_nmm)
+    )
+    assert (np.abs(missed) <= 2.5 * half).all()  # which hold 95 %
+    assert half[0, 1, 2] < 20.0
+    assert found[0].moment_deviation_nmm.shape == (1, 2, 3)
+    wrench = found.wrench
     expected = np.cross((7.5, 0.0, 0.0), (3.0, -2.0, -50.0)) + np.array([30.0, 20.0, 200.0])
     assert (np.abs(wrench.moment_nmm[0] - expected) < 2 * wrench.moment_deviation_nmm[0]).all()
     assert wrench.moment_deviation_nmm[0, 2] < 20.0

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from threading import Thread
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
@@ -53,6 +54,14 @@ def a_feed(**said):
     """A recording that is over."""
     silent = {"port": "/dev/ttyACM0", "scan": None, "trouble": "", "link": "", "ended": True, "play_again": None}
     return SimpleNamespace(**silent | {"faults": [], "contacts": [], "listeners": set()} | said)
+
+
+def a_scan(**said):
+    """A scan of a sensor of two units at rest, by a model that knows nothing more."""
+    silent = {"deviation_n": None, "moment_nmm": None, "moment_deviation_nmm": None}
+    return SimpleNamespace(
+        **{"force_n": np.zeros((1, 2, 3)), "resistance_ohm": np.full((1, 2, 3), 1e4)} | silent | said
+    )
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from fem.pictures.deformation import DeformedPicture
-from tests.tripillar.viewer.conftest import a_feed, serving
+from tests.tripillar.viewer.conftest import a_feed, a_scan, serving
 from tripillar.viewer import saving
 
 api = pytest.importorskip("playwright.sync_api")
@@ -168,6 +168,31 @@ def test_a_phone_shows_faults_until_pads_load_the_array_and_plays_a_recording_ag
         page.click(".sides label:last-child")
         api.expect(page.locator("#strain")).to_be_in_viewport(ratio=1.0)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_beside_the_forces_of_a_sensor_stand_their_half_widths(subject, browser):
+    """What acts is unknown, so nothing is missed; pads that load the array have an error again."""
+    force_n, half = np.array([[[1.0, -2.0, 30.0]] * 2]), np.array([[[0.4, 0.5, 1.5]] * 2])
+    scan = a_scan(
+        force_n=force_n, deviation_n=half, moment_nmm=10 * force_n[..., :2], moment_deviation_nmm=half[..., :2]
+    )
+    with serving(replace(subject, feed=a_feed(scan=scan))) as url, looking_at(browser, url) as page:
+        page.goto(url)
+        head, cells = page.locator("#unit-forces th"), page.locator("#unit-forces td")
+        api.expect(head).to_have_text(["[N]", "decoupled", "±"])
+        forces = ["Fx", "1.0", "0.40", "Fy", "−2.0", "0.50", "Fz", "30.0", "1.50"]
+        about = ["Mx [N mm]", "20", "0.5", "My [N mm]", "10", "0.4", "Mz [N mm]", "–", "–"]
+        api.expect(cells).to_have_text(forces + about)
+        page.click("#to-table")
+        api.expect(page.locator("#whole-table th")).to_have_text(
+            ["unit", "Rz", "Rx", "Ry", *["Fx", "±", "Fy", "±", "Fz", "±"]]
+        )
+        whole = ["0, 0", *["10.000"] * 3, "1.0", "0.40", "−2.0", "0.50", "30.0", "1.50"]
+        api.expect(page.locator("#whole-table tbody tr:first-child td")).to_have_text(whole)
+        page.click("#by-pads")
+        page.click("#to-maps")
+        api.expect(head).to_have_text(["[N]", "applied", "decoupled", "error"])
+        api.expect(cells).to_have_count(12)
 
 
 def test_a_saved_page_shows_the_array_without_a_network(page_file, browser, tmp_path):

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from geometry.layout import LAYOUTS, rest_lengths, unit_centres
 from hardware.link.frames import Info, ScanMode
 from tests.decoupler.synthetic_sensor import labelled, sensor
 from tests.hardware.boards import recording_from_resistances
-from tests.tripillar.viewer.conftest import DESIGN, a_feed
+from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.scene import TITLES, ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
@@ -34,14 +33,14 @@ INFO = Info(rows=1, cols=2, bits=12, scan_mode=ScanMode.ZERO_POTENTIAL, sense_oh
 @pytest.mark.parametrize(("force_n", "is_drawn"), [(100.0, True), (1e6, False)])
 def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n, is_drawn):
     """As a broken wire makes the model find them."""
-    scan = SimpleNamespace(force_n=np.full((1, 2, 3), force_n), resistance_ohm=np.full((1, 2, 3), 1e4), moment_nmm=None)
+    scan = a_scan(force_n=np.full((1, 2, 3), force_n))
     page = Page(replace(subject, feed=a_feed(scan=scan, faults=["open"])))
     before = np.array(page.scene.pillars.points)
     shown = page.update()
     moved_mm = np.abs(np.asarray(page.scene.pillars.points) - before).max()
     page.close()
     assert (shown["faults"], shown["force_n"], shown["applied_n"]) == (["open"], [force_n] * 6, [None] * 6)
-    assert shown["moment_nmm"] == []
+    assert (shown["half_width_n"], shown["moment_nmm"], shown["moment_half_width_nmm"]) == ([], [], [])
     assert (moved_mm > 0.1) == is_drawn
     assert ("at rest" in shown["strain_note"]) != is_drawn
 
@@ -50,6 +49,16 @@ def test_moments_of_pressure_are_those_about_the_axes():
     """10 N pressed 2 mm along x and 3 mm along y turn about -x and +y; soft pads tell no torque."""
     assert moments(np.array([20.0, 30.0, 5.0])).tolist() == [-30.0, 20.0, 5.0]
     np.testing.assert_array_equal(moments(np.array([20.0, 30.0])), [-30.0, 20.0, np.nan])
+
+
+def test_a_followed_sensor_says_how_sure_its_forces_and_moments_are(subject):
+    """A half-width has no sign, whichever way its moment turns."""
+    half = np.array([[[2.0, 3.0, 0.5]] * 2])
+    scan = a_scan(deviation_n=0.1 * half, moment_nmm=10 * half, moment_deviation_nmm=half)
+    read = subject.sensor.follow(scan)
+    assert read.half_width_n == pytest.approx(0.1 * half)
+    assert read.moment_nmm[0, 1].tolist() == [-30.0, 20.0, 5.0]
+    assert read.moment_half_width_nmm[0, 1].tolist() == [3.0, 2.0, 0.5]
 
 
 @pytest.mark.parametrize(("design", "error"), [(SQUARE, 0.003), (SOFT, 0.03)], ids=["paper's", "soft"])

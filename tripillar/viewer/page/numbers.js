@@ -4,7 +4,7 @@
 export const AXES = ["x", "y", "z"];
 export const ARROWS = "→↗↑↖←↙↓↘";  // of shear, by eighths of a turn from +x
 export const MAPS = {
-  "resistance-maps": { titles: pillarTitles, name: "change_pct", unit: "%", digits: 1, least: 2 },
+  "resistance-maps": { titles: ({ pillars }) => pillars, name: "change_pct", unit: "%", digits: 1, least: 2 },
   "force-maps": { titles: () => AXES.map(name => `F${name}`), name: "force_n", unit: "N", digits: 0, least: 10 },
 };
 
@@ -35,21 +35,33 @@ export function unitPillars({ pillars }, { resistance_ohm, change_pct, strain_pc
   return pillars.map((name, k) => [name, words(ohm[k] / 1e3, 3), words(change[k], 2), words(strain[k] ?? Infinity, 1)]);
 }
 
-export function unitForces({ applied_n, force_n, moment_nmm }, unit) {
-  const applied = three(applied_n, unit), found = three(force_n, unit), moments = three(moment_nmm, unit);
-  const forces = AXES.map((name, k) =>
-    [`F${name}`, words(applied[k], 1), words(found[k], 1), words(minus(found[k], applied[k]), 2)]);
-  return [...forces, ...moments.map((moment, k) => [`M${AXES[k]} [N mm]`, words(null), words(moment, 0), words(null)])];
+// what acts on a sensor is unknown: beside what is found stand half-widths that hold 68 % of the errors
+
+export const forcesHead = isFollowed => ["[N]", ...(isFollowed ? ["decoupled", "±"] : ["applied", "decoupled", "error"])];
+
+export function unitForces({ applied_n, force_n, half_width_n, moment_nmm, moment_half_width_nmm }, unit, isFollowed) {
+  const applied = three(applied_n, unit), found = three(force_n, unit), half = three(half_width_n, unit);
+  if (!isFollowed) {
+    return AXES.map((name, k) =>
+      [`F${name}`, words(applied[k], 1), words(found[k], 1), words(minus(found[k], applied[k]), 2)]);
+  }
+  const moments = three(moment_nmm, unit), unsure = three(moment_half_width_nmm, unit);
+  return [...AXES.map((name, k) => [`F${name}`, words(found[k], 1), words(half[k] ?? null, 2)]),
+    ...moments.map((moment, k) => [`M${AXES[k]} [N mm]`, words(moment, 0), words(unsure[k] ?? null, 1)])];
 }
 
-export const tableHead = ({ pillars }) =>
-  ["unit", ...pillars.map(name => `R${name}`), ...AXES.flatMap(axis => [`F${axis} appl.`, `F${axis} dec.`])];
+export const tableHead = ({ pillars }, isFollowed) => ["unit", ...pillars.map(name => `R${name}`),
+  ...AXES.flatMap(axis => (isFollowed ? [`F${axis}`, "±"] : [`F${axis} appl.`, `F${axis} dec.`]))];
 
-export function tableRows({ cols, pillars }, { resistance_ohm, applied_n, force_n }) {
+export function tableRows({ cols, pillars }, { resistance_ohm, applied_n, force_n, half_width_n }, isFollowed) {
   return Array.from({ length: force_n.length / 3 }, (_, unit) => {
-    const applied = three(applied_n, unit), found = three(force_n, unit), ohms = ofUnit(resistance_ohm, unit, pillars.length);
+    const found = three(force_n, unit), ohms = ofUnit(resistance_ohm, unit, pillars.length);
+    const other = three(isFollowed ? half_width_n : applied_n, unit).map(value => words(value, isFollowed ? 2 : 1));
     return [`${Math.floor(unit / cols)}, ${unit % cols}`, ...ohms.map(ohm => words(ohm / 1e3, 3)),
-      ...AXES.flatMap((_, k) => [words(applied[k], 1), words(found[k], 1)])];
+      ...AXES.flatMap((_, k) => {
+        const pair = [other[k] ?? words(null), words(found[k], 1)];
+        return isFollowed ? pair.reverse() : pair;
+      })];
   });
 }
 

@@ -3,7 +3,7 @@
 
 import { loadState, save, savePicture } from "./files.js";
 import {
-  colour, csv, largestStrain, missed, tableHead, tableRows, unitForces, unitPillars, words, ARROWS, MAPS,
+  colour, csv, forcesHead, largestStrain, missed, tableHead, tableRows, unitForces, unitPillars, words, ARROWS, MAPS,
 } from "./numbers.js";
 import { watchPicture } from "./picture.js";
 import { Plot } from "./plot.js";
@@ -68,7 +68,7 @@ function lay(given) {
   byId("by-sensor").hidden = facts.sensor === null;
   byId("port").textContent = facts.sensor ?? "";
   document.body.style.setProperty("--cols", facts.cols);
-  fill(byId("whole-table").tHead.rows[0], tableHead(facts), "th", text);
+  document.body.style.setProperty("--across", facts.pillars.length % 3 ? 4 : 3);
   for (const control of all("[data-control]")) {
     const name = control.dataset.control, kind = facts.kinds[name];
     if (control.type === "range") {
@@ -138,7 +138,8 @@ function showTexts() {
 }
 
 function showNumbers() {
-  const { pad } = controls, [strain, place] = largestStrain(facts, said), gauge = document.querySelector(".gauge div");
+  const { pad } = controls, isFollowed = controls.source === "sensor";
+  const [strain, place] = largestStrain(facts, said), gauge = document.querySelector(".gauge div");
   Object.assign(said, { unit_name: nameOf(pad), strain: words(strain, 1), strain_at: place, rms: missed(said) });
   gauge.style.width = `${Math.min(100 * strain / facts.cap, 100)}%`;
   gauge.classList.toggle("over", strain > facts.cap);
@@ -150,9 +151,9 @@ function showNumbers() {
     text(part(button, 1, "small"), Math.hypot(x, y) > 0.02 ? ARROWS[(eighth + 8) % 8] : "");
   });
   showRows(byId("unit-pillars"), unitPillars(facts, said, pad));
-  showRows(byId("unit-forces"), unitForces(said, pad));
+  showRows(byId("unit-forces"), unitForces(said, pad, isFollowed), forcesHead(isFollowed));
   if (controls.tab === "maps") for (const [id, map] of Object.entries(MAPS)) showMaps(byId(id), map);
-  if (controls.tab === "table") showRows(byId("whole-table"), tableRows(facts, said));
+  if (controls.tab === "table") showRows(byId("whole-table"), tableRows(facts, said, isFollowed), tableHead(facts, isFollowed));
 }
 
 // the strongest colour is of the largest value, but at least of `least`, so that noise at rest stays pale
@@ -206,7 +207,8 @@ function asCell(element, unit, shade) {
   element.classList.toggle("chosen", unit === controls.pad);
 }
 
-function showRows(table, rows) {
+function showRows(table, rows, head) {
+  if (head) fill(table.tHead.rows[0], head, "th", text);
   fill(table.tBodies[0], rows, "tr", (tr, row) => fill(tr, row, "td", text));
 }
 

@@ -240,7 +240,9 @@ class Page:
             "traction_mpa": listed(self._traction, 4),
             "applied_n": listed(reading.applied_n, 3),
             "force_n": listed(reading.force_n, 3),
-            "moment_nmm": [] if reading.moment_nmm is None else listed(reading.moment_nmm, 1),
+            "half_width_n": listed(reading.half_width_n, 3),
+            "moment_nmm": listed(reading.moment_nmm, 1),
+            "moment_half_width_nmm": listed(reading.moment_half_width_nmm, 1),
             "resistance_ohm": listed(reading.resistance_ohm, 3),
             "change_pct": listed(100.0 * reading.change, 4),
             "strain_pct": listed(100.0 * reading.strain, 4),
@@ -270,8 +272,10 @@ class Page:
         return traction_of(pressed, held, towards)
 
 
-def listed(values: FloatArray, digits: int) -> list[float | None]:
-    """Values as one rounded list; None for those that are not finite."""
+def listed(values: FloatArray | None, digits: int) -> list[float | None]:
+    """Values as one rounded list, an empty one of none; None for those that are not finite."""
+    if values is None:
+        return []
     return [number if np.isfinite(number) else None for number in values.ravel().round(digits).tolist()]
 
 

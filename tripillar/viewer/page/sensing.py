@@ -31,7 +31,7 @@ from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import OF_MOMENTS, on_all_axes
 from hardware.session import live
-from tripillar.terminal.force_view import RATE_OVER, contact_lines, notes_on, pace
+from tripillar.terminal.force_view import RATE_OVER, RENEWED_S, contact_lines, notes_on, pace
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
@@ -50,7 +50,9 @@ class Reading:
     change: FloatArray  #: (rows, cols, P): of the resistances from rest, relative
     force_n: FloatArray  #: (rows, cols, 3): decoupled, along x, y, z; NaN where the model gives none
     strain: FloatArray  #: (rows, cols, P): of each pillar |l − l₀|/l₀, under the load; infinite where turned over
+    half_width_n: FloatArray | None = None  #: (rows, cols, 3): that holds 68 % of the forces' errors, of a sensor
     moment_nmm: FloatArray | None = None  #: (rows, cols, 3): of touch, about each unit's middle; NaN where unknown
+    moment_half_width_nmm: FloatArray | None = None  #: of that shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,8 @@ class PressedSensor:
         return Reading(
             traction_mpa=traction_mpa, applied_n=np.full_like(scan.force_n, np.nan), resistance_ohm=scan.resistance_ohm,
             change=scan.resistance_ohm / rest_ohm - 1.0, force_n=scan.force_n, strain=strain,
-            moment_nmm=None if scan.moment_nmm is None else moments(scan.moment_nmm),
+            half_width_n=scan.deviation_n, moment_nmm=moments(scan.moment_nmm),
+            moment_half_width_nmm=None if (half := moments(scan.moment_deviation_nmm)) is None else np.abs(half),
         )  # fmt: skip
 
     def _strains(self, moved_mm: FloatArray) -> FloatArray:
@@ -116,8 +119,10 @@ def tractions(force_n: FloatArray, design: SensorDesign) -> FloatArray:
     return np.nan_to_num(force_n).reshape(-1, 3) / forces(np.ones(3), design)
 
 
-def moments(load_nmm: FloatArray) -> FloatArray:
+def moments(load_nmm: FloatArray | None) -> FloatArray | None:
     """Moments (..., 3) [N mm] about x, y and z from those of `Touched.load` (..., 2 or 3); NaN where there is none."""
+    if load_nmm is None:
+        return None
     kinds = load_nmm.shape[-1]
     found = load_nmm @ OF_MOMENTS[:kinds, 3:]
     return np.where(OF_MOMENTS[:kinds, 3:].any(axis=0), found, np.nan)
@@ -158,10 +163,11 @@ class SensorFeed:
             self._newest.append(last)
         try:
             if last is not None:
-                found = self._sensor.forces(last)
+                found = self._sensor.forces(last, RENEWED_S)
                 self.faults, self.contacts, self.trouble = notes_on(found), contact_lines(found), ""
                 axes = self._sensor.model.component.axes
-                self.scan = replace(found, force_n=on_all_axes(found.force_n, axes))
+                half_n = None if found.deviation_n is None else on_all_axes(found.deviation_n, axes)
+                self.scan = replace(found, force_n=on_all_axes(found.force_n, axes), stated=(half_n, None))
         except TriPillarError as error:  # of one scan; the next may be sound
             self.trouble, last = str(error), None
         told = f"{pace(self._newest):.0f} scans/s, {scanner.stats.lost} lost"
