@@ -27,6 +27,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.errors import FileFormatError, GeometryError
 from geometry.mesh import sensor_mesh, smallest_dihedral_deg, suited_settings
+from geometry.mould import write_cad
 from geometry.storage.files import digest, write_json, write_text
 from geometry.storage.journal import Journal, hashes_of, intact
 from geometry.storage.seal import say_made_anew
@@ -114,8 +115,6 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     reused = made.get("recipe") == cache_key
     files = [folder / name for name in made["files"]] if reused else []
     if not reused:
-        from geometry.mould import write_cad  # takes seconds to load: only when something is drawn
-
         files = write_cad(design, folder)
         hashes = hashes_of({path.name: path.read_bytes() for path in files})
         journal.keep("made", {"recipe": cache_key, "files": hashes})
