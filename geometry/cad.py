@@ -8,8 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-
-from build123d import Compound, Face, Location, Shape, Solid, Vector, Wire, export_step
+from typing import TYPE_CHECKING
 
 from geometry.design import SensorDesign, Unit
 from geometry.layout import unit_centres
@@ -17,28 +16,37 @@ from geometry.prism import SIDES, unit_prisms
 from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid
 
+if TYPE_CHECKING:
+    from build123d import Compound, Shape, Solid
+
 Point = Sequence[float]
 
 STEP_TIME = "2000-01-01T00:00:00"  #: stamp of every STEP file, so that one design always gives the same bytes
 
 
-def prism(outline: Sequence[Point], along: Point) -> Solid:
+def prism(outline: Sequence[Point], along: Point) -> "Solid":
     """A flat outline of points (x, y, z) swept along a vector, square to it or not."""
+    from build123d import Face, Solid, Vector, Wire
+
     return Solid.extrude(Face(Wire.make_polygon([Vector(*point) for point in outline])), Vector(*along))
 
 
-def box(size_x_mm: float, size_y_mm: float, bottom_mm: float, top_mm: float) -> Solid:
+def box(size_x_mm: float, size_y_mm: float, bottom_mm: float, top_mm: float) -> "Solid":
     """A box centred on the z axis."""
+    from build123d import Location, Solid
+
     corner = Location((-size_x_mm / 2, -size_y_mm / 2, bottom_mm))
     return Solid.make_box(size_x_mm, size_y_mm, top_mm - bottom_mm).moved(corner)
 
 
-def at_units(solid: Solid, design: SensorDesign) -> list[Solid]:
+def at_units(solid: "Solid", design: SensorDesign) -> list["Solid"]:
     """Copies of a solid drawn in the unit's frame, one at every unit of the array."""
+    from build123d import Location
+
     return [solid.moved(Location((x, y, 0.0))) for x, y in unit_centres(design)]
 
 
-def pillar_solids(unit: Unit, sides: int = SIDES) -> list[Solid]:
+def pillar_solids(unit: Unit, sides: int = SIDES) -> list["Solid"]:
     """The pillars in the unit's frame, each ending flush with z = 0 and z = h.
 
     The section is width × width perpendicular to the axis, or a circle of that diameter, drawn as a polygon: a
@@ -52,31 +60,33 @@ def pillar_solids(unit: Unit, sides: int = SIDES) -> list[Solid]:
     return [prism(corners[: len(corners) // 2].tolist(), axis.tolist()) for corners, axis in prisms]
 
 
-def unit_solid(unit: Unit, sides: int = SIDES) -> Solid:
+def unit_solid(unit: Unit, sides: int = SIDES) -> "Solid":
     """The conductive body of one unit, in its own frame: its pillars, grown together at common electrodes."""
     first, *others = pillar_solids(unit, sides)
     return first.fuse(*others)
 
 
-def array_solid(design: SensorDesign, sides: int = SIDES) -> Compound:
+def array_solid(design: SensorDesign, sides: int = SIDES) -> "Compound":
     """The conductive bodies of all units, k = i·cols + j; they do not touch, whatever the pitch."""
+    from build123d import Compound
+
     unit = unit_solid(design.unit, sides)
     unit.label = "unit"
     return Compound(children=at_units(unit, design), label="array")
 
 
-def slab_solid(design: SensorDesign) -> Solid:
+def slab_solid(design: SensorDesign) -> "Solid":
     """Pillars and matrix together, as one block."""
     x, y, h = design.slab_mm
     return box(x, y, 0.0, h)
 
 
-def matrix_solid(design: SensorDesign) -> Solid:
+def matrix_solid(design: SensorDesign) -> "Solid":
     """The insulating rubber: the slab without the pillars."""
     return slab_solid(design).cut(*at_units(unit_solid(design.unit), design))
 
 
-def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
+def sensor_solids(design: SensorDesign) -> dict[str, "Shape"]:
     """Everything that makes up the sensor, by the name of its files."""
     pillars = zip(design.unit.layout.body.pillar_names, pillar_solids(design.unit), strict=True)
     return {f"pillar_{name}": pillar for name, pillar in pillars} | {
@@ -87,7 +97,7 @@ def sensor_solids(design: SensorDesign) -> dict[str, Shape]:
     }
 
 
-def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
+def write_solids(solids: Mapping[str, "Shape"], folder: Path) -> list[Path]:
     """Write ``NAME.step``, the master, and ``NAME.stl`` of every solid; the same solids give the same bytes.
 
     Every surface is checked before any file is written: `GeometryError`.
@@ -102,7 +112,9 @@ def write_solids(solids: Mapping[str, Shape], folder: Path) -> list[Path]:
     return [folder / f"{name}.{kind}" for name in solids for kind in ("step", "stl")]
 
 
-def _write_step(solid: Shape, name: str, path: Path) -> None:
+def _write_step(solid: "Shape", name: str, path: Path) -> None:
+    from build123d import export_step
+
     solid.label = name
     step = BytesIO()  # the CAD kernel does not say when a disk is full
     export_step(solid, step, timestamp=STEP_TIME)

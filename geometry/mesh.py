@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.convex import convex_hull
-from trimesh.util import concatenate
 
 from geometry.design import SensorDesign
 from geometry.errors import DesignError, FileFormatError, GeometryError
@@ -177,6 +175,8 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
 
 def prism_surface(prism: Prism) -> "Trimesh":
     """The faces of a prism as triangles."""
+    from trimesh.convex import convex_hull
+
     return convex_hull(prism.corners(MESHED_SIDES))
 
 
@@ -247,6 +247,8 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 
     The mesher's own filter takes surfaces that share a part of a face for holes or bulges.
     """
+    from trimesh.util import concatenate
+
     joined = concatenate(task.surfaces)
     with scratch() as folder:
         points, cells = run_apart(

@@ -12,9 +12,9 @@ Parts are drawn closed, in the sensor's coordinates; print the lid upside down. 
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from build123d import Location, Solid
 
 from geometry.cad import at_units, box, pillar_solids, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit
@@ -23,6 +23,9 @@ from geometry.layout import pillar_ends, pillar_sections, pillar_widths, upper_e
 from geometry.prism import unit_prisms
 from geometry.quantity import Sound, positive, quantity
 from geometry.storage.files import require_folder
+
+if TYPE_CHECKING:
+    from build123d import Solid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +37,14 @@ class Mould(Sound):
     clearance_mm: float = quantity(0.15, "gap between a wedge of the lid and each wall of its trough", within=(0, 10))
 
 
-def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, Solid]:
+def mould_solids(design: SensorDesign, mould: Mould) -> dict[str, "Solid"]:
     """The mould's parts, by the name of their files; `DesignError` if the clearance leaves no wedges.
 
     The lid has wedges below and, for every unit, a vent over each upper electrode and a window, centred and half as
     wide as the room beside the pillars, so that it meets no wedge.
     """
+    from build123d import Location
+
     unit, plate_mm, rim_mm = design.unit.body, mould.plate_mm, 2 * mould.wall_mm
     widths = pillar_widths(unit)
     if mould.clearance_mm >= min(widths) / 2:
@@ -77,7 +82,7 @@ def _room_mm(unit: Unit) -> float:
     return 2 * float(np.where(opposite, 0.0, beside.min(axis=1)).max(axis=1).min())
 
 
-def _wedges(unit: Unit, clearance_mm: float) -> list[Solid]:
+def _wedges(unit: Unit, clearance_mm: float) -> list["Solid"]:
     """The space above each oblique pillar up to z = h, beside an upright one at its foot: right-angled prisms.
 
     `clearance_mm` comes off the faces that slide along a trough's walls, not off those that shape rubber.

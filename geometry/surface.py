@@ -8,30 +8,32 @@ from math import log10
 from typing import TYPE_CHECKING
 
 import numpy as np
-from trimesh import Trimesh
 
 from geometry.errors import GeometryError
 
 if TYPE_CHECKING:
     from build123d import Shape
+    from trimesh import Trimesh
 
 CHORD_MM = 1e-3  #: how far a triangle may leave a curved face; the bodies drawn here are flat-faced, so none does
 COINCIDENT_MM = 1e-7  #: points closer than this are one point: the CAD kernel's own precision
 VOLUME_TOLERANCE = 1e-6  #: relative; see `check_surface`
 
 
-def surface_from_solid(solid: "Shape") -> Trimesh:
+def surface_from_solid(solid: "Shape") -> "Trimesh":
     """Triangulate a solid, or several that do not touch, and join the triangles of neighbouring faces.
 
     Every edge of a solid is divided once for both of its faces, so the triangles meet without T-junctions.
     """
+    from trimesh import Trimesh
+
     points, corners = solid.tessellate(CHORD_MM)
     surface = Trimesh([tuple(point) for point in points], corners, process=False)
     surface.merge_vertices(digits_vertex=-round(log10(COINCIDENT_MM)))
     return surface
 
 
-def check_surface(surface: Trimesh, expected_volume_mm3: float, name: str) -> None:
+def check_surface(surface: "Trimesh", expected_volume_mm3: float, name: str) -> None:
     """Refuse a surface that is not closed and outward, or does not enclose its solid's volume [mm³]: `GeometryError`.
 
     Flat faces are triangulated exactly, so volumes differ by rounding alone: 1e-12 in double precision, 1e-7 once

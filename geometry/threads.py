@@ -19,5 +19,5 @@ def one_blas_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries(*loaded: bool) -> ThreadpoolController:
-    """The libraries of linear algebra that were there with these packages: to look for them takes 5 ms."""
+    """The libraries of linear algebra that were there with these packages: to look for them takes 1 ms."""
     return ThreadpoolController()

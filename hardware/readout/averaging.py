@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
@@ -82,7 +82,7 @@ def movement(counts: NDArray[Any], crossbar: Crossbar, rate_hz: float) -> str | 
     between, within = n_in_group * means.var(axis=0, ddof=1), bins.var(axis=1, ddof=1).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(between > 0.0, between / within, 0.0)  # without noise any change is one
-    chance = f_distribution.sf(ratio, n_groups - 1, n_groups * (n_in_group - 1))
+    chance = fdtrc(n_groups - 1, n_groups * (n_in_group - 1), ratio)
     moves = (chance * counts.shape[1] < FALSE_ALARMS) & (np.ptp(means, axis=0) > 1.0)
     if not moves.any():
         return None

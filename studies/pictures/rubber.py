@@ -4,7 +4,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.signal import lfilter
 
 from decoupler.rubber.fit import identified
 from decoupler.rubber.law import Elastic, log_ratio
@@ -39,6 +38,8 @@ def bench(
     programme: tuple[FloatArray, FloatArray] | None = None,
 ) -> Series:
     """A series of the test that is proposed, with errors that stay alike for a while, and white ones of a tenth."""
+    from scipy.signal import lfilter
+
     corners, levels = next_test() if programme is None else programme
     time_s = np.arange(0.0, corners[-1], 1 / rate_hz)
     strain, generator = np.interp(time_s, corners, levels), np.random.default_rng(seed)

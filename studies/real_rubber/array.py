@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from scipy.signal import lfilter
 
 import tripillar as tp
 from dataset.memory import PillarMemory, broken_contacts, log_rise
@@ -110,6 +109,8 @@ def static_strain(log_ratio: FloatArray, memory: Memory) -> FloatArray:
 
 def bench_series(memory: Memory, seed: int = 0) -> Series:
     """A bench series of a strip in the test that is proposed, with errors that stay alike for 20 s."""
+    from scipy.signal import lfilter
+
     corners, levels = next_test()
     time_s, generator = np.arange(0.0, corners[-1], 1 / RATE_HZ), np.random.default_rng(seed)
     strain = np.interp(time_s, corners, STRETCH / np.max(levels) * levels)

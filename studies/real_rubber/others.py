@@ -7,7 +7,6 @@ same methods make resistances of strains and forces of resistances.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import lfilter
 
 from geometry.layout import FloatArray
 
@@ -23,6 +22,8 @@ HIDDEN, STEPS, BATCH, WINDOW = 16, 200, 12, 400  #: of the recurrent net; readin
 
 def relaxed(x: FloatArray, tau_s: float, step_s: float) -> FloatArray:
     """A linear relaxation of x, settled at first."""
+    from scipy.signal import lfilter
+
     gain = 1.0 - np.exp(-step_s / tau_s)
     return np.asarray(lfilter([gain], [1.0, gain - 1.0], x, zi=[x[0] * (1.0 - gain)])[0])
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import trimesh
-from build123d import CenterOf, GeomType, Location, import_step
 from trimesh import Trimesh
 
 from geometry import Array, DesignError, GeometryError, SensorDesign, Unit
@@ -38,6 +37,8 @@ def bounds(solid) -> np.ndarray:
 
 def test_a_unit_is_one_body_of_its_closed_form_that_spans_its_footprint(design):
     """The same by shares of boxes, whose lines lie 1/200 of the footprint apart: within 0.2 %."""
+    from build123d import CenterOf
+
     solid, unit = unit_solid(design.unit), design.unit
     assert solid.volume == pytest.approx(union_mm3(unit), rel=EXACT)
     pillars = pillar_solids(unit)
@@ -65,7 +66,7 @@ def test_an_array_is_a_unit_at_every_centre_and_the_matrix_is_the_slab_without_i
     assert matrix.is_valid
     assert len(matrix.solids()) == 1
     assert matrix.volume == pytest.approx(np.prod(design.slab_mm) - design.n_units * whole.volume, rel=EXACT)
-    assert all(face.geom_type == GeomType.PLANE for face in matrix.faces())
+    assert all(face.geom_type.name == "PLANE" for face in matrix.faces())
     for solid, euler in ((array, 2 * design.n_units), (matrix, 2 - 2 * 3 * design.n_units)):
         surface = surface_from_solid(solid)
         check_surface(surface, solid.volume, "body")
@@ -95,6 +96,8 @@ def test_damaged_surfaces_are_refused_and_nothing_is_written(damaged, says, tmp_
 
 def test_files_hold_the_solids_exactly_and_one_design_gives_the_same_bytes_twice(small_design, tmp_path):
     """Also within one process, where the CAD kernel goes on counting parts, and under another path."""
+    from build123d import import_step
+
     solids = sensor_solids(small_design)
     for at in ("first", "second"):
         written = write_cad(small_design, tmp_path / at, MOULD)
@@ -155,6 +158,8 @@ def test_the_mould_s_volumes_follow_their_closed_forms_and_its_lid_is_open_where
 
 def test_the_lid_lifts_straight_off_and_units_lift_out_but_for_the_heel_of_the_y_pillar(small_design):
     """The heel is a prism of width w, as far out as the oblique pillar is wider than z, and as steep."""
+    from build123d import Location
+
     parts, units, unit = mould_solids(small_design, MOULD), array_solid(small_design), small_design.unit
     depth = (oblique_width(unit) - unit.pillar_width_mm) / 2
     heel = unit.pillar_width_mm * depth**2 * unit.height_mm / (2 * unit.span_mm)
@@ -179,6 +184,8 @@ def test_the_lid_lifts_straight_off_and_units_lift_out_but_for_the_heel_of_the_y
 )
 def test_units_of_every_layout_are_drawn_and_moulded(layout):
     """Lid, block and rubber fill the slab and meet nowhere; rubber lifts out but for heels of its drawing."""
+    from build123d import Location
+
     unit = Unit(layout=layout)
     design, solid = SensorDesign(unit=unit, array=Array(rows=1, cols=1)), unit_solid(unit)
     assert solid.is_valid

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from itertools import product
 from math import ceil, log2
 
-from scipy.stats import qmc
-
 from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
@@ -39,6 +37,8 @@ def samples_of(sweep: Sweep) -> list[Sample]:
 
 def points_of(sweep: Sweep) -> list[tuple[float | str, ...]]:
     """The value of each variable in each design."""
+    from scipy.stats import qmc
+
     if sweep.sampling == "grid":
         return list(product(*(variable.values for variable in sweep.variables)))
     n_variables = len(sweep.variables)

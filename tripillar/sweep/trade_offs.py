@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import rankdata, spearmanr
 
 from geometry.layout import FloatArray
 from geometry.storage.files import replacing
@@ -155,6 +154,8 @@ def pareto(first: FloatArray, second: FloatArray) -> np.ndarray:
 
 def telling_variable(rows: Sequence[Row], sweep: Sweep) -> Variable:
     """The variable of the strongest rank correlation with the minimised metric; a choice's by mean ranks."""
+    from scipy.stats import rankdata, spearmanr
+
     error = rankdata(column(rows, sweep.least))
 
     def agreement(variable: Variable) -> float:
