@@ -32,7 +32,7 @@ POSIX = re.compile(
     r"|SIGKILL|SIGSTOP|SIGUSR|\"board\"|import studies|from studies"
 )
 HERE = Path(__file__).parent
-FLOORS = ("geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies")
+FLOORS = ("common", "geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies")
 NOT_COLLECTED = {
     path
     for path in (*HERE.glob("tests/**/test_*.py"), *HERE.glob("hardware/boards/*.py"))

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
+from common.threads import one_blas_thread
 from dataset.finite_strain import METHOD, require_finite
 from dataset.resistance import pillar_lengths
 from fem.array.response import ArrayResponse
@@ -12,9 +15,6 @@ from fem.array.sensitivities import ResponseSensitivities
 from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 from geometry.tolerances import value_of
 
 VERSION = 4  #: raise when the same designs give other answers

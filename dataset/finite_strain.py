@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
+from common.storage.files import digest
+from common.threads import one_blas_thread
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
 from dataset.resistance import largest_strains, pillar_lengths
@@ -19,10 +22,7 @@ from dataset.simulation import DatasetSettings, as_read, below_cap, labelled, or
 from fem.array.response import ArrayResponse
 from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 
 METHOD = 8  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
+from common.quantity import quantity
+from common.storage.files import stated
 from dataset.measurement import SENSE_OHM, ReadingError, Readout, measured
 from dataset.memory import AnyMemory, PillarMemory
 from geometry.design import Electrics, Memory, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, Layout
-from geometry.quantity import quantity
-from geometry.storage.files import stated
 from geometry.wiring import crossing_of_pillar, crossings
 
 PAPERS = Unit().layout  #: of arrays that state none

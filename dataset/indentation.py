@@ -10,12 +10,12 @@ from threading import Lock
 
 import numpy as np
 
+from common.storage.netcdf import write_netcdf
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.netcdf import write_netcdf
 
 #: ranges of an indentation's sizes, in heights of the slab
 RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 0.2), (0.0, 0.15)

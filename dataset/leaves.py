@@ -19,12 +19,12 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
+from common.errors import FileFormatError
+from common.storage.files import digest, reported, require_folder
+from common.storage.netcdf import chosen_variables
+from common.storage.unfinished import unfinished_folder
 from dataset.variables import TIME, VARIABLES, coordinates
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import digest, reported, require_folder
-from geometry.storage.netcdf import chosen_variables
-from geometry.storage.unfinished import unfinished_folder
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,10 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
+from common.quantity import quantity
 from geometry.design import Drifts, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.quantity import quantity
 
 MIN_LEFT = 0.01  #: part of its resistance that the widest drift leaves a pillar
 SENSE_OHM = 10_000.0  #: default sense resistor: the z pillar's rest value puts the divider in mid-range

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from common.errors import DesignError
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, unit_centres
 
 NORMAL_MPA = (1.0, 5.0)  #: range of a pad's pressure, and of an indenter's peak

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError, TriPillarError, require_type
+from common.storage.files import digest
+from common.storage.netcdf import write_netcdf
 from dataset.imperfections import PAPERS, Imperfections, stated_imperfections
 from dataset.leaves import is_zarr, leaf_size, write_leaves
 from dataset.measurement import ReadingError
 from dataset.variables import LABELS, TIME, VARIABLES, coordinates
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
-from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import digest
-from geometry.storage.netcdf import write_netcdf
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,6 +15,10 @@ from typing import Any, cast
 import numpy as np
 import psutil
 
+from common.errors import DesignError, TriPillarError, require_type
+from common.quantity import quantity
+from common.storage.files import digest
+from common.threads import one_blas_thread
 from dataset.histories import between, programme
 from dataset.imperfections import SEEDS, Imperfections
 from dataset.indentation import VERSION, indented, tiled_lengths
@@ -26,11 +30,7 @@ from dataset.samples import SampleError, Samples, require_samples, require_varia
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import Memory, SensorDesign
-from geometry.errors import DesignError, TriPillarError, require_type
 from geometry.layout import AXES, FloatArray, rest_lengths
-from geometry.quantity import quantity
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 
 METHOD = 2  #: raise when the same settings give other samples
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache

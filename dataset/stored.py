@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.errors import DesignError, FileFormatError, TriPillarError
+from common.storage.files import digest
+from common.storage.netcdf import read_netcdf
+from common.storage.seal import say_made_anew
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import AnySamples, Choice, SampleError, Samples
@@ -16,11 +20,7 @@ from dataset.table import read_csv
 from dataset.variables import LABELS, TIMED, VARIABLES, labels_of, layout_of, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
-from geometry.errors import DesignError, FileFormatError, TriPillarError
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import digest
-from geometry.storage.netcdf import read_netcdf
-from geometry.storage.seal import say_made_anew
 
 if TYPE_CHECKING:
     import xarray as xr

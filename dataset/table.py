@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import FileFormatError
+from common.storage.files import replacing
+from common.storage.text_file import why_unreadable
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import replacing
-from geometry.storage.text_file import why_unreadable
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"

@@ -24,8 +24,8 @@ import torch
 from finger_on_slab import FINGERTIP, DrawingError, finger_on_slab, pad_stiffness, renderer
 
 import tripillar as tp
+from common.storage.files import replacing
 from geometry.layout import unit_centres
-from geometry.storage.files import replacing
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Crossbar
 from tripillar.simulators.contacts import ContactReader, stacked

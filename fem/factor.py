@@ -19,7 +19,7 @@ import psutil
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
 from geometry.layout import FloatArray
 
 SparseMatrix: TypeAlias = sp.csr_matrix | sp.bsr_matrix

@@ -10,10 +10,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from common.storage.files import replacing_in
 from geometry.design import SensorDesign, Unit
 from geometry.layout import unit_centres
 from geometry.prism import SIDES, unit_prisms
-from geometry.storage.files import replacing_in
 from geometry.surface import check_surface, surface_from_solid
 
 if TYPE_CHECKING:

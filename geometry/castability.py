@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
+from common.errors import DesignError
 from geometry.design import SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_ends, pillar_sections, pillar_vectors, pillar_widths
 from geometry.prism import Prism, unit_prisms
 from geometry.shares import pillar_shares

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from html import escape
 from typing import ClassVar, Self
 
-from geometry.errors import DesignError
+from common.errors import DesignError
+from common.quantity import OPTIONAL, Sound, positive, quantity
 from geometry.layout import SONG2018, Layout, crossing_pillars, footprint, min_span
-from geometry.quantity import OPTIONAL, Sound, positive, quantity
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,12 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from common.errors import DesignError
+from common.storage.files import write_text
+from common.storage.text_file import StrictTables, read_text, tables_of
 from geometry.design import SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import SONG2018, Layout
 from geometry.layout_file import KEYS, layout_from_tables, layout_tables
-from geometry.storage.files import write_text
-from geometry.storage.text_file import StrictTables, read_text, tables_of
 from geometry.tolerances import usual_deviations
 from geometry.wiring import explained
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import DesignError
-from geometry.quantity import OPTIONAL, Sound, quantity
+from common.errors import DesignError
+from common.quantity import OPTIONAL, Sound, quantity
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit

@@ -8,9 +8,9 @@ import reprlib
 from functools import partial
 from typing import Any
 
-from geometry.errors import DesignError
+from common.errors import DesignError
+from common.storage.text_file import StrictTables
 from geometry.layout import LAYOUTS, SECTIONS, Electrode, Layout, Pillar
-from geometry.storage.text_file import StrictTables
 
 STRICT = StrictTables(DesignError)
 LEVELS = ("upper", "lower")  #: of electrodes

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError, FileFormatError, GeometryError
+from common.quantity import Sound, positive
+from common.storage.cache import kept
+from common.storage.files import digest, scratch, vtk_content, write_bytes
+from common.storage.seal import BLANK, require_intact, sealed
 from geometry.design import SensorDesign
-from geometry.errors import DesignError, FileFormatError, GeometryError
 from geometry.layout import FloatArray, pillar_widths
 from geometry.mesher import run_apart, tetrahedralize
 from geometry.prism import MESHED_SIDES, Prism, pad_prisms, pillar_prisms, prisms_at, slab_prism
-from geometry.quantity import Sound, positive
-from geometry.storage.cache import kept
-from geometry.storage.files import digest, scratch, vtk_content, write_bytes
-from geometry.storage.seal import BLANK, require_intact, sealed
 from geometry.surface import check_surface
 
 if TYPE_CHECKING:

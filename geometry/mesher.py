@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import GeometryError
+from common.errors import GeometryError
 
 PR_SET_PDEATHSIG = 1  #: of Linux's prctl
 

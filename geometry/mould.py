@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from common.errors import DesignError
+from common.quantity import Sound, positive, quantity
+from common.storage.files import require_folder
 from geometry.cad import at_units, box, pillar_solids, prism, sensor_solids, unit_solid, write_solids
 from geometry.design import SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import pillar_ends, pillar_sections, pillar_widths, upper_electrodes
 from geometry.prism import unit_prisms
-from geometry.quantity import Sound, positive, quantity
-from geometry.storage.files import require_folder
 
 if TYPE_CHECKING:
     from build123d import Solid

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.quantity import OPTIONAL
 from geometry.layout import (
     FloatArray,
     leans_both_ways,
@@ -18,7 +19,6 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
-from geometry.quantity import OPTIONAL
 
 if TYPE_CHECKING:
     from geometry.design import SensorDesign, Unit

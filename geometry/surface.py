@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geometry.errors import GeometryError
+from common.errors import GeometryError
 
 if TYPE_CHECKING:
     from build123d import Shape

@@ -9,8 +9,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+from common.errors import DesignError
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 
 RUBBER = "rubber"  #: table of parameters that both rubbers share
 RUBBERS = ("pillar_material", "matrix_material")

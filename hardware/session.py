@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.threads import one_blas_thread
 from geometry.design import Memory
 from geometry.layout import FloatArray
-from geometry.threads import one_blas_thread
 from hardware.link.frames import Statistics
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError

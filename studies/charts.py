@@ -4,7 +4,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geometry.storage.files import replacing
+from common.storage.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 from scipy.optimize import least_squares
 
+from common.storage.files import write_text
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from fem.finite.samples import SampleSolver
@@ -20,7 +21,6 @@ from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import solve_scene_parts
 from geometry.design import Array, Material, Pad, SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.files import write_text
 from studies.charts import save_small
 from studies.program import run_alone
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geometry.storage.files import write_json, write_text
+from common.storage.files import write_json, write_text
 from studies.program import run_alone
 from tripillar.terminal.entry import wrote
 

@@ -11,7 +11,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from geometry.storage.files import write_json
+from common.storage.files import write_json
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.tables import show
 

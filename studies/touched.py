@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
+from common.errors import DesignError
 from dataset import Samples
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
 from dataset.measurement import ReadingError
@@ -21,7 +22,6 @@ from decoupler.touch.touch_file import read_model
 from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
 from fem.contact.shapes import Upright
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from studies.program import run_alone
 from tripillar.terminal.progress import Bars

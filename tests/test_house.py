@@ -11,14 +11,23 @@ from pathlib import Path
 from tripillar.cli.app import COMMANDS
 
 ROOT = Path(__file__).parents[1]
-FLOORS = ["geometry", "fem", "dataset", "decoupler", "hardware", "tripillar", "studies"]  #: each imports only leftwards
+FLOORS = [
+    "common",
+    "geometry",
+    "fem",
+    "dataset",
+    "decoupler",
+    "hardware",
+    "tripillar",
+    "studies",
+]  #: each imports only leftwards
 HEAVY = ["build123d", "torch", "pyvista", "skfem", "xarray", "scipy", "trimesh"]
 MAX_LINES = 450  #: of a file of the product or the laboratory
 OTHERS = (".js", ".html", ".msg", ".c", ".h")  #: of files that are not in Python
 HELP_S = 1.0  #: of processor time to print a help text
 #: rooms of each floor, in the order of the data: none imports one to its right
 ROOMS = {
-    "geometry": "storage",
+    "common": "storage",
     "fem": "scene boxes rubber tetrahedra conduction finite array contact methods pictures",
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",

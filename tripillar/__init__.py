@@ -45,12 +45,12 @@ True
 
 TYPE_CHECKING = False  # as of `typing`, which takes time to load: a program takes Ctrl-C over first
 if TYPE_CHECKING:
+    from common.errors import TriPillarError
     from dataset.samples import Samples
     from dataset.stored import read_samples
     from decoupler.touch.touch_file import read_model
     from geometry.design import SensorDesign
     from geometry.design_file import read_design
-    from geometry.errors import TriPillarError
     from hardware.session import live
     from hardware.virtual.sensor import VirtualSensor
     from tripillar.face.boards import record, replay

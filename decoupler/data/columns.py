@@ -12,11 +12,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
 from dataset.imperfections import PAPERS
 from dataset.measurement import SENSE_OHM, ReadingError
 from dataset.samples import SampleError, Samples
 from dataset.variables import senseless
-from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, Layout
 
 DEAD_OHM = 1e4  #: put in the place of pillars that cannot be read; no weight ever sees it

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import FileFormatError
+from common.storage.text_file import why_unreadable
 from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray, Layout
-from geometry.storage.text_file import why_unreadable
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 #: that a force may be written in

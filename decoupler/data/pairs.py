@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
+from common.storage.files import digest
 from dataset.imperfections import OPEN_OHM, PAPERS
 from dataset.samples import SampleError, Samples
 from dataset.variables import labels_of, senseless
 from geometry.layout import AXES, FloatArray, Layout
-from geometry.storage.files import digest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.threads import one_blas_thread
 from dataset import Samples
 from dataset.samples import AnySamples
 from decoupler.data.columns import Component, force_columns
@@ -17,7 +18,6 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import AXES, FloatArray
-from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.pool import in_parallel
 from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.columns import Columns, component_named
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.suited import suited_training
-from geometry.pool import in_parallel
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse

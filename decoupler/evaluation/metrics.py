@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from common.errors import require_type
+from common.threads import one_blas_thread
 from dataset import Samples
 from dataset.samples import AnySamples, SampleError, require_samples
 from decoupler.data.columns import Component, Scaling, force_columns
 from decoupler.data.enough import ENOUGH
 from decoupler.model.decoupler import Decoupler
-from geometry.errors import require_type
 from geometry.layout import FloatArray
-from geometry.threads import one_blas_thread
 
 BOUNDED_AWAY = 1e-3  #: eq. 17 is given only if every |F| is above this share of full scale
 

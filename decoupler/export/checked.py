@@ -6,13 +6,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from common.errors import DesignError, needing
+from common.storage.files import write_bytes
 from decoupler.export.c_header import header_text
 from decoupler.export.portable import ExportError
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import converted
-from geometry.errors import DesignError, needing
 from geometry.layout import FloatArray
-from geometry.storage.files import write_bytes
 
 Precision = Literal["float", "double"]
 USUAL: dict[str, Precision] = {".onnx": "double", ".h": "float"}  #: precision by suffix

@@ -2,8 +2,8 @@
 
 from importlib.metadata import PackageNotFoundError, version
 
+from common.errors import TriPillarError
 from decoupler.model.decoupler import Decoupler
-from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 
 

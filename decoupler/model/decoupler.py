@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from common.storage.files import digest
 from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
@@ -35,7 +36,6 @@ from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import digest
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core

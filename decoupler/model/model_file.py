@@ -10,6 +10,9 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from common.errors import FileFormatError
+from common.storage.files import digest, stated, write_bytes
+from common.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
@@ -18,10 +21,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import FileFormatError
 from geometry.layout_file import layout_from_text, layout_text
-from geometry.storage.files import digest, stated, write_bytes
-from geometry.storage.seal import BLANK, KEY, MARK, require_intact, sealed
 from geometry.tolerances import uncertain_keys
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from geometry.errors import DesignError, TriPillarError
-from geometry.quantity import Sound, quantity
+from common.errors import DesignError, TriPillarError
+from common.quantity import Sound, quantity
 
 Net = Literal["plain", "skip"]
 Feature = Literal["resistance", "root", "inverse"]

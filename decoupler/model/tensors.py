@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.errors import DesignError
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import Layout
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import Generator
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.causal import FARTHEST, LOG_SPREADS, CausalFilter
 from decoupler.rubber.law import NAMES, Rubber
 from geometry.design import Memory
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 if TYPE_CHECKING:
     from torch import Tensor

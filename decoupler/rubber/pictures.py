@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from common.storage.files import replacing
 from decoupler.rubber.check import resistance_from_strain
 from decoupler.rubber.law import Rubber, log_ratio
 from decoupler.rubber.series import Series
-from geometry.storage.files import replacing
 
 BLUE, ORANGE, GREY, INK = "#0072b2", "#ff8c5a", "#9a9a9a", "#222222"
 DRAWS = 100

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import DesignError
+from common.storage.files import write_text
+from common.storage.text_file import read_text, tables_of
 from decoupler.rubber.law import NAMES, Elastic, Rubber
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, key_line, row_text, whole_design
-from geometry.errors import DesignError
-from geometry.storage.files import write_text
-from geometry.storage.text_file import read_text, tables_of
 
 MEND = "write one with 'tripillar rubber --data SERIES.csv --out RUBBER.toml'"
 #: numbers of [rubber] and what they mean; those that may be missing last

@@ -13,9 +13,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
+from common.storage.text_file import why_unreadable
 from geometry.layout import FloatArray
-from geometry.storage.text_file import why_unreadable
 
 #: columns of each quantity that a table may have, and how much of its unit theirs is
 COLUMNS = {

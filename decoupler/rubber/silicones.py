@@ -5,8 +5,8 @@ Batches differ by tens of percent: these are to begin with, until yours is measu
 
 from dataclasses import dataclass, replace
 
+from common.errors import DesignError
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from common.storage.files import write_text
 from decoupler.rubber.law import NAMES, Rubber
 from geometry.layout import FloatArray
-from geometry.storage.files import write_text
 
 UNKNOWN = 0.5  #: deviation over the prior's, from which a direction is as good as unknown
 PART = 0.15  #: of a direction that a number must have to be named

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from scipy.special import chdtri
 
+from common.storage.files import digest
+from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.touch.sensing import Displacements, Pillars, Sensing
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from decoupler.touch.morph import Fit

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
+from common.threads import one_blas_thread
 from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
 from decoupler.model.model_file import arrays_of, built_of
@@ -18,9 +21,6 @@ from fem.contact import Contact, ContactError, Solid, surface_compliance
 from fem.contact.surface import Patch, SurfaceCompliance
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
-from geometry.threads import one_blas_thread
 
 VERSION = 2  #: raise when the same design gives another library
 PRESSES = 5000  #: that are solved

@@ -16,14 +16,14 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.special import ndtri, stdtrit
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.wrenches import N_LOADS, moved_by_wrenches
 from geometry.design import SensorDesign, bent
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 VERSION = 2  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force

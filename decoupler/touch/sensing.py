@@ -7,10 +7,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
 from dataset.measurement import ReadingError
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
 
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from common.errors import FileFormatError
+from common.storage.files import stated
 from dataset.measurement import ReadingError
 from decoupler.model import model_file
 from decoupler.model.decoupler import Decoupler
@@ -10,8 +12,6 @@ from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.plates import PlateDecoder
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import FileFormatError
-from geometry.storage.files import stated
 
 AnyDecoder = Decoupler | TouchDecoder  #: of loads on pads, or of whatever presses
 FORMAT = "tripillar-touch-2"

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import require_type
 from dataset.samples import SampleError, Samples, require_samples
 from decoupler.data.columns import Columns, Component, acting_component, component_named
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
-from geometry.errors import require_type
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:

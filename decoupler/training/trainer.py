@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from common.threads import one_blas_thread
 from dataset.samples import AnySamples, SampleError
 from decoupler.data.columns import Columns
 from decoupler.data.enough import drawn
@@ -27,7 +28,6 @@ from decoupler.training.suited import explaining, suited_training, without_stuck
 from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse

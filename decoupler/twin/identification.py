@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
+from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import Component, acting_component, component_named, force_columns
@@ -25,7 +26,6 @@ from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Specimen, infer, predicted, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
-from geometry.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse

@@ -11,6 +11,8 @@ from typing import Self
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from common.errors import FileFormatError
+from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from decoupler.data.columns import Component, force_columns
 from decoupler.data.load_table import NOISE as READ_NOISE
@@ -19,9 +21,7 @@ from decoupler.data.pairs import Pairs
 from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.linearised import Shown
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from geometry.threads import one_blas_thread
 
 MIN_NOISE = 1e-5  #: of readings to come, relative
 USUAL = 24  #: usual loads over which the expected error is taken

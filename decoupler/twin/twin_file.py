@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import DesignError
+from common.storage.files import digest, write_bytes
+from common.storage.seal import BLANK, require_intact, sealed
+from common.storage.text_file import read_text, tables_of
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
 from decoupler.twin.identification import Twin
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, row_text, whole_design
-from geometry.errors import DesignError
-from geometry.storage.files import digest, write_bytes
-from geometry.storage.seal import BLANK, require_intact, sealed
-from geometry.storage.text_file import read_text, tables_of
 from geometry.tolerances import RESISTIVITY, nearest
 
 MEND = "write one with 'tripillar identify --twin'"

@@ -5,6 +5,8 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 
+from common.errors import DesignError
+from common.storage.files import digest
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
@@ -13,8 +15,6 @@ from dataset.simulation import DatasetSettings, read_resistances, read_through, 
 from decoupler.data.columns import force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
-from geometry.errors import DesignError
-from geometry.storage.files import digest
 
 
 def simulate_twin(

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1, xlogy
 
+from common.errors import TriPillarError
 from fem.array.response import ArrayResponse
 from geometry.design import Array, Material, SensorDesign
-from geometry.errors import TriPillarError
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 
 #: the books' z points into the body, ours up: u_z and f_z change sign, which is [i, j] → flip[i] flip[j]

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.errors import FileFormatError
+from common.storage.files import digest
+from common.storage.netcdf import read_netcdf, write_netcdf
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import FileFormatError
 from geometry.layout import AXES, FloatArray
-from geometry.storage.files import digest
-from geometry.storage.netcdf import read_netcdf, write_netcdf
 
 if TYPE_CHECKING:
     import xarray as xr

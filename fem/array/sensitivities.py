@@ -14,17 +14,17 @@ from typing import Self
 
 import numpy as np
 
+from common.errors import DesignError
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellBody, cell_lines, cell_mirrors, functionals, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from geometry.shares import pillar_shares
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
 VERSION = 4  #: raise when the same design gives other derivatives, so that cached ones are not reused

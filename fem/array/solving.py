@@ -6,14 +6,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
+from common.errors import DesignError
+from common.storage.cache import kept
+from common.storage.files import digest
 from fem.array.closed_forms import layer_response
 from fem.array.conducted import conducted_pillars, with_references
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign, bent
-from geometry.errors import DesignError
-from geometry.storage.cache import kept
-from geometry.storage.files import digest
 
 VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {

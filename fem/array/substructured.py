@@ -12,6 +12,8 @@ from time import perf_counter
 
 import numpy as np
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from fem.array.cell import CondensedCell, Free, PortModes
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray, Kinds
@@ -19,8 +21,6 @@ from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.response import ArrayResponse
 from geometry.design import Electrics, SensorDesign, bent
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 Weighted = tuple[tuple[float, Kinds], ...]  #: cells whose answers, times these weights, add up to the best one
 MATRICES = ("stiffness", "transfer", "compliance")  #: of a condensed cell

@@ -12,6 +12,8 @@ from time import perf_counter
 import numpy as np
 from skfem import MeshTet
 
+from common.storage.cache import kept
+from common.storage.files import digest
 from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
@@ -22,8 +24,6 @@ from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import SensorDesign, bent
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-from geometry.storage.cache import kept
-from geometry.storage.files import digest
 
 VERSION = 1  #: raise when the same mesh gives another solution, so that cached ones are not reused
 

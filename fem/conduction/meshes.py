@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from common.errors import DesignError
 from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
 from fem.field import IntArray, same_places
 from geometry.design import Unit
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_centres, leans_both_ways, pillar_ends, pillar_sections, pillar_widths
 from geometry.prism import unit_prisms
 

@@ -11,10 +11,10 @@ from functools import cache, cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from common.errors import DesignError
 from fem.conduction.meshes import Hexahedra, unit_hexahedra
 from fem.factor import Factor, checked_solve
 from geometry.design import Electrics, Unit
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_widths
 
 #: points (n, 3) [mm] at rest, in the unit's frame, to deformation gradients ∂x/∂X (n, 3, 3)

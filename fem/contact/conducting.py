@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from fem.array.conducted import USUAL, conducted_by_loads
 from fem.array.meshed import design_interior, pad_plate
 from fem.array.response import ConductedPillars
 from fem.contact.tiles import cell_rectangles, cell_strips, tiles_per_pitch
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 COMPONENTS = 12  #: of a pillar's polynomial: with 8, of loads on pads, a turned plate loses 0.1 % of a resistance
 BETWEEN = 0.1  #: usual force on a tile between plates, over that on a plate's

@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import TriPillarError, require_type
 from fem.contact.balance import State
 from fem.contact.shapes import Shape
 from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance, surface_compliance
 from fem.contact.tiles import plated_grid, rubber_below_mm
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
-from geometry.errors import TriPillarError, require_type
 from geometry.layout import FloatArray
 
 CELLS = 48  #: of the grid along the longer side of a contact; half as many where the contact's extent is found

@@ -11,7 +11,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length

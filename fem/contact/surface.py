@@ -22,6 +22,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy import fft
 
+from common.errors import DesignError
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.conducted import with_references
@@ -51,10 +54,7 @@ from fem.contact.tiles import (
 )
 from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, electrode_squares
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 VERSION = 2  #: raise when the same design gives another compliance, so that cached ones are not reused
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB

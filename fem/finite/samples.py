@@ -18,14 +18,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from common.errors import DesignError
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest
 from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
 from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
 from fem.finite.preloads import PreloadedArray, Unwanted
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
 #: middle pressures between which the answers from both are blended: their series differ by 0.02 % of a resistance

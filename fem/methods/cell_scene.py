@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, pad_plate
 from fem.array.substructured import any_cell, cell_stages, cells_of_stage
@@ -11,7 +12,6 @@ from fem.scene.loads import Rectangle, SceneError
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
 from geometry.design import Pad, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray, unit_centres
 
 SAME = 1e-9  #: relative difference of sides by which a plate is still square

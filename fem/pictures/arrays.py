@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 
+from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.field import Field
@@ -19,7 +20,6 @@ from fem.methods.solving import solve_scene
 from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
 
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell

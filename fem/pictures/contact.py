@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.storage.files import replacing
 from fem.contact.indentation import OPEN, STICK, Contact
 from geometry.layout import electrode_squares, pad_squares, unit_centres
-from geometry.storage.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

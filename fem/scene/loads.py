@@ -9,10 +9,10 @@ from typing import Self
 
 import numpy as np
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
+from common.quantity import quantity, require_sound
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Triple
-from geometry.quantity import quantity, require_sound
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
 LIMITS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits

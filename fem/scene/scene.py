@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from common.quantity import is_finite, quantity
 from fem.scene.loads import (
     LIMITS_MM,
     Checked,
@@ -27,7 +28,6 @@ from fem.scene.loads import (
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
-from geometry.quantity import is_finite, quantity
 
 ROUNDING = 1e-9  #: of a body's extent: how far rounding may put an edge past the face it lies on
 PROBE_KEYS = {"mean": ("center_mm", "size_mm"), "point": ("position_mm",)}  #: where a probe of each kind looks

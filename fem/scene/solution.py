@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.storage.files import vtk_content, write_bytes
 from geometry.layout import FloatArray
-from geometry.storage.files import vtk_content, write_bytes
 
 if TYPE_CHECKING:
     from fem.field import Field

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from skfem import Basis
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
 from geometry.layout import FloatArray
 
 ON_PLATE = 1e-9  #: of the plate's side: how far rounding may take a node off it

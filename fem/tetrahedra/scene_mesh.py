@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTet
 
+from common.storage.files import digest
 from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Scene
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray
 from geometry.mesh import MeshTask, cached_mesh, prism_surface
 from geometry.prism import MESHED_SIDES, Prism, prisms_at
-from geometry.storage.files import digest
 
 METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
 EDGES_ACROSS = 2.5  #: edges across the thinnest extent of the body, before any refinement

@@ -19,8 +19,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import TriPillarError
-from geometry.storage import files
+from common.errors import TriPillarError
+from common.storage import files
 
 FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
 PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it

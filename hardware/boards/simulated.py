@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import DesignError
+from common.storage.files import cache_folder, digest, write_text
+from common.storage.netcdf import write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import forces
 from dataset.resistance import effective_lengths, exact_resistances, pillar_lengths
 from dataset.simulation import displacements, require_conducted
 from geometry.design import Electrics, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
-from geometry.storage.files import cache_folder, digest, write_text
-from geometry.storage.netcdf import write_netcdf
 from geometry.wiring import crossings, wires
 from hardware.boards.python_board import PythonBoard
 from hardware.boards.sensor_header import fastest_hz, sensor_header

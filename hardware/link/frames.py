@@ -16,7 +16,7 @@ import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
-from geometry.errors import FileFormatError, TriPillarError
+from common.errors import FileFormatError, TriPillarError
 from geometry.layout import SONG2018, Layout
 from geometry.layout_file import layout_from_text, layout_text
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import serial
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
 from hardware.link.frames import Errors, Info
 from hardware.link.protocols import PROTOCOLS, BoardProtocol, spoken_on
 from hardware.link.reception import LinkStatistics, Reception, Scan

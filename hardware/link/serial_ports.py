@@ -18,7 +18,7 @@ import serial
 from serial.tools.list_ports import comports
 from serial.urlhandler import protocol_socket
 
-from geometry.errors import DesignError, TriPillarError
+from common.errors import DesignError, TriPillarError
 
 if sys.platform == "win32":
     _TerminalError = OSError

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
 from geometry.layout import FloatArray
 from hardware.readout.crossbar import Corrector, Crossbar
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import FileFormatError
+from common.storage.files import write_text
+from common.storage.seal import opened_json, sealed_json
+from common.storage.text_file import read_text
 from dataset.imperfections import OPEN_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
-from geometry.errors import FileFormatError
 from geometry.layout import SONG2018, FloatArray, Layout
 from geometry.layout_file import layout_from_text, layout_text
-from geometry.storage.files import write_text
-from geometry.storage.seal import opened_json, sealed_json
-from geometry.storage.text_file import read_text
 from hardware.link.frames import Info
 from hardware.readout.crossbar import Crossbar
 

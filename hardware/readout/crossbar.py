@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from geometry.errors import DesignError
+from common.errors import DesignError
+from common.quantity import quantity, require_sound
 from geometry.layout import SONG2018, FloatArray, Layout
-from geometry.quantity import quantity, require_sound
 from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires

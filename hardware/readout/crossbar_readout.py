@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.errors import DesignError
 from dataset.imperfections import OPEN_OHM
 from fem.conduction.potentials import unit_conductances
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar

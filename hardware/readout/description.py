@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from geometry.layout import AXES, SONG2018, FloatArray, Layout
 from geometry.layout_file import layout_text
 from hardware.link.frames import Info

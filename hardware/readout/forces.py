@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
+from common.threads import one_blas_thread
 from geometry.layout import AXES, FloatArray
-from geometry.threads import one_blas_thread
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
 from hardware.link.scanner import Scanner

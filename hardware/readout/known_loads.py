@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from common.errors import FileFormatError
+from common.storage.files import digest
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad, known_forces
 from decoupler.data.pairs import Pairs
@@ -13,9 +15,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.posterior import infer
-from geometry.errors import FileFormatError
 from geometry.layout import FloatArray
-from geometry.storage.files import digest
 from hardware.readout.calibration import Electronics, SensorCalibration
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from typing import IO, Any, Self
 import numpy as np
 from cobs import cobs
 
-from geometry.errors import FileFormatError, TriPillarError
-from geometry.storage.files import FULL, require_file, uninterrupted
-from geometry.storage.text_file import why_unreadable
+from common.errors import FileFormatError, TriPillarError
+from common.storage.files import FULL, require_file, uninterrupted
+from common.storage.text_file import why_unreadable
 from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
 from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from hardware.link.board_port import BoardPort, Command
 from hardware.link.frames import encode
 from hardware.recording.recorded import Recording, is_restart

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
 from geometry.layout import FloatArray
 from geometry.layout_file import layout_from_text
 from hardware.link.frames import Frame, Info, ScanMode, Statistics

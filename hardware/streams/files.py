@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from geometry.errors import FileFormatError, needing
-from geometry.storage.files import replacing, write_text
-from geometry.storage.netcdf import write_netcdf
+from common.errors import FileFormatError, needing
+from common.storage.files import replacing, write_text
+from common.storage.netcdf import write_netcdf
 from hardware.readout.forces import Forces
 from hardware.recording import Recording
 from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, INFO, SCAN, SENSOR, WRENCH, json_bytes, schemas

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-from geometry.errors import needing
+from common.errors import needing
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces
 from hardware.streams.files import McapWriter, json_channels

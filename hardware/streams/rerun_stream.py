@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from geometry.errors import needing
+from common.errors import needing
 from geometry.layout import AXES
 from hardware.readout.description import SensorDescription
 from hardware.readout.forces import Forces

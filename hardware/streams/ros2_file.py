@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.errors import needing
+from common.errors import needing
 from geometry.layout import AXES, FloatArray
 from hardware.readout.description import FRAME, NORMAL, SensorDescription
 from hardware.readout.forces import Forces

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from geometry.errors import DesignError, TriPillarError
-from geometry.storage.files import require_file
+from common.errors import DesignError, TriPillarError
+from common.storage.files import require_file
 from hardware.readout.forces import Forces
 
 LOOPBACK = "127.0.0.1"

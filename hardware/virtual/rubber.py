@@ -6,10 +6,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from common.errors import ArgumentError
 from dataset.imperfections import log_normal
 from dataset.memory import AnyMemory, PillarMemory, decays, lengthening, log_rise
 from geometry.design import Memory, SensorDesign
-from geometry.errors import ArgumentError
 from geometry.layout import rest_lengths
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from common.errors import ArgumentError, DesignError
 from dataset.imperfections import OPEN_OHM, Imperfections, log_normal, of_both_ends
 from dataset.measurement import SENSE_OHM
 from dataset.resistance import conducted_lengths, exact_resistances, pillar_lengths
@@ -28,7 +29,6 @@ from fem.array.solving import ResponseSettings, array_response
 from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_compliance
 from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
-from geometry.errors import ArgumentError, DesignError
 from geometry.layout import AXES, rest_lengths
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by

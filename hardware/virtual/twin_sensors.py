@@ -4,10 +4,10 @@ from typing import Any
 
 from torch import Tensor
 
+from common.errors import DesignError
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import in_torch
-from geometry.errors import DesignError
 from geometry.layout import AXES
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from studies.bench.harness import Record, Settings, draw_records, goal_rows, run_contenders
 from studies.bench.reference import stored_references
 from studies.bench.scenes import FINITE, hard_scenes

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from geometry.storage.files import write_text
+from common.storage.files import write_text
 from studies.pictures.page import page_in_chromium
 from studies.program import run_alone
 

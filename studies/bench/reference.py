@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from common.storage.files import write_text
 from fem.scene.scene import Scene
 from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
-from geometry.storage.files import write_text
 from studies.bench.peers.ngsolve_peer import Grading, solve_references
 from studies.bench.scenes import FINITE, FINITE_REFERENCE, all_scenes
 

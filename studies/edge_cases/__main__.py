@@ -13,7 +13,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import tried
 from studies.program import run_alone

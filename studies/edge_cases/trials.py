@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 
-from geometry.errors import TriPillarError
+from common.errors import TriPillarError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markdown import Markdown
 
-from geometry.errors import DesignError
-from geometry.storage.files import replacing, write_text
+from common.errors import DesignError
+from common.storage.files import replacing, write_text
 from studies.paper import pictures
 from studies.paper.deformation import study_deformation
 from studies.paper.experiments import Experiments, cache_key_of, run_experiments

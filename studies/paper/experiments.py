@@ -7,6 +7,8 @@ from itertools import product
 
 import numpy as np
 
+from common.pool import in_parallel
+from common.storage.files import digest
 from dataset import Samples
 from dataset.resistance import pillar_strains
 from dataset.simulation import DatasetSettings, LoadError, dataset_cache_key, simulate
@@ -18,8 +20,6 @@ from decoupler.model.model_file import METHOD
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
-from geometry.pool import in_parallel
-from geometry.storage.files import digest
 from studies.paper.printed import MEAN_OVER_WIDTHS
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.results import DataSet, Result, ResultKey, Results, ShownForces

@@ -7,8 +7,8 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from geometry.storage.files import write_text
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from common.storage.files import write_text
+from common.storage.seal import opened_json, say_made_anew, sealed_json
 
 T = TypeVar("T")
 KEY = "recipe"  #: entry of the file that holds the cache key

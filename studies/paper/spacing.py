@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 from scipy.optimize import brentq
 
+from common.storage.files import digest
 from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named
 from decoupler.inverse.limits import cramer_rao
@@ -30,7 +31,6 @@ from geometry.layout import (
     rest_lengths,
     unit_centres,
 )
-from geometry.storage.files import digest
 
 VERSION = 1  #: raise when the same settings give other numbers
 LOADS = {"normal": 2, "tangential": 0}  #: with the axis of the load; y is x mirrored

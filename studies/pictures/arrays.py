@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from common.storage.files import replacing
 from fem.pictures.arrays import indenter_tractions, solve_array_field
 from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import Parts, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.files import replacing
 from studies.charts import save_small
 from studies.program import run_alone
 from tripillar.viewer.page.controls import traction_of

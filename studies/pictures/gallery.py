@@ -18,8 +18,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from PIL import Image
 
-from geometry.errors import DesignError
-from geometry.storage.files import cache_folder, replacing
+from common.errors import DesignError
+from common.storage.files import cache_folder, replacing
 from studies.program import run_alone
 
 ROOT = Path(__file__).parents[2]

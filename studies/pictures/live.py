@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from common.storage.files import write_text
 from geometry.design import SensorDesign
-from geometry.storage.files import write_text
 from hardware.boards.simulated import PressAndSlide, press_and_slide
 from hardware.link.frames import ScanMode
 from hardware.link.reception import LinkStatistics

@@ -14,7 +14,7 @@ from typing import Any
 
 from PIL import Image
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from studies.charts import save_small
 from studies.program import run_alone
 

@@ -14,14 +14,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from common.storage.files import replacing
+from common.threads import one_blas_thread
 from dataset.indentation import samples_of
 from decoupler.touch.bare import TEMPER
 from decoupler.touch.decoder import TouchDecoder, Touched
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.storage.files import replacing
-from geometry.threads import one_blas_thread
 from studies.charts import new_figure
 from studies.program import run_alone
 from studies.touched import Cone, Ring, TwoBalls, read_touch

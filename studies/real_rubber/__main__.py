@@ -7,10 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from common.errors import DesignError
+from common.storage.files import write_text
 from decoupler.rubber.check import resistance_from_strain
 from decoupler.rubber.series import Series
-from geometry.errors import DesignError
-from geometry.storage.files import write_text
 from studies.charts import BLACK, ORANGE, finish, new_figure
 from studies.pages import markdown
 from studies.program import run_alone

@@ -8,9 +8,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from common.errors import DesignError
+from common.storage.files import write_json
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
-from geometry.storage.files import write_json
 from studies.program import run_alone
 from studies.robustness.identified import COUNTS, merged, rows_of
 from studies.robustness.noise_charts import draw_pairs, draw_readings

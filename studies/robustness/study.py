@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from common.pool import in_parallel
 from dataset import DatasetSettings, Imperfections, Samples, measured_again, simulate
 from dataset.measurement import ReadingError
 from decoupler import Assessment, Decoupler, NetworkConfig, TrainingConfig, assess, component_named
@@ -15,7 +16,6 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import Feature
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
-from geometry.pool import in_parallel
 
 HIDDEN = 17  #: the paper's best
 NETS: tuple[Feature, ...] = ("inverse", "root")  #: inputs of the two skip nets: the response's inverse, and √R

@@ -13,6 +13,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.storage.netcdf import write_netcdf
 from dataset import OPEN_OHM, DatasetSettings, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.stored import is_current
@@ -20,7 +21,6 @@ from dataset.table import columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.design import Unit
-from geometry.storage.netcdf import write_netcdf
 from tests.house import House
 
 FORMS = ("nc", "zarr", "csv")

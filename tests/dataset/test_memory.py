@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
+from common.storage.files import digest
 from dataset.memory import PillarMemory, broken_contacts, decays, log_rise, relaxed_forces
 from geometry.design import Material, Memory, Prony, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.errors import DesignError
-from geometry.storage.files import digest
 
 MEMORY = Memory(a=(0.5, 0.3), b_lengthen=2.0, b_shorten=9.0, tau_s=(4.0, 90.0), g1=1.0, g2=-2.0)
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from dataset.memory import broken_contacts
 from decoupler.rubber.causal_training import Histories, drawn, read_filter, train, write_filter
 from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import log_ratio, numbers_of
 from geometry.design import Memory
-from geometry.errors import FileFormatError
 
 MEMORY = Memory(a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0, g2=0.0)
 #: small, to be quick: a tenth of the histories and of the steps of the product

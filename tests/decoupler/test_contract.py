@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import DesignError
 from dataset import Imperfections, Samples
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, component_named, read_model, train, write_model
 from decoupler.data.columns import DEAD_OHM, pillar_columns
@@ -25,7 +26,6 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.tensors import converted, in_torch
 from decoupler.twin import identify
 from geometry.design import Electrics
-from geometry.errors import DesignError
 from tests.decoupler import test_finite_strain as finite
 from tests.decoupler.exported import CC, by_header, by_onnx
 from tests.decoupler.synthetic_sensor import labelled, response, sensor

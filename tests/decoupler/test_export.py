@@ -8,12 +8,12 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from common.errors import MissingPackageError
 from decoupler import write_model
 from decoupler.export import checked, export_model
 from decoupler.export.c_header import header_text
 from decoupler.export.portable import ExportError
 from geometry import DesignError
-from geometry.errors import MissingPackageError
 from tests.decoupler.exported import STRICT
 from tests.decoupler.test_contract import made
 from tests.house import House

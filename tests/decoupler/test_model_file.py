@@ -9,6 +9,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
+from common.storage.seal import BLANK, MARK, sealed
 from decoupler import (
     NetworkConfig,
     TrainingConfig,
@@ -19,7 +20,6 @@ from decoupler import (
     write_model,
 )
 from geometry import Array, FileFormatError
-from geometry.storage.seal import BLANK, MARK, sealed
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from dataset import Samples
 from dataset.samples import SampleError
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.data.pairs import Pairs
-from geometry.errors import FileFormatError
 from tests.decoupler.synthetic_sensor import sensor
 
 PAD_MM2 = 144.0

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from common.errors import DesignError, FileFormatError
 from decoupler.rubber.belief import SensorFilter
 from decoupler.rubber.causal_training import of_strip
 from decoupler.rubber.check import checked, forces_from_resistance, of_range, resistance_from_strain
@@ -18,7 +19,6 @@ from decoupler.rubber.silicones import SILICONES, surrounded
 from fem.rubber.law import LAWS
 from geometry.design import Material, Memory, SensorDesign, with_model
 from geometry.design_file import read_design
-from geometry.errors import DesignError, FileFormatError
 from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench
 
 

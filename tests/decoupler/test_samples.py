@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import ArgumentError, DesignError
 from dataset import SampleError
 from decoupler import TrainingConfig, cross_validate, evaluate, train
 from decoupler.data.columns import COMPONENTS, Columns, Scaling, acting_component, component_named, load_numbers
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import without_stuck
-from geometry.errors import ArgumentError, DesignError
 from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor
 
 ALL = component_named("all")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from common.errors import ArgumentError
 from dataset import DatasetSettings, read_samples, simulate
 from decoupler import NetworkConfig, TrainingConfig, assess, component_errors, evaluate, train
 from decoupler.data import enough
 from decoupler.data.columns import component_named
 from decoupler.data.enough import drawn
-from geometry.errors import ArgumentError
 from tests.decoupler.synthetic_sensor import response, sensor
 
 ALL = component_named("all")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from common.errors import FileFormatError
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
@@ -21,7 +22,6 @@ from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, Turned, press, surface_compliance
 from geometry.design import Array, Pad, SensorDesign, Unit
-from geometry.errors import FileFormatError
 from geometry.layout import LAYOUTS
 from tests.fem.coarse_plates import rigid_plates
 

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.errors import DesignError, FileFormatError
+from common.storage.seal import BLANK, MARK, sealed
 from dataset import DatasetSettings, simulate
 from dataset.simulation import BLOCK
 from decoupler.data.pairs import Pairs
@@ -16,9 +18,7 @@ from decoupler.twin import identify, read_twin, simulate_twin, write_twin
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign
 from geometry.design_file import read_design, write_design
-from geometry.errors import DesignError, FileFormatError
 from geometry.layout import pillar_volumes
-from geometry.storage.seal import BLANK, MARK, sealed
 from geometry.tolerances import with_values
 from tests.decoupler.synthetic_sensor import layer_sensitivities
 

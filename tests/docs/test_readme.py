@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tripillar as tp
-from geometry.pool import open_pool
+from common.pool import open_pool
 from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands, missing
 from tests.studies.one_process import one_after_another
@@ -94,7 +94,7 @@ def test_the_commands_of_the_readme_run_as_typed(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("page", "at_least"), [("index.md", 12), ("sensor.md", 5)])
 def test_a_tutorial_does_what_it_promises(page, at_least, tmp_path, shared_cache, monkeypatch):
     """Every command of the page succeeds, and prints what it says below it; a sweep in this process."""
-    monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
+    monkeypatch.setattr("common.pool.open_pool", lambda *_: open_pool(tasks=1))
     commands = console_commands(ROOT / "docs" / page)
     assert len(commands) > at_least
     with Terminal(tmp_path) as terminal:

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, functionals
 from fem.array.solving import array_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import Electrode, Layout, Pillar, upper_electrodes
 
 DESIGN = SensorDesign()

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, functionals, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key, solve_response
 from fem.array.substructured import block_error, cells_of_stage, expanded, influence_range
 from fem.array.unit_check import check_unit
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.mesh import MeshSettings
 from studies import bench
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from common.errors import DesignError
 from fem.array.solving import ResponseSettings, array_response
 from fem.contact import (
     ContactError,
@@ -21,7 +22,6 @@ from fem.contact import (
 from fem.contact.indentation import OPEN, STICK
 from fem.contact.surface import Patch, PatchCompliance
 from geometry.design import Array, Material, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import pad_squares
 
 DEPTH, RADIUS = 0.01, 10.0

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.storage.files import digest, stated
 from geometry import (
     Array,
     DesignError,
@@ -22,7 +23,6 @@ from geometry import (
 )
 from geometry.design_file import read_tolerances, whole_design
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
-from geometry.storage.files import digest, stated
 from geometry.tolerances import usual_deviations
 from tests.fem.scenes import round_of
 

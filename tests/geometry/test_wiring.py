@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from geometry.layout import LAYOUTS, SONG2018, Layout
 from geometry.wiring import crossing_of_pillar, crossings, explained, fewest_wires, unit_crossings
 from tests.fem.scenes import FOUR

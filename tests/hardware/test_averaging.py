@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
 from hardware.boards.simulated import PressAndSlide
 from hardware.link.frames import ScanMode
 from hardware.readout.averaging import averaged, min_scans, movement, require_still

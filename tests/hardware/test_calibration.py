@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from geometry.errors import FileFormatError
-from geometry.storage.seal import opened_json
+from common.errors import FileFormatError
+from common.storage.seal import opened_json
 from hardware.readout.calibration import Electronics, SensorCalibration, read_calibration, write_calibration
 
 SHAPE = (2, 3, 3)

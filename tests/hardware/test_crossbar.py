@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from dataset.imperfections import OPEN_OHM, Imperfections
 from geometry.design import Electrics, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, SONG2018, rest_lengths
 from geometry.wiring import crossings, wires
 from hardware.link.frames import ScanMode

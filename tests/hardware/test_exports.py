@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from common.errors import FileFormatError
 from decoupler.touch.decoder import TouchContact
-from geometry.errors import FileFormatError
 from hardware import convert, replay, write_forces
 from hardware.link.frames import Frame
 from hardware.readout.wrench import SIGNS

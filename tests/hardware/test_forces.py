@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader, LiveSensor, replay

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from dataset.imperfections import Imperfections
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
 from geometry import Array, SensorDesign
-from geometry.errors import FileFormatError
 from hardware.readout.averaging import averaged
 from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import Crossbar

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
+from common.storage.seal import opened_json
 from geometry.design import Unit
-from geometry.errors import FileFormatError
 from geometry.layout import AXES, LAYOUTS, SONG2018, rest_lengths
 from geometry.layout_file import layout_text
-from geometry.storage.seal import opened_json
 from hardware.boards.python_board import PythonBoard
 from hardware.boards.sensor_header import sensor_header
 from hardware.boards.simavr_board import FIRMWARE

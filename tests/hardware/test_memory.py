@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from dataset.memory import broken_contacts, log_rise
 from decoupler.rubber.belief import READ_S, SensorFilter
 from geometry.design import Memory
-from geometry.errors import FileFormatError
 from hardware.readout.calibration import SensorCalibration
 from hardware.readout.forces import ForceReader, LiveSensor, replay
 from hardware.readout.memory import MemoryReader

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
 from hardware.boards.python_board import a_frame
 from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording

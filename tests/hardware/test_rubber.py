@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import ArgumentError
 from dataset import DatasetSettings, Imperfections, pillar_resistances, rest_resistances, simulate
 from dataset.memory import broken_contacts, relaxed_forces
 from dataset.resistance import pillar_lengths
@@ -16,7 +17,6 @@ from fem.array.closed_forms import layer_response
 from fem.array.solving import ResponseSettings, response_cache_key
 from geometry import Array, DesignError, SensorDesign
 from geometry.design import Electrics, Material, Memory, Prony
-from geometry.errors import ArgumentError
 from geometry.layout import pillar_volumes, rest_lengths
 from hardware.boards.simulated import STEP_S, PressAndSlide, counts_over_time, press_and_slide
 from hardware.readout.crossbar import Crossbar

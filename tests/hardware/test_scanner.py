@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import serial
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from hardware.boards.python_board import PythonBoard
 from hardware.link.frames import encode
 from hardware.link.protocols import PROTOCOLS

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import tripillar as tp
+from common.errors import DesignError
 from geometry.design import Array, Electrics, SensorDesign
-from geometry.errors import DesignError
 from hardware.boards.simulated import PressAndSlide, press_and_slide
 from hardware.link.frames import ScanMode
 from hardware.link.scanner import Scanner

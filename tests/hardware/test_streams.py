@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.errors import DesignError, MissingPackageError
+from common.errors import DesignError, MissingPackageError
 from hardware import live
 from hardware.boards.python_board import PythonBoard
 from hardware.readout.wrench import SIGNS

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import ArgumentError, DesignError
 from dataset import OPEN_OHM, DatasetSettings, simulate
 from dataset.imperfections import Imperfections
 from dataset.indentation import samples_of
@@ -19,7 +20,6 @@ from fem.array.closed_forms import layer_response
 from fem.array.sensitivities import ResponseSensitivities
 from fem.contact import Capsule, press, surface_compliance
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
-from geometry.errors import ArgumentError, DesignError
 from geometry.layout import LAYOUTS, SONG2018, pillar_volumes, rest_lengths
 from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar

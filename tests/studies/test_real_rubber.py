@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from dataset.memory import broken_contacts, log_rise
 from decoupler.rubber.causal_training import Histories
 from geometry.design import Memory
-from geometry.errors import DesignError
 from studies.real_rubber import array, eflesh, strips, velostat
 from studies.real_rubber.__main__ import judge
 from studies.real_rubber.judging import parts_of

@@ -117,7 +117,7 @@ def test_ctrl_c_is_taken_over_before_anything_is_loaded():
 def test_a_signal_ends_what_swallows_it_and_leaves_nothing(tmp_path, number, code):
     """Libraries swallow an exception, or compute on; what is unfinished or was started ends within 2 s, in a line."""
     program = (
-        "import subprocess; from pathlib import Path; from geometry.storage.files import replacing\n"
+        "import subprocess; from pathlib import Path; from common.storage.files import replacing\n"
         "started = subprocess.Popen(['sleep', '60'])\n"
         "with replacing(Path('data.txt')) as temporary:\n"
         "    print(started.pid, time.monotonic(), flush=True)\n"

@@ -6,12 +6,12 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from common.storage.journal import Journal
+from common.storage.seal import MARK
 from fem.array import substructured
 from fem.array.cell import CondensedCell, PortModes
 from fem.array.response import read_response, write_response
 from geometry import FileFormatError
-from geometry.storage.journal import Journal
-from geometry.storage.seal import MARK
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
 from tests.decoupler.synthetic_sensor import response
 from tests.tripillar.made_files import SMALL, a_dataset, a_model

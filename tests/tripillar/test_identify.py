@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from dataset import DatasetSettings, Samples, simulate
 from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
@@ -12,7 +13,6 @@ from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.model_file import read_model
 from geometry.design_file import design_to_toml
-from geometry.errors import DesignError
 from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.house import House
 from tripillar.face import identifying

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import tripillar as tp
+from common.errors import DesignError
 from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler import read_model
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign, Unit
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
 from tripillar.face.caller import Caller, called_by

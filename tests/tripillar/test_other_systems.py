@@ -23,13 +23,13 @@ for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "pthread_sigmask"):
     delattr(signal, name)
 from tripillar.terminal import interrupts
 interrupts.install()
-from geometry.storage.files import explained
-from geometry.storage.netcdf import write_netcdf
+from common.storage.files import explained
+from common.storage.netcdf import write_netcdf
 from hardware.boards import simavr_board, simulated, python_board
 from hardware.link.frames import Info
 from hardware.link.serial_ports import PortError, open_port
 import decoupler
-import geometry.pool, tripillar.cli.app
+import common.pool, tripillar.cli.app
 write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
 assert [path.name for path in Path().iterdir()] == ["a.nc"]
 assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))

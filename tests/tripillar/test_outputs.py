@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
+from common.storage import unfinished
+from common.storage.files import replacing
+from common.storage.unfinished import MARK, remove_leftovers
 from geometry import FileFormatError
-from geometry.storage import unfinished
-from geometry.storage.files import replacing
-from geometry.storage.unfinished import MARK, remove_leftovers
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes with names are POSIX's")
@@ -30,7 +30,7 @@ def test_what_is_no_file_is_refused_and_left_alone_and_a_link_is_followed(tmp_pa
 @pytest.mark.skipif(sys.platform == "win32", reason="no locks")
 def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_holds_is_not(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from geometry.storage.files import replacing\n"
+        "import sys, time; from pathlib import Path; from common.storage.files import replacing\n"
         "with replacing(Path(sys.argv[1])) as temporary:\n"
         "    temporary.write_text('half'); print('begun', flush=True); time.sleep(60)"
     )

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from common.errors import DesignError
+from common.storage.netcdf import write_netcdf
 from dataset import read_samples
 from decoupler.model.model_file import read_model
 from fem.array.solving import ResponseSettings
-from geometry.errors import DesignError
 from geometry.mesh import MeshSettings
-from geometry.storage.netcdf import write_netcdf
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 from tripillar.pipeline.manufactured import READ, SPECIMEN

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.errors import FileFormatError
 from dataset import DatasetSettings, simulate
 from dataset.simulation import displacements
 from decoupler import require_same_sensor
@@ -22,7 +23,6 @@ from fem.pictures.parts import sensor_parts, solve_scene_parts
 from fem.scene.loads import SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
-from geometry.errors import FileFormatError
 from geometry.layout import electrode_squares, unit_centres
 from geometry.mesh import TetMesh
 from studies.pads import with_pad

@@ -14,7 +14,7 @@ import pytest
 from tests.docs.terminal import ROOT
 from tests.house import SMALL
 
-PRODUCT = ("geometry", "fem", "dataset", "decoupler", "hardware", "tripillar")
+PRODUCT = ("common", "geometry", "fem", "dataset", "decoupler", "hardware", "tripillar")
 
 
 def product_files():

@@ -9,7 +9,7 @@ from importlib import import_module, metadata
 
 from cyclopts import App, Group
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from tripillar.cli.door import Job, command_of
 from tripillar.cli.help import Columns
 from tripillar.terminal.entry import run

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from cyclopts import Parameter, Token
 from docstring_parser import parse
 
-from geometry.errors import DesignError, TriPillarError
+from common.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown, called_by
 from tripillar.face.inputs import options_of, require_numbers
 from tripillar.terminal.entry import say, wrote

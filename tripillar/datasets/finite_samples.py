@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from threading import Lock
 
+from common.pool import open_pool
+from common.storage.files import cache_folder
+from common.storage.journal import Journal
 from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups, samples_of
 from dataset.measurement import Readout
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings
 from fem.array.response import ArrayResponse
 from fem.finite.samples import typical_conduction
-from geometry.pool import open_pool
-from geometry.storage.files import cache_folder
-from geometry.storage.journal import Journal
 from tripillar.datasets.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 

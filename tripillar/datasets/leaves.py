@@ -11,6 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from common.errors import NotWrittenError
+from common.pool import open_pool
+from common.storage.files import digest, reported
+from common.storage.journal import Journal, hashes_of, intact
 from dataset.leaves import Leaf, leaf_size, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
 from dataset.samples import Samples
@@ -20,10 +24,6 @@ from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
 from decoupler.twin.twin_samples import simulate_twin
 from fem.array.response import ArrayResponse
-from geometry.errors import NotWrittenError
-from geometry.pool import open_pool
-from geometry.storage.files import digest, reported
-from geometry.storage.journal import Journal, hashes_of, intact
 from tripillar.datasets.parts import made_parts
 from tripillar.terminal.interrupts import last_words
 

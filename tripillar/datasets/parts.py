@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from geometry.errors import DesignError, TriPillarError
-from geometry.pool import Pool
+from common.errors import DesignError, TriPillarError
+from common.pool import Pool
 
 AHEAD = 2  #: parts given to each worker, so that none waits for what came to be kept
 

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-STAGES = ("geometry", "fem", "dataset", "decoupler", "hardware")
+STAGES = ("common", "geometry", "fem", "dataset", "decoupler", "hardware")
 
 
 def foreign_packages() -> str:

@@ -98,7 +98,7 @@ def machine() -> Check:
 
 def cache() -> Check:
     """Try whether the cache's folder can be written."""
-    from geometry.storage.files import cache_folder
+    from common.storage.files import cache_folder
 
     folder = cache_folder()
     files = [path for path in folder.rglob("*") if path.is_file()] if folder.exists() else []

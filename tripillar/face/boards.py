@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from geometry.errors import DesignError, FileFormatError
+from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage

@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from common.errors import DesignError
+from common.storage.files import write_bytes
 from geometry.design import Array, SensorDesign, Unit
 from geometry.design_file import design_to_toml, write_design
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, told_by_tilt
-from geometry.storage.files import write_bytes
 from geometry.wiring import explained
 from tripillar.face import stages
 from tripillar.face.caller import current

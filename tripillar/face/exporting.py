@@ -4,10 +4,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from common.errors import ArgumentError, DesignError
+from common.storage.files import write_text
 from geometry.design import SensorDesign
 from geometry.design_file import write_design
-from geometry.errors import ArgumentError, DesignError
-from geometry.storage.files import write_text
 from geometry.wiring import wires
 from tripillar.face import stages
 from tripillar.face.caller import current

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from common.errors import DesignError, FileFormatError, require_type
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
-from geometry.errors import DesignError, FileFormatError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (

@@ -12,11 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
 
+from common.errors import ArgumentError, DesignError, FileFormatError
+from common.quantity import quantity
+from common.storage.files import require_file, require_folder
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
-from geometry.errors import ArgumentError, DesignError, FileFormatError
-from geometry.quantity import quantity
-from geometry.storage.files import require_file, require_folder
 from tripillar.face import stages
 from tripillar.face.caller import current
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
+from common.errors import DesignError, require_type
 from geometry.design import SensorDesign
-from geometry.errors import DesignError, require_type
 from geometry.layout import require_told, told_by_tilt
 from tripillar.face import stages
 from tripillar.face.caller import current

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import FileFormatError
 from decoupler.data.load_table import KnownLoad, as_pairs, keep_pair, read_loads
 from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
-from geometry.errors import FileFormatError
 from hardware.link.frames import Info
 from hardware.readout.averaging import averaged, movement
 from hardware.readout.calibration import Electronics

@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, design_of, job

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geometry.errors import DesignError
+from common.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, job

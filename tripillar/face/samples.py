@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from common.errors import DesignError, require_type
 from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
-from geometry.errors import DesignError, require_type
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, Protocol, design_of, job

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from common.errors import DesignError
 from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
-from geometry.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, design_of, job

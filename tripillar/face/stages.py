@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from fem.scene.solution import Solution, solution_as_plain, write_field
     from geometry.design_file import states_twin
     from geometry.mould import write_cad
-    from geometry.pool import open_pool, require_pool
+    from common.pool import open_pool, require_pool
     from hardware.boards.simulated import (
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,
     )  # fmt: skip

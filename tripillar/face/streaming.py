@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from geometry.quantity import quantity
+from common.quantity import quantity
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, Options, to_write

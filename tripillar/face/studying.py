@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from geometry.errors import DesignError
-from geometry.storage.files import write_text
-from geometry.storage.journal import Journal
+from common.errors import DesignError
+from common.storage.files import write_text
+from common.storage.journal import Journal
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from common.errors import DesignError, FileFormatError
+from common.quantity import quantity
+from common.storage.files import digest
 from geometry.design import SensorDesign, with_model
-from geometry.errors import DesignError, FileFormatError
-from geometry.quantity import quantity
-from geometry.storage.files import digest
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import BodyLike, DesignLike, File, Options, design_of, job, model_of, require_packages

@@ -12,6 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import FileFormatError, GeometryError
+from common.storage.files import digest, write_json, write_text
+from common.storage.journal import Journal, hashes_of, intact
+from common.storage.seal import say_made_anew
 from dataset.samples import Samples
 from dataset.simulation import DatasetSettings, dataset_cache_key, simulate
 from dataset.stored import in_memory, is_current, read_samples
@@ -25,12 +29,8 @@ from fem.array.solving import ResponseSettings, array_response
 from fem.array.unit_check import check_unit
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
-from geometry.errors import FileFormatError, GeometryError
 from geometry.mesh import sensor_mesh, smallest_dihedral_deg, suited_settings
 from geometry.mould import write_cad
-from geometry.storage.files import digest, write_json, write_text
-from geometry.storage.journal import Journal, hashes_of, intact
-from geometry.storage.seal import say_made_anew
 from tripillar.pipeline.comparison import Comparison, compare
 from tripillar.pipeline.manufactured import SETTINGS, as_made
 from tripillar.terminal.progress import Bars

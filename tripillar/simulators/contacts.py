@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh import creation
 
+from common.errors import ArgumentError, needing
 from fem.contact import Capsule, Convex, Shape
-from geometry.errors import ArgumentError, needing
 from geometry.layout import FloatArray
 
 with needing("the simulator", "simulators"):

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 import torch
 
+from common.errors import ArgumentError, needing
 from dataset.imperfections import OPEN_OHM
 from dataset.variables import MAX_N
-from geometry.errors import ArgumentError, needing
 from tripillar.simulators.contacts import ContactReader, stacked
 
 with needing("the simulator", "simulators"):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import DesignError
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import largest_factors
@@ -24,7 +25,6 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.errors import DesignError
 from geometry.layout import AXES, FloatArray, pillar_vectors, require_told
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz

@@ -7,8 +7,8 @@ gone through again.
 import logging
 from collections.abc import Callable
 
-from geometry.pool import Pool
-from geometry.storage.journal import Journal
+from common.pool import Pool
+from common.storage.journal import Journal
 from tripillar.sweep.rows import Row
 from tripillar.sweep.run import judge_all, kept_rows
 from tripillar.sweep.sampling import sample_at

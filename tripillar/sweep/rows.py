@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from common.storage.files import write_bytes
 from geometry.layout import AXES, FloatArray
-from geometry.storage.files import write_bytes
 
 DISTANCES = (1, 2, 3)  #: pitches to the neighbours of the crosstalk
 

@@ -4,12 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
 
+from common.pool import Pool
+from common.storage.journal import Journal
 from fem.array.meshed import lone_unit
 from fem.array.solving import ResponseSettings, response_cache_key
 from fem.array.substructured import cell_cache_key
 from geometry.mesh import mesh_cache_key, suited_settings
-from geometry.pool import Pool
-from geometry.storage.journal import Journal
 from tripillar.sweep.judge import row_of, row_with
 from tripillar.sweep.rows import Row
 from tripillar.sweep.sampling import Sample

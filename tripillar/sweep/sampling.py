@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from itertools import product
 from math import ceil, log2
 
+from common.errors import DesignError
+from common.storage.files import digest
 from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
-from geometry.errors import DesignError
-from geometry.storage.files import digest
 from tripillar.sweep.sweep_file import Judging, Sweep
 from tripillar.sweep.variables import table_of, value_of, with_values
 

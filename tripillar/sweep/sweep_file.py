@@ -7,15 +7,15 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from common.errors import DesignError
+from common.quantity import positive, quantity, require_sound
+from common.storage.text_file import StrictTables, read_text, tables_of
 from dataset import Imperfections
 from fem.array.solving import ResponseSettings
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
-from geometry.errors import DesignError
 from geometry.layout import Layout
 from geometry.layout_file import layout_from_tables
-from geometry.quantity import positive, quantity, require_sound
-from geometry.storage.text_file import StrictTables, read_text, tables_of
 from tripillar.sweep.rows import Metric, metrics_for
 from tripillar.sweep.variables import CHOICES, Variable
 

@@ -7,8 +7,8 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from common.storage.files import replacing
 from geometry.layout import FloatArray
-from geometry.storage.files import replacing
 from tripillar.sweep.rows import Row, column
 from tripillar.sweep.sweep_file import Sweep
 from tripillar.sweep.variables import Variable

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, TypeGuard
 
+from common.errors import DesignError
+from common.storage.files import stated
+from common.storage.text_file import read_text, tables_of
 from decoupler.rubber.silicones import surrounded
 from geometry.design import PAD_KINDS, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS
 from geometry.layout_file import KEYS as LAYOUT_KEYS
 from geometry.layout_file import layout_from_tables, layout_tables
-from geometry.storage.files import stated
-from geometry.storage.text_file import read_text, tables_of
 
 Table = dict[str, Any]  #: a design file's nested tables
 

@@ -11,9 +11,9 @@ from typing import Any, NoReturn, get_args
 
 import cyclopts
 
-from geometry.errors import TriPillarError
-from geometry.storage.files import FULL, cache_folder, explained
-from geometry.storage.unfinished import remove_leftovers
+from common.errors import TriPillarError
+from common.storage.files import FULL, cache_folder, explained
+from common.storage.unfinished import remove_leftovers
 from tripillar.terminal import interrupts
 
 

@@ -79,7 +79,7 @@ def _end(number: int, _: "FrameType | None" = None) -> None:
     if not _ending.acquire(blocking=False):
         time.sleep(60)  # the other thread is at it
     _end_children()
-    unfinished = sys.modules.get("geometry.storage.unfinished")
+    unfinished = sys.modules.get("common.storage.unfinished")
     if unfinished is not None:
         unfinished.remove_unfinished()
     shown_again = "\x1b[?25h\n" if os.isatty(2) else ""  # the cursor, which bars hide

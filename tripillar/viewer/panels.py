@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import DesignError
+from common.storage.text_file import read_text, tables_of
 from dataset.resistance import pillar_lengths, pillar_strains
 from fem.pictures.arrays import PAD_LOADS, WHERE, pressed_sensor, solve_array_field
 from fem.pictures.parts import AROUND, Parts, sensor_parts, solve_scene_parts
@@ -12,9 +14,7 @@ from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign
 from geometry.design_file import whole_design
-from geometry.errors import DesignError
 from geometry.layout import FloatArray
-from geometry.storage.text_file import read_text, tables_of
 
 AUTO = 0.2  #: of the body's height: the largest displacement as drawn at the automatic scale
 ROUND = (1.0, 2.0, 5.0)

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from fem.conduction.meshes import Hexahedra, joined, unit_hexahedra
 from fem.conduction.potentials import (
     Conductor,
@@ -18,7 +19,6 @@ from fem.conduction.potentials import (
 )
 from fem.conduction.reduced import reduced_conduction
 from geometry.design import Unit
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Electrode, Layout, pillar_volumes, rest_lengths
 from geometry.shares import pillar_shares
 from tests.fem.scenes import DIAGONAL, round_of

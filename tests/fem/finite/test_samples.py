@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from fem.finite.newton import find_equilibrium
 from fem.finite.samples import EXTRAPOLATED, SampleSolver
 from geometry.design import Array, Electrics, Material, SensorDesign
-from geometry.errors import DesignError
 from geometry.layout import pillar_ends
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2))

@@ -5,12 +5,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from common.errors import DesignError
+from common.pool import WorkerLost
 from dataset import DatasetSettings
 from dataset.finite_strain import GROUP, Group
 from dataset.simulation import LoadError
 from geometry.design import Array, Pad, SensorDesign
-from geometry.errors import DesignError
-from geometry.pool import WorkerLost
 from tests.dataset.conftest import made_up_response
 from tripillar.datasets import finite_samples as finite
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.errors import NotWrittenError
+from common.storage.journal import Journal
 from dataset import DatasetSettings, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.simulation import LoadError
 from geometry import Array, SensorDesign
-from geometry.errors import NotWrittenError
-from geometry.storage.journal import Journal
 from tests.dataset.conftest import made_up_response
 from tripillar.datasets.leaves import LeafJob, make_directory, unfinished
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geometry.errors import ArgumentError
+from common.errors import ArgumentError
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import ArgumentError
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, Memory
-from geometry.errors import ArgumentError
 
 pytest.importorskip("mujoco")
 gymnasium = pytest.importorskip("gymnasium")

@@ -5,9 +5,9 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.errors import DesignError
 from geometry.layout import LAYOUTS, Layout
 from tests.docs.terminal import ROOT
 from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of

@@ -7,11 +7,11 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from common.pool import WorkerLost, open_pool
+from common.storage.journal import Journal
 from fem.array.closed_forms import layer_response
 from geometry.design_file import design_from_toml, read_design
 from geometry.layout import LAYOUTS
-from geometry.pool import WorkerLost, open_pool
-from geometry.storage.journal import Journal
 from tests.house import House
 from tripillar.sweep import judge, run
 from tripillar.sweep.optimize import START, search
@@ -50,7 +50,7 @@ bounds = { rate_hz = { least = 900.0 } }
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """Sweep files in a folder; designs are judged in this process, by a closed form of their response."""
-    monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
+    monkeypatch.setattr("common.pool.open_pool", lambda *_: open_pool(tasks=1))
     monkeypatch.setattr(judge, "array_response", lambda design, _: (layer_response(design), None, True))
     for name, low, samples in (("pads", 8.0, 4), ("wide", 16.0, 3)):
         (tmp_path / f"{name}.toml").write_text(FILE.format(low=low, samples=samples))
@@ -160,7 +160,7 @@ def test_a_search_leans_on_what_it_found_and_is_the_same_again(tmp_path, monkeyp
 
 def test_layouts_and_numbers_mix_in_one_sweep(tmp_path, monkeypatch):
     """More pillars err less; 24 channels take 1298 µs a scan. Columns are those of the pillars of both layouts."""
-    monkeypatch.setattr("geometry.pool.open_pool", lambda *_: open_pool(tasks=1))
+    monkeypatch.setattr("common.pool.open_pool", lambda *_: open_pool(tasks=1))
     (tmp_path / "mix.toml").write_text(MIXED)
     done = House(tmp_path).result("sweep", "mix.toml", "-q")
     assert (done["designs"], done["failed"]) == (4, {})

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from common.errors import TriPillarError
 from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
 from geometry.design import SensorDesign
-from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from tripillar.viewer.page.scene import TITLES
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from aiohttp import WSMsgType, web
 
+from common.errors import TriPillarError
 from dataset.protocols import FRICTION
 from fem.pictures.arrays import ArrayField, indenter_tractions
 from fem.pictures.scenery import Bar
-from geometry.errors import TriPillarError
 from geometry.layout import FloatArray
 from tripillar.viewer.page.controls import (
     MAX_PRESSURE_MPA,

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from common.errors import TriPillarError
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import (
@@ -25,7 +26,6 @@ from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.touch.touch_file import AnyDecoder
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
-from geometry.errors import TriPillarError
 from geometry.layout import AXES, FloatArray
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces

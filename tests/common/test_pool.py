@@ -14,11 +14,11 @@ import numpy as np
 import psutil
 import pytest
 
+from common.errors import DesignError
+from common.pool import WorkerLost, in_parallel, open_pool
+from common.storage.journal import Journal
 from geometry import pool as pools
-from geometry.errors import DesignError
-from geometry.pool import WorkerLost, in_parallel, open_pool
-from geometry.storage.journal import Journal
-from tests.geometry.fake_job import TASKS, go_on, register, square, threads
+from tests.common.fake_job import TASKS, go_on, register, square, threads
 
 ROOT = Path(__file__).parents[2]
 SQUARES = {number: number**2 for number in range(TASKS)}
@@ -36,7 +36,7 @@ def workers_of(process):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_that_is_ended_goes_on_and_makes_only_what_is_missing(tmp_path, number):
     """Killed with its workers at work, or by Ctrl-C as a terminal sends it; then one part is damaged, one torn."""
-    command = [sys.executable, "-m", "tests.geometry.fake_job", str(tmp_path)]
+    command = [sys.executable, "-m", "tests.common.fake_job", str(tmp_path)]
     with subprocess.Popen(
         command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # some shells ignore it

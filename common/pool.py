@@ -24,9 +24,9 @@ from typing import Any
 
 import psutil
 
-from geometry.errors import DesignError, needing
-from geometry.storage.files import cache_folder, scratch
-from geometry.storage.unfinished import remove_unfinished
+from common.errors import DesignError, needing
+from common.storage.files import cache_folder, scratch
+from common.storage.unfinished import remove_unfinished
 
 MEMORY_BYTES = 4 * 2**30  #: a worker that takes more ends itself
 LIMIT_S = 3600.0  #: a worker that is at one task for longer ends itself: its mesher hangs

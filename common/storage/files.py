@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geometry.errors import FileFormatError, NotWrittenError
-from geometry.storage.unfinished import unfinished_folder
+from common.errors import FileFormatError, NotWrittenError
+from common.storage.unfinished import unfinished_folder
 
 if TYPE_CHECKING:
     import pyvista as pv

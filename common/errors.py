@@ -37,7 +37,7 @@ def require_type(name: str, value: object, kind: type, mend: str) -> None:
 
     >>> require_type("samples", 3, dict, "give a dict")
     Traceback (most recent call last):
-    geometry.errors.ArgumentError: samples is of type int, expected dict: give a dict.
+    common.errors.ArgumentError: samples is of type int, expected dict: give a dict.
     """
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} is of type {type(value).__name__}, expected {kind.__name__}: {mend}.")
@@ -50,7 +50,7 @@ def needing(user: str, extra: str) -> Iterator[None]:
     >>> with needing("MCAP", "mcap"):
     ...     import no_such_package
     Traceback (most recent call last):
-    geometry.errors.MissingPackageError: MCAP needs a package that is not installed (No module named \
+    common.errors.MissingPackageError: MCAP needs a package that is not installed (No module named \
 'no_such_package'): pip install 'tripillar[mcap]'.
     """
     try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geometry.errors import DesignError, TriPillarError
+from common.errors import DesignError, TriPillarError
 
 MAX_BYTES = 2_000_000  #: of a text file: a thousand times a design's
 MAX_PARTS = 16  #: of a key such as a.b.c: the parser takes memory and time by the square of them

@@ -8,9 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from geometry.errors import FileFormatError
-from geometry.storage.files import replacing, uninterrupted
-from geometry.storage.seal import LAST_LINE, require_intact, sealed
+from common.errors import FileFormatError
+from common.storage.files import replacing, uninterrupted
+from common.storage.seal import LAST_LINE, require_intact, sealed
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,4 +1,4 @@
-"""A job of tasks that take 5 ms, to be killed and taken up again: `python -m tests.geometry.fake_job FOLDER`."""
+"""A job of tasks that take 5 ms, to be killed and taken up again: `python -m tests.common.fake_job FOLDER`."""
 
 import os
 import signal
@@ -8,8 +8,8 @@ from pathlib import Path
 from time import sleep
 from types import MappingProxyType
 
-from geometry.pool import open_pool
-from geometry.storage.journal import Journal
+from common.pool import open_pool
+from common.storage.journal import Journal
 from tripillar.terminal import interrupts
 
 TASKS = 200

@@ -11,9 +11,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import FileFormatError
-from geometry.storage.files import cache_folder, write_bytes
-from geometry.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
+from common.errors import FileFormatError
+from common.storage.files import cache_folder, write_bytes
+from common.storage.seal import LAST_LINE, require_intact, say_made_anew, sealed
 
 Kept = TypeVar("Kept")
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.files import digest, replacing, uninterrupted
+from common.storage.netcdf import read_netcdf, write_netcdf
+from common.storage.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, sealed, sealed_json
 from geometry import Array, FileFormatError, Material, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
-from geometry.storage.cache import kept, read_arrays, write_arrays
-from geometry.storage.files import digest, replacing, uninterrupted
-from geometry.storage.netcdf import read_netcdf, write_netcdf
-from geometry.storage.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, sealed, sealed_json
 
 RNG = np.random.default_rng(0)
 ARRAYS = {"a": RNG.normal(size=(2, 3)), "steps": np.array(["one", "two"])}

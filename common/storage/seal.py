@@ -14,7 +14,7 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
-from geometry.errors import FileFormatError
+from common.errors import FileFormatError
 
 KEY = "sha256"
 MARK = b"tripillar-sha256:"

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from geometry.errors import DesignError, TriPillarError
+from common.errors import DesignError, TriPillarError
 
 OPTIONAL = {"optional": True}  #: of a field: no part of hashes at its default
 

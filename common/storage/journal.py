@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from geometry.errors import DesignError
-from geometry.storage.files import digest, write_text
-from geometry.storage.seal import opened_json, say_made_anew, sealed_json
+from common.errors import DesignError
+from common.storage.files import digest, write_text
+from common.storage.seal import opened_json, say_made_anew, sealed_json
 
 Part = TypeVar("Part")
 

@@ -1,0 +1,3 @@
+"""What every stage stands on: errors (`errors.py`), checked fields of dataclasses (`quantity.py`), files and the cache
+(`storage/`), worker processes (`pool.py`) and threads (`threads.py`). It knows nothing of sensors.
+"""
