@@ -12,6 +12,10 @@ class DesignError(TriPillarError, ValueError):
     """A design, a design file or a setting that cannot be built or makes no sense."""
 
 
+class SceneError(TriPillarError, ValueError):
+    """A scene that cannot be built or makes no sense."""
+
+
 class GeometryError(TriPillarError, ValueError):
     """A solid, a surface or a mesh that failed its check."""
 

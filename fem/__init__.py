@@ -9,11 +9,11 @@ them), `system.py` (their equations under loads), `factor.py` (factorisations an
 (displacement and stress anywhere), `pictures/`.
 """
 
+from common.errors import SceneError
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.factor import SolverError
+from fem.kernel.factor import SolverError
 from fem.methods.solving import solve_scene
-from fem.scene.loads import SceneError
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution

@@ -13,11 +13,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.assembly import Assembly
-from fem.factor import Factor
-from fem.mirrors import Mirror
+from fem.kernel.factor import Factor
+from fem.kernel.loads import Load, StiffLoad
+from fem.kernel.mirrors import Mirror
 from fem.plates import FollowingFaces, Plates, skew, turns
 from fem.rubber.body import RubberBody
-from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
 from geometry.layout import FloatArray
 

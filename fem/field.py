@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from fem.boxes.boxes import Boxes
-from fem.mirrors import Mirror, Parity, sign
+from fem.kernel.mirrors import Mirror, Parity, sign
 from fem.tetrahedra.mixed import MIN_POISSON, Elements, lame_of_regions
 from geometry.design import Material
 from geometry.layout import FloatArray

@@ -18,8 +18,9 @@ from skfem import Basis, ElementTriP2
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
+from common.errors import SceneError
 from fem.boxes.boxes import Boxes, gauss_points, shape_functions
-from fem.scene.loads import FollowerLoad, Load, Rectangle, SceneError
+from fem.kernel.loads import FollowerLoad, Load, Rectangle
 from fem.tetrahedra.patch import top_triangles
 from geometry.layout import FloatArray
 

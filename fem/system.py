@@ -10,20 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
-from fem.factor import Factor
-from fem.mirrors import (
-    Mirror,
-    Parity,
-    flipped_rectangles,
-    folded_loads,
-    folded_point,
-    images,
-    parities,
-    vanishing_components,
-)
+from fem.kernel.factor import Factor
+from fem.kernel.loads import Load, StiffLoad, at_rest, folded_loads
+from fem.kernel.mirrors import Mirror, Parity, flipped_rectangles, folded_point, images, parities, vanishing_components
 from fem.plates import FollowingFaces, Plates, top_nodes
 from fem.rubber.body import RubberBody, Tangent
-from fem.scene.loads import Load, StiffLoad, at_rest
 from fem.scene.scene import Probe
 from geometry.layout import FloatArray
 

@@ -22,7 +22,7 @@ STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, i
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
 RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
-SECOND = 0.2  #: share of the second invariant in `fem.rubber.law`
+SECOND = 0.2  #: share of the second invariant in `fem.kernel.law`
 ROWS = 3000  #: that a force's law is found from
 
 

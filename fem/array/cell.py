@@ -22,8 +22,8 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from fem.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
-from fem.mirrors import Parity, flipped_rectangles, images, parities, sign
+from fem.kernel.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
+from fem.kernel.mirrors import Parity, flipped_rectangles, images, parities, sign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def condense(
     the side faces, which follow the port modes Φ, and I the others, pressures and plates included.
 
     Of a quarter, a displacement splits into four parities, each a problem with its own conditions on the mirror planes
-    (`fem.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity (−1, 1)
+    (`fem.kernel.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity (−1, 1)
     is (1, −1) with x and y exchanged, and need not be solved.
     """
     k, copies = len(rectangles), 2 ** len(body.mirrors)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import EDGES, FACES, CondensedCell, Free, PortModes
-from fem.factor import Factor, checked_solve
+from fem.kernel.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
 Kinds = Mapping[Free, CondensedCell]  #: the cell of each place; of () wherever there is none of its own

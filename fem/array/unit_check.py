@@ -17,7 +17,7 @@ from common.storage.files import digest
 from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
-from fem.factor import Factor, checked_solve
+from fem.kernel.factor import Factor, checked_solve
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.patch import patch_means
 from fem.tetrahedra.system import TetrahedralSystem

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from common.errors import DesignError
 from fem.conduction.meshes import Hexahedra, unit_hexahedra
-from fem.factor import Factor, checked_solve
+from fem.kernel.factor import Factor, checked_solve
 from geometry.design import Electrics, Unit
 from geometry.layout import FloatArray, pillar_widths
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.contact.surface import Patch
-from fem.factor import SolverError
+from fem.kernel.factor import SolverError
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10_000  #: of projected gradients in one increment

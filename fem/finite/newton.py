@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from fem.equations import Misfit, State
-from fem.factor import Factor, FactorMemoryError, SolverError
-from fem.scene.loads import FollowerLoad, StiffLoad
+from fem.kernel.factor import Factor, FactorMemoryError, SolverError
+from fem.kernel.loads import FollowerLoad, StiffLoad
 from fem.system import System
 from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray

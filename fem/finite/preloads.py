@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes
 from fem.equations import State
-from fem.factor import Factor
 from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.kernel.factor import Factor
+from fem.kernel.loads import StiffLoad
 from fem.rubber.body import RubberBody
-from fem.scene.loads import StiffLoad
 from fem.system import System
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.equations import State
-from fem.factor import Factor
 from fem.finite.newton import find_equilibrium
+from fem.kernel.factor import Factor
+from fem.kernel.law import Strain, bilinear_cofactors, cofactors
 from fem.plates import skew
 from fem.rubber.body import Tangent
-from fem.rubber.law import Strain, bilinear_cofactors, cofactors
 from fem.system import System
 from geometry.layout import FloatArray
 

@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 import psutil
 
-from fem.factor import FactorMemoryError, SolverError
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
+from fem.kernel.factor import FactorMemoryError, SolverError
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import FiniteSolution, MeshAnswer, Solution, Stopwatch

@@ -19,14 +19,14 @@ from threadpoolctl import ThreadpoolController
 
 from fem.boxes.boxes import Boxes, lobatto_points
 from fem.boxes.splitting import AxisTree, BoxMesh
-from fem.factor import Factor, checked_solve
 from fem.field import Field, unfolded
+from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.loads import Load, StiffLoad
+from fem.kernel.mirrors import Parity, parities
 from fem.levels import largest_contributors, shown_ratios, unit_loads
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
-from fem.mirrors import Parity, parities
 from fem.rubber.body import Condensed, Kind, RubberBody
-from fem.scene.loads import Load, StiffLoad
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from fem.system import System

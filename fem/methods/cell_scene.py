@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from common.errors import DesignError
+from common.errors import DesignError, SceneError
 from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, pad_plate
 from fem.array.substructured import any_cell, cell_stages, cells_of_stage
-from fem.scene.loads import Rectangle, SceneError
+from fem.kernel.loads import Rectangle
 from fem.scene.scene import Scene, Sensor
 from fem.scene.solution import Solution, Stopwatch, largest_error
 from geometry.design import Pad, SensorDesign

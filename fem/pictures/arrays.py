@@ -12,12 +12,12 @@ from functools import cache
 
 import numpy as np
 
-from common.errors import DesignError
+from common.errors import DesignError, SceneError
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
 from fem.field import Field
+from fem.kernel.loads import FollowerLoad, Load, StiffLoad
 from fem.methods.solving import solve_scene
-from fem.scene.loads import FollowerLoad, Load, SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres

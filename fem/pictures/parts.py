@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from fem.array.meshed import cell_lines, lone_unit
 from fem.boxes.boxes import Boxes
-from fem.factor import Factor, checked_solve
 from fem.field import Field, same_places, unfolded
+from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.loads import Rectangle
+from fem.kernel.mirrors import parities
 from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
-from fem.mirrors import parities
 from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
 from fem.rubber.body import RubberBody
-from fem.scene.loads import Rectangle
 from fem.scene.scene import Scene, Sensor, regions_at
 from fem.system import System
 from geometry.design import Unit

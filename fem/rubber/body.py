@@ -23,7 +23,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fem.boxes.boxes import Boxes, cube_slopes, gauss_points
-from fem.rubber.law import LAWS, Law, Strain, plus_unit
+from fem.kernel.law import LAWS, Law, Strain, plus_unit
 from geometry.design import Material
 from geometry.layout import FloatArray
 

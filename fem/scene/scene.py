@@ -14,17 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import SceneError
 from common.quantity import is_finite, quantity
-from fem.scene.loads import (
-    LIMITS_MM,
-    Checked,
-    DeadLoad,
-    Load,
-    Rectangle,
-    SceneError,
-    StiffLoad,
-    rectangle_of,
-)
+from fem.kernel.loads import LIMITS_MM, Checked, DeadLoad, Load, Rectangle, StiffLoad, rectangle_of
 from geometry.design import Material, SensorDesign
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism

@@ -5,9 +5,10 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
+from common.errors import SceneError
 from common.storage.files import stated
 from common.storage.text_file import StrictTables, read_text, tables_of
-from fem.scene.loads import LOAD_KINDS, Load, SceneError
+from fem.kernel.loads import LOAD_KINDS, Load
 from fem.scene.scene import Block, Body, Inclusion, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
 from geometry.design_file import design_from_dict

@@ -17,10 +17,10 @@ from skfem import Basis, MeshTet
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-from fem.factor import checked_solve
 from fem.field import Field
+from fem.kernel.factor import checked_solve
+from fem.kernel.loads import at_rest
 from fem.levels import SAFETY, largest_contributors, shown_ratios, unit_loads
-from fem.scene.loads import at_rest
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import MeshAnswer, Stopwatch
 from fem.tetrahedra.mixed import Elements, IntArray, TaylorHood, taylor_hood

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import Basis, Element, ElementTetP1, ElementTetP2, MeshTet
 
-from fem.rubber.law import LAWS, Law, Strain
+from fem.kernel.law import LAWS, Law, Strain
 from geometry.design import Material
 from geometry.layout import FloatArray
 

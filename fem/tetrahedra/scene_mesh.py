@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skfem import MeshTet
 
 from common.storage.files import digest
-from fem.scene.loads import FollowerLoad
+from fem.kernel.loads import FollowerLoad
 from fem.scene.scene import Scene
 from fem.tetrahedra.mixed import IntArray
 from geometry.layout import FloatArray

@@ -12,10 +12,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.equations import Equations, Misfit, State
-from fem.factor import Factor
-from fem.mirrors import Parity
+from fem.kernel.factor import Factor
+from fem.kernel.loads import Load, StiffLoad
+from fem.kernel.mirrors import Parity
 from fem.plates import FollowingFaces, Plates
-from fem.scene.loads import Load, StiffLoad
 from fem.tetrahedra.mixed import TaylorHood
 from fem.tetrahedra.patch import nodes_under, patch_integrals
 from geometry.layout import FloatArray

@@ -13,9 +13,9 @@ from unittest import mock
 
 from cyclopts import Parameter
 
+from fem.kernel.loads import DeadLoad
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow, solve_scene
-from fem.scene.loads import DeadLoad
 from fem.scene.scene import Inclusion, Scene
 from fem.scene.solution import Solution, largest_error
 from studies.bench.scenes import patch_scenes

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fem.scene.loads import DeadLoad
+from fem.kernel.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Probe, Scene, Sensor, Triple
 from geometry.design import Material, SensorDesign
 from geometry.layout import AXES, FloatArray, electrode_squares, pad_squares

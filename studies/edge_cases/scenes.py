@@ -13,9 +13,9 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, lone_unit
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS
-from fem.factor import Factor, checked_solve
+from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.loads import FollowerLoad
 from fem.methods.solving import solve_scene
-from fem.scene.loads import FollowerLoad
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
 from fem.tetrahedra.mixed import taylor_hood

@@ -16,7 +16,7 @@ from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import read_series
 from decoupler.rubber.silicones import SILICONES, surrounded
-from fem.rubber.law import LAWS
+from fem.kernel.law import LAWS
 from geometry.design import Material, Memory, SensorDesign, with_model
 from geometry.design_file import read_design
 from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench

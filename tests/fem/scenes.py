@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from skfem import MeshTet
 
+from fem.kernel.loads import DeadLoad
 from fem.methods.plan import Plan, make_plan
-from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Body, Probe, Scene
 from geometry.design import Material
 from geometry.layout import SONG2018, Electrode, Layout

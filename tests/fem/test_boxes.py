@@ -8,13 +8,13 @@ import pytest
 
 from fem.boxes.boxes import Boxes
 from fem.boxes.splitting import AxisTree, BoxMesh
-from fem.factor import Factor
+from fem.kernel.factor import Factor
+from fem.kernel.loads import DeadLoad, StiffLoad
+from fem.kernel.mirrors import Mirror
 from fem.methods.box_refinement import ORDER, first_mesh
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
-from fem.mirrors import Mirror
 from fem.rubber.body import RubberBody
-from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Block, Pillar, Probe, Scene
 from fem.scene.solution import largest_error
 from fem.system import System

@@ -8,8 +8,8 @@ import pytest
 from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
 from fem.array.meshed import CellBody
-from fem.factor import Factor, checked_solve
-from fem.mirrors import QUARTER
+from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.mirrors import QUARTER
 from geometry.design import Material
 
 RUBBER = [Material()]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skfem import Basis, ElementTetP2, LinearForm
 
-from fem.factor import Factor, whole
+from fem.kernel.factor import Factor, whole
 from fem.tetrahedra.mixed import taylor_hood
 from fem.tetrahedra.patch import PatchError, patch_integrals
 from fem.tetrahedra.system import TetrahedralSystem

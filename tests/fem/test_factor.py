@@ -10,7 +10,15 @@ import scipy.sparse as sp
 
 from fem import factor as module
 from fem.boxes.boxes import Boxes
-from fem.factor import Factor, FactorMemoryError, SolverError, checked_solve, schur_complement, schur_product, whole
+from fem.kernel.factor import (
+    Factor,
+    FactorMemoryError,
+    SolverError,
+    checked_solve,
+    schur_complement,
+    schur_product,
+    whole,
+)
 from fem.rubber.body import RubberBody
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood

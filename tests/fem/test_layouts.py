@@ -18,11 +18,11 @@ from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, pillars_per_mm, unit_conductances
 from fem.contact.surface import Patch, PatchCompliance, endless_surface
-from fem.factor import checked_solve
 from fem.finite.samples import SampleSolver
+from fem.kernel.factor import checked_solve
+from fem.kernel.loads import DeadLoad, StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.loads import DeadLoad, StiffLoad
 from fem.scene.scene import Scene, Sensor
 from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit

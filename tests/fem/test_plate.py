@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fem.array.solving import ResponseSettings, solve_response
+from fem.kernel.loads import StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
-from fem.scene.loads import StiffLoad
 from fem.scene.scene import Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign
 from geometry.layout import electrode_squares

@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import brentq
 
 from fem.boxes.boxes import Boxes
-from fem.factor import whole
+from fem.kernel.factor import whole
+from fem.kernel.law import LAWS
+from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.plates import turns
 from fem.rubber.body import RubberBody
-from fem.rubber.law import LAWS
-from fem.scene.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.system import System
 from geometry.design import Material
 

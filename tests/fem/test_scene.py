@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from fem.scene.loads import DeadLoad, FollowerLoad, SceneError, StiffLoad
+from common.errors import SceneError
+from fem.kernel.loads import DeadLoad, FollowerLoad, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material

@@ -7,13 +7,14 @@ import pytest
 import pyvista as pv
 from skfem import MeshTet
 
-from fem.factor import Factor, checked_solve
+from common.errors import SceneError
 from fem.field import Field
+from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.loads import DeadLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
-from fem.scene.loads import DeadLoad, SceneError
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from fem.tetrahedra.mixed import Elements, taylor_hood
 from fem.tetrahedra.system import TetrahedralSystem

@@ -5,10 +5,10 @@ import pytest
 from skfem import Basis, ElementTetP2, MeshTet
 
 from fem.boxes.boxes import Boxes
-from fem.factor import Factor, checked_solve, whole
 from fem.field import Field
+from fem.kernel.factor import Factor, checked_solve, whole
+from fem.kernel.loads import DeadLoad
 from fem.rubber.body import RubberBody
-from fem.scene.loads import DeadLoad
 from fem.system import System
 from fem.tetrahedra.mixed import Elements
 from geometry.design import Material

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.kernel.loads import StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
-from fem.scene.loads import StiffLoad
 from fem.scene.scene import Inclusion, Prism, Probe, Scene
 from fem.scene.scene_file import scene_from_toml
 from fem.scene.solution import Solution, largest_error

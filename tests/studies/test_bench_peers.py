@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fem.contact import Sphere
-from fem.scene.loads import DeadLoad
+from fem.kernel.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene
 from geometry.design import Material
 from geometry.layout import unit_centres

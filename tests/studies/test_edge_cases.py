@@ -7,7 +7,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from fem.factor import SolverError
+from fem.kernel.factor import SolverError
 from studies.edge_cases import __main__ as command
 from studies.edge_cases.scenes import scene_trials
 from studies.edge_cases.trials import Judged, Trial, tried

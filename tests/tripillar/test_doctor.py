@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from serial.tools import list_ports
 
-from fem.factor import SolverError
+from fem.kernel.factor import SolverError
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.doctor import known_answers, surroundings

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.errors import FileFormatError
+from common.errors import FileFormatError, SceneError
 from dataset import DatasetSettings, simulate
 from dataset.simulation import displacements
 from decoupler import require_same_sensor
@@ -16,11 +16,11 @@ from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.unit_check import meshed_response
+from fem.kernel.loads import StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
-from fem.scene.loads import SceneError, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
 from geometry.layout import electrode_squares, unit_centres

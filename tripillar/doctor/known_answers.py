@@ -18,8 +18,8 @@ from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
+from fem.kernel.loads import DeadLoad
 from fem.methods.solving import solve_scene
-from fem.scene.loads import DeadLoad
 from fem.scene.scene import Block, Probe, Scene
 from geometry.design import Material, SensorDesign
 from geometry.layout import pillar_volumes

@@ -75,7 +75,7 @@ def packages() -> Iterator[Check]:
 
 def solver() -> Check:
     """Name the linear solver that is installed."""
-    from fem.factor import solver_name
+    from fem.kernel.factor import solver_name
 
     name = solver_name()
     advice = "PARDISO is several times faster: pip install pypardiso (x86-64)." if name == "superlu" else ""

@@ -18,7 +18,7 @@ from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
 from fem.finite.samples import gradients
 from fem.finite.solving import solve_finite
-from fem.scene.loads import DeadLoad, Load, StiffLoad
+from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
 from geometry.layout import (

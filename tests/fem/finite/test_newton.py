@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from skfem import MeshTet
 
+from common.errors import SceneError
 from fem.boxes.boxes import Boxes
-from fem.factor import Factor, FactorMemoryError
 from fem.field import unfolded
 from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium
 from fem.finite.solving import finite_boxes
+from fem.kernel.factor import Factor, FactorMemoryError
+from fem.kernel.loads import DeadLoad, FollowerLoad, StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
 from fem.rubber.body import RubberBody
-from fem.scene.loads import DeadLoad, FollowerLoad, SceneError, StiffLoad
 from fem.scene.scene import Block, Inclusion, Pillar, Scene
 from fem.system import System
 from fem.tetrahedra.mixed import taylor_hood
@@ -141,7 +142,7 @@ def test_plates_that_touch_or_lie_off_the_grid_s_lines_are_refused(centres, widt
 
 
 def test_too_little_memory_is_not_told_as_a_load_out_of_reach(monkeypatch):
-    monkeypatch.setattr("fem.factor.MEMORY_SHARE", 1e-12)
+    monkeypatch.setattr("fem.kernel.factor.MEMORY_SHARE", 1e-12)
     with pytest.raises(FactorMemoryError):
         find_equilibrium(System(BODY, [LOADS["follower"](1.0)]), Factor(symmetric=False))
 

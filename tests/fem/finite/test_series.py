@@ -6,8 +6,8 @@ import pytest
 from fem.boxes.boxes import Boxes
 from fem.finite.newton import find_equilibrium
 from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.kernel.loads import StiffLoad
 from fem.rubber.body import RubberBody
-from fem.scene.loads import StiffLoad
 from fem.system import System
 from geometry.design import Material
 

@@ -9,17 +9,15 @@ from typing import Self
 
 import numpy as np
 
-from common.errors import TriPillarError
+from common.errors import SceneError
 from common.quantity import quantity, require_sound
+from fem.kernel.mirrors import Mirror, Parity, flipped_rectangles, images
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Triple
 
 Rectangle = tuple[float, float, float, float]  #: x0, y0, x1, y1 [mm]
+ON_PLANE = 1e-9  #: of a rectangle's width: how far rounding may put its side off a mirror plane
 LIMITS_MM = (1e-6, 1e6)  #: sizes and distances of a scene; beyond, coordinates lose their digits
-
-
-class SceneError(TriPillarError, ValueError):
-    """A scene that cannot be built or makes no sense."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,3 +154,28 @@ def at_rest(loads: Sequence[Load]) -> list[Load]:
 
 
 LOAD_KINDS: dict[str, type[Load]] = {load.kind: load for load in (DeadLoad, FollowerLoad, StiffLoad)}
+
+
+def folded_loads(loads: Sequence[Load], mirrors: tuple[Mirror, ...], parity: Parity) -> list[Load]:
+    """The part of loads that a parity takes, on what is solved of the body.
+
+    Each image of a load counts for its share; those of one rectangle are one load. A plane that cuts a stiff load
+    leaves half of it.
+    """
+    found: dict[tuple[object, ...], Load] = {}
+    for load in loads:
+        width = max(load.size_mm)
+        for flipped, signs in images(mirrors, parity):
+            rectangle = flipped_rectangles(np.array(load.rectangle), flipped)
+            share = 0.5 ** len(mirrors)
+            for mirror in mirrors:
+                ends = [mirror.axis, mirror.axis + 2]
+                beyond = mirror.position_mm - rectangle[mirror.axis]
+                rectangle[ends] = np.maximum(rectangle[ends], mirror.position_mm)
+                share *= 0.5 if beyond > ON_PLANE * width and isinstance(load, StiffLoad) else 1.0
+            if ((rectangle[2:] - rectangle[:2]) <= ON_PLANE * width).any():
+                continue
+            image = load.image(rectangle, share * signs, share * signs * (-1) ** len(flipped))
+            key = (load.kind, *np.round(rectangle / width, 9))
+            found[key] = found[key].plus(image) if key in found else image  # type: ignore[arg-type]  # of one kind
+    return list(found.values())

@@ -4,17 +4,14 @@ Only the part of the body above each plane's position is solved. A load that is 
 each of which is a problem of that part with its own conditions on the planes.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.scene.loads import Load, StiffLoad
 from geometry.layout import FloatArray
 
-ON_PLANE = 1e-9  #: of a rectangle's width: how far rounding may put its side off a plane
 Parity = tuple[int, int]  #: in x and y: 1 even, −1 odd, 0 where there is no plane
 
 
@@ -79,28 +76,3 @@ def folded_point(point_mm: FloatArray, mirrors: tuple[Mirror, ...], parity: Pari
     beyond = tuple(mirror for mirror in mirrors if point_mm[mirror.axis] < mirror.position_mm)
     signs = next(signs for flipped, signs in images(mirrors, parity) if flipped == beyond)
     return flipped_points(point_mm, beyond), signs
-
-
-def folded_loads(loads: Sequence[Load], mirrors: tuple[Mirror, ...], parity: Parity) -> list[Load]:
-    """The part of loads that a parity takes, on what is solved of the body.
-
-    Each image of a load counts for its share; those of one rectangle are one load. A plane that cuts a stiff load
-    leaves half of it.
-    """
-    found: dict[tuple[object, ...], Load] = {}
-    for load in loads:
-        width = max(load.size_mm)
-        for flipped, signs in images(mirrors, parity):
-            rectangle = flipped_rectangles(np.array(load.rectangle), flipped)
-            share = 0.5 ** len(mirrors)
-            for mirror in mirrors:
-                ends = [mirror.axis, mirror.axis + 2]
-                beyond = mirror.position_mm - rectangle[mirror.axis]
-                rectangle[ends] = np.maximum(rectangle[ends], mirror.position_mm)
-                share *= 0.5 if beyond > ON_PLANE * width and isinstance(load, StiffLoad) else 1.0
-            if ((rectangle[2:] - rectangle[:2]) <= ON_PLANE * width).any():
-                continue
-            image = load.image(rectangle, share * signs, share * signs * (-1) ** len(flipped))
-            key = (load.kind, *np.round(rectangle / width, 9))
-            found[key] = found[key].plus(image) if key in found else image  # type: ignore[arg-type]  # of one kind
-    return list(found.values())
