@@ -215,8 +215,8 @@ def condense(
     the side faces, which follow the port modes Φ, and I the others, pressures and plates included.
 
     Of a quarter, a displacement splits into four parities, each a problem with its own conditions on the mirror planes
-    (`fem.kernel.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity (−1, 1)
-    is (1, −1) with x and y exchanged, and need not be solved.
+    (`fem.kernel.mirrors`); four quarters cost far less than one whole. Where the cell is the same in x and y, parity
+    (−1, 1) is (1, −1) with x and y exchanged, and need not be solved.
     """
     k, copies = len(rectangles), 2 ** len(body.mirrors)
     square = copies == 4 and inside is None and body.is_square

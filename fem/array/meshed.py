@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from fem.array.cell import CellSides, CondensedCell, Free, PortModes, condense
 from fem.array.coupled_cells import Kinds, places
 from fem.boxes.boxes import Boxes
-from fem.boxes.lines import Attractor, graded_lines
 from fem.field import Field
 from fem.kernel.factor import SparseMatrix
 from fem.kernel.law import LAWS
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.kernel.mirrors import QUARTER, Mirror, Parity
 from fem.levels import richardson_factor
+from fem.meshes.lines import Attractor, graded_lines
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from fem.boxes.boxes import Boxes
-from fem.boxes.lines import Attractor, graded_lines
 from fem.field import unfolded
 from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium
 from fem.kernel.factor import FactorMemoryError
 from fem.kernel.mirrors import Mirror
 from fem.levels import Convergence
+from fem.meshes.lines import Attractor, graded_lines
 from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import FiniteSolution, Stopwatch

@@ -1,7 +1,7 @@
 """Elements that scikit-fem lacks: hexahedra of any order, and pressures that jump between elements.
 
-Both are ordinary `ElementH1`: numbering, mapping and quadrature are scikit-fem's. What edges and faces share of an order
-above 2 is not turned, so the local axes of elements that meet must agree, as those of `MeshHex.init_tensor` do.
+Both are ordinary `ElementH1`: numbering, mapping and quadrature are scikit-fem's. What edges and faces share of an
+order above 2 is not turned, so the local axes of elements that meet must agree, as those of `MeshHex.init_tensor` do.
 """
 
 from functools import cache, cached_property
@@ -44,7 +44,7 @@ class HexQ(ElementH1):
         return x * y * z, np.stack([dx * y * z, x * dy * z, x * y * dz])
 
     def _along(self, X: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Functions along each axis and their slopes at places (3, ...), both (3, ..., order + 1); the last are kept."""
+        """Functions along each axis and their slopes at places (3, ...); the last ones are kept."""
         key = X.tobytes()
         if self._last[0] != key or self._last[1].shape[:-1] != X.shape:
             powers = legendre.legvander(2 * np.asarray(X) - 1, self.maxdeg)
@@ -104,7 +104,7 @@ class Basis(CellBasis):
         self.tind, self.nelems = None, mesh.nelements
 
     @cached_property
-    def basis(self) -> list[Any]:  # type: ignore[override]  # scikit-fem fills it at once
+    def basis(self) -> list[Any]:
         return [self.elem.gbasis(self.mapping, self.X, j) for j in range(self.Nbfun)]
 
     @cached_property

@@ -51,7 +51,7 @@ class Rubber:
     """
 
     def __init__(self, basis: Basis, pressure: Element, law: Law, region: IntArray | None = None) -> None:
-        self.basis, self.law, self.reference = basis, law, reference(basis.elem, pressure)
+        self.basis, self.pressure, self.law, self.reference = basis, pressure, law, reference(basis.elem, pressure)
         self.nodes = basis.element_dofs.T.astype(np.int64)  #: (n_elements, n)
         self.n_nodes, self.n_elements = int(basis.N), basis.mesh.nelements
         self.region = np.zeros(self.n_elements, dtype=np.int64) if region is None else region
@@ -172,7 +172,7 @@ class Rubber:
     def missing_volume(self, strain: Strain, p: FloatArray) -> FloatArray:
         """∫ (θ − p/λ) q (n_pressures,) of one state [mm³]; of continuous pressures."""
         volume = ((strain.theta[0] - self.pressure_at(p) / self.law.lame_mpa) * self.dx) @ self.reference.pressures
-        return np.bincount(self.pressure_dofs.ravel(), volume.ravel(), self.pressures_shape[0])
+        return np.bincount(self.pressure_dofs.ravel(), volume.ravel(), self.pressures_shape[0]).astype(np.float64)
 
     @cached_property
     def pressure_mass(self) -> sp.csr_matrix:
@@ -257,7 +257,7 @@ class Rubber:
         return self._volume.shape[1] == 1 and self.law.mu_mpa.shape[1] == 1
 
     def _rest_stiffness(self, some: IntArray | slice) -> FloatArray:
-        """K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ, of `Reference.stiffness`; (e, n, n, 3, 3)."""
+        """K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ of `Reference.stiffness`, (e, n, n, 3, 3)."""
         pull, volume = self.pull[some, 0], self._volume[some, 0]
         M, N = self.reference.stiffness
         g = np.einsum("eij,emk,elk->emlij", np.broadcast_to(np.eye(3), pull.shape), pull, pull, optimize=True)
@@ -289,12 +289,10 @@ class Rubber:
         at_once = max(1, CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
         for start in range(0, len(first), at_once):
             some = slice(start, min(start + at_once, len(first)))
-            K = self._rest_stiffness(first[some])
-            rows = (K[:, inside[:, None], own].swapaxes(2, 3) for own in (inside, surface))
-            within, beside = (own.reshape(len(K), m, -1) for own in rows)
-            found = np.linalg.solve(within, beside)
-            taken = (beside.swapaxes(1, 2) @ found).reshape(len(K), n // 3, 3, n // 3, 3)
-            stiffness[some] = K[:, surface[:, None], surface] - taken.swapaxes(2, 3)
+            K = self._rest_stiffness(first[some]).swapaxes(2, 3).reshape(-1, n + m, n + m)  # what is inside is last
+            found = np.linalg.solve(K[:, n:, n:], K[:, n:, :n])
+            outer = K[:, :n, :n] - K[:, :n, n:] @ found
+            stiffness[some] = outer.reshape(-1, n // 3, 3, n // 3, 3).swapaxes(2, 3)
             inner[some] = -found
         return Condensed(kind.ravel(), stiffness, inner)
 

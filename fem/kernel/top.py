@@ -1,8 +1,8 @@
 """The plane top of a body: integrals over rectangles of it, wherever its faces lie, and pressures that follow it.
 
-A load on a pad and the mean displacement of an electrode are the same integral ∫ φ dA of each function over a rectangle.
-Faces, triangles or quadrilaterals, are clipped to the rectangle and integrated exactly, so that a load never misses a
-part of its force and no outline has to conform to the mesh.
+A load on a pad and the mean displacement of an electrode are the same integral ∫ φ dA of each function over a
+rectangle. Faces, triangles or quadrilaterals, are clipped to the rectangle and integrated exactly, so that a load never
+misses a part of its force and no outline has to conform to the mesh.
 """
 
 from collections.abc import Sequence
@@ -95,7 +95,7 @@ class Top:
         return Covered(self._nodes[own], values, slopes, area[:, None] * weights)
 
     def _functions(self, face: IntArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Functions that show at places (3, t, q) on faces (t,), (t, q, k), and their slopes by x and y, (2, t, q, k)."""
+        """Functions at places (3, t, q) on faces (t,), (t, q, k), and their slopes by x and y, (2, t, q, k)."""
         X, pull = local_places(self.basis.mesh, self.element[face], places)
         values = np.empty((*X.shape[1:], len(self._shown)))
         slopes = np.empty((2, *values.shape))
