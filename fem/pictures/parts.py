@@ -2,25 +2,34 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
+from math import ceil
+from pathlib import Path
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
+from skfem import Element
+from skfem.refdom import RefHex
+from vtkmodules.vtkCommonDataModel import vtkQuadraticTetra, vtkTriQuadraticHexahedron
 
+from common.storage.files import vtk_content, write_bytes
 from fem.array.meshed import cell_lines, lone_unit
-from fem.boxes.boxes import Boxes
-from fem.field import Field, same_places, unfolded
+from fem.field import Field as OldField
+from fem.kernel.elements import hexahedra
 from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.field import Field, same_places, unfolded
 from fem.kernel.loads import Rectangle
 from fem.kernel.mirrors import parities
+from fem.kernel.reference import tabulated
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
+from fem.meshes.grid import Grid
 from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
-from fem.rubber.body import RubberBody
 from fem.scene.scene import Scene, Sensor, regions_at
-from fem.system import System
 from geometry.design import Unit
 from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
 from geometry.prism import Prism, unit_prisms
@@ -34,8 +43,7 @@ TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
 WIDEST = 0.35  #: boxes of a picture of stress, relative to the body's height
 WIDE_BOXES = 15  #: such boxes to the greatest extent of a flat body, where that makes them wider
 THIN = 0.15  #: layer on either side of an edge at which the stress is singular, relative to the smallest part
-QUADRILATERAL, HEXAHEDRON = 9, 12  #: VTK's numbers of cells
-VTK_CORNERS = [0, 4, 6, 2, 1, 5, 7, 3]  #: of a box's, z fastest
+QUADRILATERAL, HEXAHEDRON, QUADRATIC_TETRAHEDRON, TRIQUADRATIC = 9, 12, 24, 29  #: VTK's numbers of cells
 
 Cells = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and cells (m, k) between them
 
@@ -97,9 +105,10 @@ class ArrayParts:
     def __init__(self, array: ArrayField | FiniteArrayField, is_coarse: bool = False) -> None:
         unit, self._array = array.design.unit, array
         slices, around, across, fineness = COARSE if is_coarse else FINE
-        slab = Boxes.between(cell_lines(array.design, fineness), order=1)
+        slab = pv.RectilinearGrid(*cell_lines(array.design, fineness)).cast_to_structured_grid()
         self._pillars = _OnUnits(array, pillar_surface(unit, slices, around, APART_MM), region=1)
-        self._slab = _OnUnits(array, (slab.points_mm, slab.nodes[:, VTK_CORNERS]), region=0, cell_type=HEXAHEDRON)
+        boxes = slab.cast_to_unstructured_grid().cells_dict[HEXAHEDRON]
+        self._slab = _OnUnits(array, (np.asarray(slab.points), boxes), region=0, cell_type=HEXAHEDRON)
         self._electrodes = _OnUnits(array, electrode_surface(unit), region=1)
         self._pads = []
         for x0, y0, x1, y1 in array.rectangles_mm:
@@ -256,10 +265,10 @@ def solve_scene_parts(
     field = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
     assert field is not None  # it was asked for
     progress("stress" if stress else "parts")
-    inside = field.mesh.region > 0
+    inside = regions_of(field) > 0
     if not inside.any():
-        return {"body": _part(field, ~inside, stress)}
-    return {"inclusions": _part(field, inside, stress), "matrix": _part(field, ~inside, stress)}
+        return {"body": quadratic(field, stress=stress)}
+    return {"inclusions": quadratic(field, inside, stress), "matrix": quadratic(field, ~inside, stress)}
 
 
 def _loaded_array(
@@ -290,7 +299,7 @@ def _loaded_array(
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
     field = finite_field(scene)
-    body = _part(field, np.ones(len(field.mesh.cells), dtype=bool), stress=False)
+    body = quadratic(field)
     if not scene.inclusions:
         return {"body": body}
     points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
@@ -299,9 +308,55 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     return {"inclusions": inside, "matrix": body}
 
 
-def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
-    """Some elements of a field; those of several regions share no points, since stress may jump between them."""
-    keys = field.mesh.cells[own] * len(field.material) + field.mesh.region[own, None]
+def quadratic(field: Field | OldField, own: NDArray[np.bool_] | None = None, stress: bool = False) -> Part:
+    """Elements of a field, all unless told, as VTK's quadratic cells; those of order 3 and more are halved.
+
+    With stress, which may jump between regions, cells of several share no points. Cells of one element follow each
+    other.
+    """
+    if isinstance(field, OldField):
+        return _old_quadratic(field, own, stress)
+    body, mesh = field.body, field.body.basis.mesh
+    is_hex = mesh.refdom is RefHex
+    places = np.reshape((vtkTriQuadraticHexahedron() if is_hex else vtkQuadraticTetra()).GetParametricCoords(), (-1, 3))
+    halves, n = ceil(body.basis.elem.maxdeg / 2), len(places)
+    places = ((np.array(list(product(range(halves), repeat=3)))[:, None] + places) / halves).reshape(-1, 3)
+    element = np.arange(mesh.nelements) if own is None else np.flatnonzero(own)
+    # local axes may be left-handed, VTK's are not
+    turned = mesh.mapping().detDF(np.full((3, 1), 0.25), tind=element)[:, 0] < 0
+
+    def seen(elem: Element, values: FloatArray) -> FloatArray:
+        """At the places of all elements, (m·k, ...), from values (m, n, ...) of an element's functions."""
+        out = np.empty((len(element), len(places), values.shape[2]))
+        for some, local in ((~turned, places), (turned, places[:, [1, 0, 2]])):
+            out[some] = tabulated(elem, local.T)[0].T @ values[some]
+        return out.reshape(-1, values.shape[2])
+
+    points = seen(mesh.elem(), mesh.p.T[mesh.t.T[element]])
+    moved = seen(body.basis.elem, field.displacement_mm[body.nodes[element]])
+    stresses = seen(mesh.elem(), field.corner_stress[field.corners[element]]) if stress else None
+    keys = same_places(points)[1]
+    if stress:
+        keys += (keys.max() + 1) * np.repeat(body.region[element], len(places))
+    _, first, cells = np.unique(keys, return_index=True, return_inverse=True)
+    return Part(
+        points_mm=points[first],
+        cells=cells.reshape(-1, n),
+        cell_type=TRIQUADRATIC if is_hex else QUADRATIC_TETRAHEDRON,
+        displacement_mm=moved[first],
+        stress_mpa=None if stresses is None else stresses[first],
+    )
+
+
+def regions_of(field: Field | OldField) -> NDArray[np.int64]:
+    """The region of every element."""
+    return field.mesh.region if isinstance(field, OldField) else field.body.region
+
+
+def _old_quadratic(field: OldField, own: NDArray[np.bool_] | None, stress: bool) -> Part:
+    """Of solvers that are not on the kernel yet; goes with `fem.field`."""
+    own = np.ones(len(field.mesh.cells), dtype=bool) if own is None else own
+    keys = field.mesh.cells[own] * len(field.material) + (field.mesh.region[own, None] if stress else 0)
     used, cells = np.unique(keys, return_inverse=True)
     nodes, found = used // len(field.material), None
     if stress:
@@ -316,22 +371,31 @@ def _part(field: Field, own: NDArray[np.bool_], stress: bool) -> Part:
     )
 
 
+def write_field(field: Field | OldField, path: Path) -> None:
+    """Write the displacement of the whole body as VTU, whole or not at all."""
+    part = quadratic(field)
+    grid = part.grid
+    grid.point_data["displacement_mm"] = part.displacement_mm
+    grid.cell_data["region"] = np.repeat(regions_of(field), len(part.cells) // len(regions_of(field)))
+    write_bytes(path, vtk_content(grid))
+
+
 def picture_field(scene: Scene, plan: Plan) -> Field:
     """A body of boxes on one grid of many small ones: few large ones have the right stress only at certain points."""
-    boxes = picture_boxes(scene, plan)
+    grid = picture_grid(scene, plan)
+    region = regions_at(grid.mesh.p[:, grid.mesh.t].mean(axis=1).T, plan.regions)
     materials = [scene.material, *(material for _, material in plan.regions)]
-    body = RubberBody.of(boxes, materials)
-    system = System(body, scene.loads, plan.mirrors, parities(plan.mirrors)[0])
-    blocks, parts = system.rest_tangent(), []
+    body = Rubber.of(grid.mesh, hexahedra(2), materials, region)
+    system, parts = System(body, scene.loads, plan.mirrors, parities(plan.mirrors)[0]), []
     for part in (system.of_parity(parity) for parity in parities(plan.mirrors)):
-        factor = Factor(part.matrix(blocks), definite=True, upper=True)
-        y, _ = checked_solve(factor, part.loads_on(part.rest()).reshape(-1, 1))
+        factor = Factor(system.rest_matrix(part.parity), definite=True, upper=True)
+        y, _ = checked_solve(factor, part.full_loads)
         parts.append((part.parity, part.displaced(y)[0]))
-    return unfolded(boxes, plan.mirrors, parts, materials)
+    return unfolded(grid, body, plan.mirrors, parts)
 
 
-def picture_boxes(scene: Scene, plan: Plan) -> Boxes:
-    """Boxes of the solved part, evenly wide but for a thin layer at every edge of the body, its regions and loads."""
+def picture_grid(scene: Scene, plan: Plan) -> Grid:
+    """The solved part, evenly cut but for a thin layer at every edge of the body, its regions and loads."""
     outline, height = scene.outline, scene.height_mm
     widest = height * max(WIDEST, max(outline.section_mm) / height / WIDE_BOXES)
     thin = THIN * min([widest, *outline.section_mm, *(side for load in scene.loads for side in load.size_mm)])
@@ -350,8 +414,7 @@ def picture_boxes(scene: Scene, plan: Plan) -> Boxes:
         lines.append(_layered(places, widest, scene.rounding_mm))
     heights = [z for prism in prisms for z in (prism.base_mm[2], prism.top_mm[2])]
     x, y, z = *lines, _layered(dict.fromkeys(heights, thin), widest, scene.rounding_mm)
-    boxes = Boxes.between((x, y, z), lean=outline.lean)
-    return replace(boxes, region=regions_at((boxes.low + boxes.high) / 2, plan.regions))
+    return Grid((x, y, z), (float(outline.lean[0]), float(outline.lean[1])))
 
 
 def _layered(places: dict[float, float], widest: float, slack: float) -> FloatArray:

@@ -15,7 +15,7 @@ from matplotlib import colormaps, get_data_path
 from matplotlib.colors import LinearSegmentedColormap
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D
 
-from fem.field import pressure, von_mises
+from fem.kernel.field import pressure, von_mises
 from fem.pictures.parts import Part, Parts
 from geometry.layout import FloatArray
 

@@ -1,15 +1,13 @@
-"""The solution of a scene: its probes, the estimate of their error, the effort, and how it becomes a file."""
+"""The solution of a scene: its probes, the estimate of their error, the effort."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.storage.files import vtk_content, write_bytes
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -111,13 +109,3 @@ def solution_as_plain(solution: Solution, plan_lines: Sequence[str]) -> dict[str
         "seconds": dict(solution.seconds),
         "plan": [*plan_lines, *solution.steps],
     }
-
-
-def write_field(field: "Field", path: Path) -> None:
-    """Write the displacement of the whole body as VTU, whole or not at all."""
-    import pyvista as pv
-
-    grid = pv.UnstructuredGrid({pv.CellType(field.mesh.cell_type): field.mesh.cells}, field.points_mm)
-    grid.point_data["displacement_mm"] = field.displacement_mm
-    grid.cell_data["region"] = field.mesh.region
-    write_bytes(path, vtk_content(grid))

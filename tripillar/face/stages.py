@@ -67,11 +67,11 @@ if TYPE_CHECKING:
     from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
     from fem.pictures.deformation import DeformedPicture
-    from fem.pictures.parts import Parts
+    from fem.pictures.parts import Parts, write_field
     from fem.pictures.scenery import QUANTITIES
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
-    from fem.scene.solution import Solution, solution_as_plain, write_field
+    from fem.scene.solution import Solution, solution_as_plain
     from geometry.design_file import states_twin
     from geometry.mould import write_cad
     from common.pool import open_pool, require_pool

@@ -14,7 +14,7 @@ import pyvista as pv
 
 from common.errors import NotWrittenError
 from common.storage.files import replacing, scratch, vtk_content, write_bytes, write_text
-from fem.field import pressure, von_mises
+from fem.kernel.field import pressure, von_mises
 from fem.pictures.deformation import DeformedPicture, Medium
 from fem.pictures.parts import Part, Parts
 from fem.pictures.scenery import Bar
