@@ -297,9 +297,9 @@ def _loaded_array(
 
 
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
-    """A block or a pillar; inclusions are surfaces that the grid's displacement moves."""
+    """A block or a pillar; inclusions, of whatever rubber, are surfaces that the field moves."""
     field = finite_field(scene)
-    body = quadratic(field)
+    body = quadratic(field, regions_of(field) == 0)
     if not scene.inclusions:
         return {"body": body}
     points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
