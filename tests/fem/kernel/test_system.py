@@ -1,6 +1,7 @@
 """The equations: tangents, closed forms, reciprocity, mirrors, plates; and loads as one another."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -41,13 +42,17 @@ def loads_on(kind: str) -> dict[str, list[Load]]:
 
 
 @pytest.mark.parametrize("loaded", ["dead", "follower", "plates"])
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("kind", ["leaning 2", "mapped 2", "grid 3", "tetrahedra 2"])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        each
+        for each in product(["leaning 2", "mapped 2", "grid 3", "tetrahedra 2"], LAWS)
+        if each != ("grid 3", "linear")
+    ],
+)
 def test_tangent_is_the_slope_of_the_forces(kind, name, loaded):
-    """Of every law, pair and load, in two rubbers; linear ones are at rest, with no insides to eliminate."""
+    """Of every law, pair and load, in two rubbers; of linear ones at rest, where no insides are eliminated."""
     body = body_of(kind, [model(name), replace(OTHER, model=name)])
-    if name == "linear" and body.condensed is not None:
-        pytest.skip("of bodies whose insides are eliminated the tangent is that at rest")
     system = System(body, loads_on(kind)[loaded])
     rng = np.random.default_rng(0)
     state = system.rest()
