@@ -58,31 +58,32 @@ class Ties:
 class Assembly:
     """A sparse matrix of n × n blocks, its pattern found once and filled with any values.
 
-    `number` (n_nodes,) is the block of every node, −1 of none. Elements have `nodes` (n_elements, k); their stiffness
-    comes in `chunks`. A symmetric one keeps the blocks of the upper triangle only. `more` are rows and columns of
+    `number` (n_nodes,) is the block of every node, −1 of none. Elements come in chunks, each of nodes (e, k) and the
+    ties of its elements. A symmetric one keeps the blocks of the upper triangle only. `more` are rows and columns of
     further blocks, −1 for none; see `add`.
     """
 
     def __init__(
         self,
         number: IntArray,
-        nodes: IntArray,
-        ties: Ties,
+        chunks: Sequence[tuple[IntArray, Ties]],
         n: int,
-        chunks: Sequence[slice],
         symmetric: bool,
         more: Sequence[tuple[IntArray, IntArray]] = (),
     ) -> None:
-        self.n, self.symmetric, self._ties = n, symmetric, ties
-        own = number[nodes]
-        tied, spin = own[ties.element], ties.spin[:, None]
-        one, other = ties.pairs.T
-        placed = [(own[some][:, :, None], own[some][:, None, :]) for some in chunks]
-        placed += [(tied, spin), (ties.spin[one], ties.spin[other])]
-        if not symmetric:
-            apart = one != other
-            placed += [(spin, tied), (ties.spin[other[apart]], ties.spin[one[apart]])]
-        self._n_chunks, self._n_own = len(chunks), len(placed)
+        self.n, self.symmetric, self._ties = n, symmetric, [ties for _, ties in chunks]
+        placed = []
+        for nodes, ties in chunks:
+            own, spin, (one, other) = number[nodes], ties.spin[:, None], ties.pairs.T
+            placed += [
+                (own[:, :, None], own[:, None, :]),
+                (own[ties.element], spin),
+                (ties.spin[one], ties.spin[other]),
+            ]
+            if not symmetric:
+                apart = one != other
+                placed += [(spin, own[ties.element]), (ties.spin[other[apart]], ties.spin[one[apart]])]
+        self._n_own = len(placed)
         kept = [self._kept(rows, cols) for rows, cols in (*placed, *more)]
         keys = np.sort(np.concatenate([keys for *_, keys in kept]))
         self._keys = keys[np.diff(keys, prepend=-1) > 0]  # faster than `np.unique`
@@ -106,28 +107,24 @@ class Assembly:
         table = np.ones(len(number)), number[order], np.append(first, len(number))
         return place[order[first]], sp.csr_matrix(table, shape=(len(first), count))
 
-    def sum(self, blocks: Iterable[tuple[slice, FloatArray]], spins: FloatArray) -> FloatArray:
-        """Blocks (n_entries, 3, 3) of the matrix of chunks of elements and their stiffness (e, k, k, 3, 3).
+    def sum(self, blocks: Iterable[FloatArray], spins: FloatArray) -> FloatArray:
+        """Blocks (n_entries, 3, 3) of the matrix of the chunks' stiffness, each (e, k, k, 3, 3).
 
         `spins` (n_bonded, 3, 3) are displacements of each bonded node by the spin of its plate.
         """
-        data, ties = np.zeros((len(self._keys), 9)), self._ties
-        turns, spun = ties.turns(spins), np.empty((*ties.bond.shape, 3, 3))  # K Z of every tie
-        for number, (some, K) in enumerate(blocks):
-            self._add(data, number, K)
-            own = np.flatnonzero((ties.element >= some.start) & (ties.element < some.stop))
-            if len(own):
-                Z = turns[own].reshape(len(own), -1, 3)
-                flat = K[ties.element[own] - some.start].swapaxes(2, 3).reshape(len(own), Z.shape[1], -1)
-                spun[own] = (flat @ Z).reshape(len(own), -1, 3, 3)
-        if len(ties.element):
-            one, other = ties.pairs.T
-            both = np.einsum("pnis,pnit->pst", turns[one], spun[other])
-            self._add(data, self._n_chunks, spun)
-            self._add(data, self._n_chunks + 1, both)
+        data, number = np.zeros((len(self._keys), 9)), 0
+        for K, ties in zip(blocks, self._ties, strict=True):
+            Z, (one, other) = ties.turns(spins), ties.pairs.T
+            t, n = ties.bond.shape
+            flat = K[ties.element].swapaxes(2, 3).reshape(t, 3 * n, 3 * n)
+            KZ = (flat @ Z.reshape(t, 3 * n, 3)).reshape(t, n, 3, 3)
+            ZKZ = np.einsum("pnis,pnit->pst", Z[one], KZ[other])
+            parts = [K, KZ, ZKZ]
             if not self.symmetric:
-                self._add(data, self._n_chunks + 2, spun.swapaxes(2, 3))
-                self._add(data, self._n_chunks + 3, both[one != other].swapaxes(1, 2))
+                parts += [KZ.swapaxes(2, 3), ZKZ[one != other].swapaxes(1, 2)]
+            for part in parts:
+                self._add(data, number, part)
+                number += 1
         return data.reshape(-1, 3, 3)
 
     def _add(self, data: FloatArray, number: int, blocks: FloatArray) -> None:

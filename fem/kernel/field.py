@@ -20,10 +20,9 @@ from skfem import Mesh
 
 from fem.kernel.elements import Basis
 from fem.kernel.factor import Factor
-from fem.kernel.mirrors import Mirror, Parity, sign
+from fem.kernel.mirrors import Mirror, Parity, flipped_points, sign
 from fem.kernel.reference import IntArray, is_straight, local_places, tabulated
 from fem.kernel.rubber import Rubber
-from fem.meshes.grid import Grid, mirrored
 from geometry.layout import FloatArray
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  #: xx, yy, zz, yz, xz, xy
@@ -153,30 +152,54 @@ def _rows(body: Rubber, element: IntArray, values: FloatArray) -> sp.csr_matrix:
     return sp.csr_matrix((values.ravel(), (rows, body.nodes[element].ravel())), shape=(len(element), body.n_nodes))
 
 
-def unfolded(part: Grid, body: Rubber, mirrors: Sequence[Mirror], parts: Sequence[tuple[Parity, FloatArray]]) -> Field:
+@dataclass(frozen=True, eq=False)
+class Unfolded:
+    """The mesh of a whole body from that of its part above mirror planes; copies of elements follow each other."""
+
+    part: Places
+    mirrors: tuple[Mirror, ...]
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        mesh = self.part.mesh
+        points, cells = mesh.p.T, mesh.t
+        for mirror in self.mirrors:
+            points, cells = (
+                np.vstack([points, flipped_points(points, (mirror,))]),
+                np.hstack([cells, cells + len(points)]),
+            )
+        first, number = same_places(points)
+        return type(mesh)(np.ascontiguousarray(points[first].T), number[cells])
+
+    def located(self, points_mm: FloatArray, among: NDArray[np.bool_] | None = None) -> tuple[IntArray, FloatArray]:
+        """As of the part: an image of an element has its local coordinates."""
+        n = self.part.mesh.nelements
+        element, local = self.part.located(folded(points_mm, self.mirrors), None if among is None else among[:n])
+        for number, mirror in enumerate(self.mirrors):
+            element = element + n * 2**number * (points_mm[:, mirror.axis] < mirror.position_mm)
+        return element, local
+
+
+def unfolded(
+    part: Places, body: Rubber, mirrors: Sequence[Mirror], parts: Sequence[tuple[Parity, FloatArray]]
+) -> Field:
     """The field of a whole body from displacements (n, 3) of its part above the planes, by parity."""
     if not mirrors:
         return Field(places=part, body=body, displacement_mm=np.sum([u for _, u in parts], axis=0))
-    lines = list(part.lines)
-    for mirror in mirrors:
-        lines[mirror.axis] = mirrored(lines[mirror.axis], mirror.position_mm)
-    grid = Grid(tuple(lines), part.lean)
-    basis = Basis(grid.mesh, body.basis.elem)
-    middles = grid.mesh.p[:, grid.mesh.t].mean(axis=1).T
-    element, _ = part.located(folded(middles, mirrors))
-    whole = Rubber(basis, body.pressure, body.law.part(element), body.region[element])
-    places = basis.doflocs.T
+    whole = Unfolded(part, tuple(mirrors))
+    basis, own = Basis(whole.mesh, body.basis.elem), np.tile(np.arange(body.n_elements), 2 ** len(mirrors))
+    places, found = basis.doflocs.T, np.zeros((basis.N, 3))
     _, number = same_places(np.vstack([body.points_mm, folded(places, mirrors)]))
     of_place = np.empty(int(number.max()) + 1, dtype=np.int64)
     of_place[number[: body.n_nodes]] = np.arange(body.n_nodes)
-    own, found = of_place[number[body.n_nodes :]], np.zeros((len(places), 3))
     for parity, u in parts:
         signs = np.ones((len(places), 3))
         for mirror in mirrors:
             beyond = places[:, mirror.axis] < mirror.position_mm
             signs[beyond] *= [sign(component, mirror.axis, parity) for component in range(3)]
-        found += signs * u[own]
-    return Field(places=grid, body=whole, displacement_mm=found)
+        found += signs * u[of_place[number[body.n_nodes :]]]
+    filled = Rubber(basis, body.pressure, body.law.part(own), body.region[own])
+    return Field(places=whole, body=filled, displacement_mm=found)
 
 
 def folded(points_mm: FloatArray, mirrors: Sequence[Mirror]) -> FloatArray:

@@ -212,8 +212,8 @@ def _rested(system: System, state: State, load_factor: float, unbalanced_n: floa
         sizes.append(float(np.linalg.norm(unbalanced)))
         parts = part.tangent(u, p)
         K = np.zeros((len(inside) + 1, len(inside) + 1, 3, 3))
-        for some, own in parts.blocks():
-            at = number[part.nodes[some]]
+        for (_, nodes, _), own in zip(part.chunks, parts.blocks(), strict=True):
+            at = number[nodes]
             np.add.at(K, (at[:, :, None], at[:, None]), own)
         values, vectors = np.linalg.eigh(K[:-1, :-1].swapaxes(1, 2).reshape(2 * (3 * len(inside),)))
         settled = not sizes[-1] > unbalanced_n

@@ -42,6 +42,15 @@ class Condensed(NamedTuple):
     inner: FloatArray  #: (n_kinds, n_inside·3, n_surface·3): displacements inside, from those of the surface
 
 
+class Chunk(NamedTuple):
+    """Elements whose stiffness is computed at a time."""
+
+    elements: slice | IntArray  #: g of them
+    nodes: IntArray  #: that it is of, (g, k)
+    #: displacements of the elements' own nodes by those, (g, n, k), where some hang on larger elements
+    hung: FloatArray | None = None
+
+
 class Rubber:
     """Rubber by a law whose λ and μ have shape (n_elements, 1), or (n_elements, q) where they vary inside elements.
 
@@ -58,6 +67,7 @@ class Rubber:
         self.pull, self._volume = pulls(basis)
         self._is_diagonal = not (self.pull * (1 - np.eye(3))).any()
         self.is_mixed = pressure.interior_dofs == 0
+        self.constraint: sp.csr_matrix | None = None  #: of nodes that hang on larger elements
         if self.is_mixed:
             keys = basis.mesh.t.T.astype(np.int64) * (int(self.region.max()) + 1) + self.region[:, None]
             self.pressure_dofs = np.unique(keys, return_inverse=True)[1].reshape(keys.shape)  #: (n_elements, k)
@@ -89,12 +99,35 @@ class Rubber:
         """Volumes that the points of integration stand for, (n_elements, q) [mm³]."""
         return self._volume * self.reference.weights
 
-    @property
-    def chunks(self) -> list[slice]:
-        """Elements whose stiffness is computed at a time."""
-        n = self.reference.surface.size if len(self.reference.inside) else self.nodes.shape[1]
-        step = max(1, CHUNK_VALUES // (9 * n**2))
-        return [slice(first, min(first + step, self.n_elements)) for first in range(0, self.n_elements, step)]
+    def with_hanging_nodes(self, constraint: sp.csr_matrix | None) -> "Rubber":
+        """The same where nodes hang on larger elements: a row (n_nodes, n_nodes) is what each takes of the others."""
+        found = copy(self)
+        found.constraint = constraint
+        return found
+
+    @cached_property
+    def chunks(self) -> list[Chunk]:
+        """All elements, a few at a time."""
+        nodes = self.nodes[:, self.reference.surface] if self.is_condensed else self.nodes
+        step, plain = max(1, CHUNK_VALUES // (9 * nodes.shape[1] ** 2)), np.arange(self.n_elements)
+        if self.constraint is None:
+            starts = range(0, self.n_elements, step)
+            some = [slice(first, min(first + step, self.n_elements)) for first in starts]
+            return [Chunk(own, nodes[own]) for own in some]
+        is_hung = (self.constraint.diagonal() != 1)[nodes].any(axis=1)
+        groups: dict[int, list[tuple[int, IntArray, FloatArray]]] = {}
+        for element in np.flatnonzero(is_hung).tolist():
+            rows = self.constraint[nodes[element]]
+            masters, column = np.unique(rows.indices, return_inverse=True)
+            dense = np.zeros((nodes.shape[1], len(masters)))
+            dense[np.repeat(np.arange(len(dense)), np.diff(rows.indptr)), column] = rows.data
+            groups.setdefault(len(masters), []).append((element, masters, dense))
+        found = [Chunk(own, nodes[own]) for own in _split(plain[~is_hung], step)]
+        for group in groups.values():
+            for some in (group[first : first + step] for first in range(0, len(group), step)):
+                elements, masters, dense = (np.array(part) for part in zip(*some, strict=True))
+                found.append(Chunk(elements, masters, dense))
+        return found
 
     def part(self, elements: IntArray) -> "Rubber":
         """Some elements alone; nodes are numbered as before. Of pressures that jump."""
@@ -102,7 +135,7 @@ class Rubber:
         part.law, part.n_elements = self.law.part(elements), len(elements)
         part.nodes, part.pull, part._volume = self.nodes[elements], self.pull[elements], self._volume[elements]
         part.pressures_shape = (len(elements), *self.pressures_shape[1:])
-        for name in ("dx", "_bulk", "_gather", "_inverse_mass", "condensed"):
+        for name in ("dx", "_gather", "_inverse_mass", "condensed", "chunks", "rest"):
             part.__dict__.pop(name, None)
         return part
 
@@ -237,19 +270,26 @@ class Rubber:
         """The body linearised at rest."""
         return self.tangent(np.zeros((self.n_nodes, 3)), np.zeros(self.pressures_shape))
 
-    def rest_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
-        """Chunks of elements and their stiffness at rest between nodes on their surfaces, (e, n, n, 3, 3) [N/mm].
+    @property
+    def is_condensed(self) -> bool:
+        """True if what is inside elements is eliminated: at rest alone."""
+        return self.law.is_linear and self.condensed is not None
+
+    def rest_blocks(self) -> Iterator[FloatArray]:
+        """Stiffness at rest of each of `chunks`, (g, k, k, 3, 3) [N/mm].
 
         Entry [e, a, b, i, j] couples aᵢ with b_j. Continuous pressures are not in it.
         """
         if not self._is_uniform:
             yield from self.rest.blocks()
-        elif self.condensed is not None:
-            for some in self.chunks:
-                yield some, self.condensed.stiffness[self.condensed.kind[some]]
-        else:
-            for some in self.chunks:
-                yield some, self._rest_stiffness(some)
+            return
+        for some, _, hung in self.chunks:
+            K = (
+                self._rest_stiffness(some)
+                if self.condensed is None
+                else self.condensed.stiffness[self.condensed.kind[some]]
+            )
+            yield K if hung is None else _by_masters(K, hung)
 
     @property
     def _is_uniform(self) -> bool:
@@ -337,15 +377,15 @@ class Tangent:
         #: B, the forces that pressures exert, (n_elements, 3 n, k) [mm²]
         self.pressing = np.empty((rubber.n_elements, 3 * rubber.nodes.shape[1], rubber.reference.pressures.shape[1]))
 
-    def blocks(self) -> Iterator[tuple[slice, FloatArray]]:
-        """Chunks of elements and their K, (e, n, n, 3, 3): entry [e, a, b, i, j] couples aᵢ with b_j [N/mm].
+    def blocks(self) -> Iterator[FloatArray]:
+        """K of each of the body's chunks, (e, n, n, 3, 3): entry [e, a, b, i, j] couples aᵢ with b_j [N/mm].
 
         `pressing` of a chunk is known as it comes.
         """
         rubber, table = self.rubber, self.rubber.reference
         n, k = rubber.nodes.shape[1], table.pressures.shape[1]
-        for some in rubber.chunks:
-            e, pull, volume = some.stop - some.start, rubber.pull[some], rubber._volume[some]
+        for some, nodes, _ in rubber.chunks:
+            e, pull, volume = len(nodes), rubber.pull[some], rubber._volume[some]
             strain = Strain(H=self._strain.H[:, :, some], C=self._strain.C[:, :, some], theta=self._strain.theta[some])
             A = rubber.law.part(some).tangent(strain, self._pressure[some])
             A = rubber._turned(rubber._turned(A, 1, pull), 3, pull)
@@ -363,7 +403,7 @@ class Tangent:
                 own = self.pressing[some]
                 both = (self._times_bulk(own, some) @ own.swapaxes(1, 2)).reshape(e, n, 3, n, 3)
                 K += both.swapaxes(2, 3)
-            yield some, K
+            yield K
 
     def _times_bulk(self, B: FloatArray, some: slice = slice(None)) -> FloatArray:
         """B (e, r, k) times (∫ q qᵀ/λ)⁻¹."""
@@ -381,3 +421,14 @@ class Tangent:
         own = self.pressing @ p.transpose(1, 2, 0)  # (e, 3 n, m)
         nodal = self.rubber._gather @ own.reshape(-1, n, 3, m).reshape(-1, 3 * m)
         return np.ascontiguousarray(nodal.reshape(-1, 3, m).transpose(2, 0, 1))
+
+
+def _by_masters(K: FloatArray, hung: FloatArray) -> FloatArray:
+    """Wᵀ K W of elements K (g, n, n, 3, 3) whose nodes move as W (g, n, k) says."""
+    (g, n, k), W = hung.shape, hung.swapaxes(1, 2)
+    half = (W @ K.reshape(g, n, -1)).reshape(g, k, n, 9).swapaxes(1, 2)
+    return (W @ half.reshape(g, n, -1)).reshape(g, k, k, 3, 3).swapaxes(1, 2)
+
+
+def _split(elements: IntArray, step: int) -> list[IntArray]:
+    return [elements[first : first + step] for first in range(0, len(elements), step)]

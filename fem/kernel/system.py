@@ -95,11 +95,14 @@ class System:
             low = np.array([load.rectangle[mirror.axis] for load in stiff])
             middles[np.abs(low - mirror.position_mm) <= self.top.slack_mm, mirror.axis] = mirror.position_mm
         nodes = [self.top.nodes_in(load.rectangle) for load in stiff]
+        if body.constraint is not None:
+            nodes = [own[body.constraint.diagonal()[own] == 1] for own in nodes]
         sizes = np.array([load.size_mm for load in stiff]).reshape(-1, 2)
         self.plates = Plates.on(body.points_mm, nodes, sizes, middles)
         own = body.points_mm[:, 2] > self.top.slack_mm
-        self.is_condensed = body.law.is_linear and body.condensed is not None
-        if self.is_condensed:
+        if body.constraint is not None:
+            own &= body.constraint.diagonal() == 1
+        if body.is_condensed:
             own[body.nodes[:, body.reference.inside]] = False
         own[self.plates.node] = False
         self.free: IntArray = np.flatnonzero(own)  #: nodes with unknowns of their own
@@ -182,7 +185,7 @@ class System:
         self.dead = np.zeros_like(self.points_mm)
         if tractions.any():
             self.dead += self.integrals(np.array([load.rectangle for load in spread])).T @ tractions
-        if self.is_condensed:
+        if self.body.is_condensed:
             self.dead = self.body.on_surfaces(self.dead[None])[0]
         self.force_n = np.array([load.force_n for load in stiff]).reshape(-1, 3)
         self.moment_nmm = np.array([load.moment_nmm for load in stiff]).reshape(-1, 3)
@@ -204,7 +207,7 @@ class System:
 
     def rest_loads(self, forces: FloatArray) -> FloatArray:
         """Right-hand sides (n_unknowns, k) of the tangent at rest by forces (k, n_nodes, 3) on the nodes [N]."""
-        forces = self.body.on_surfaces(forces) if self.is_condensed else forces
+        forces = self.body.on_surfaces(forces) if self.body.is_condensed else forces
         own = self.gathered(forces, self.rest().rotation).reshape(len(forces), -1).T
         return np.vstack([own, np.zeros((self.n_mixed, len(forces)))])
 
@@ -246,10 +249,16 @@ class System:
             spin = (change[..., n + k :, :] / self.plates.half_mm[:, None])[..., self.plates.plate, :]
             turned = np.cross(spin, self.plates.turned(rotation))
             du[..., self.plates.node, :] = change[..., n : n + k, :][..., self.plates.plate, :] + turned
-        return du
+        return self._hung(du)
+
+    def _hung(self, u: FloatArray) -> FloatArray:
+        """Displacements (..., n_nodes, 3) with those of hanging nodes as the others say."""
+        return u if self.body.constraint is None else _applied(self.body.constraint, u)
 
     def gathered(self, forces: FloatArray, rotation: FloatArray) -> FloatArray:
         """Tᵀ f: forces on the unknowns (..., n_blocks, 3) of nodal forces (..., n_nodes, 3) [N]."""
+        if self.body.constraint is not None:
+            forces = _applied(self.body.constraint.T.tocsr(), forces)
         own = forces[..., self.free, :]
         if self.plates.count:
             sums, moments = self.plates.resultants(forces[..., self.plates.node, :], rotation)
@@ -260,7 +269,7 @@ class System:
         """Linear displacements (k, n_nodes, 3) of all nodes by solutions (n_unknowns, k) of the tangent at rest."""
         change = y[: 3 * self.n_blocks].T.reshape(-1, self.n_blocks, 3)
         u = self.nodal_change(self.rest().rotation, change)
-        return self.body.filled(u) if self.is_condensed else u
+        return self.body.filled(u) if self.body.is_condensed else u
 
     # equilibrium
 
@@ -304,16 +313,14 @@ class System:
         number = self.number.copy()
         number[plates.node] = n + plates.plate
         spins = n + plates.count + np.arange(plates.count)
-        nodes = body.nodes[:, body.reference.surface] if self.is_condensed else body.nodes
         faces = [self.number[own] for own in self.pressures.nodes]
         more = [(spins, spins), *((own[:, :, None], own[:, None, :]) for own in faces)]
-        return Assembly(number, nodes, self._ties, self.n_blocks, body.chunks, self.symmetric, more)
+        chunks = [(own, self._ties(own)) for _, own, _ in body.chunks]
+        return Assembly(number, chunks, self.n_blocks, self.symmetric, more)
 
-    @cached_property
-    def _ties(self) -> Ties:
-        body = self.body
-        nodes = body.nodes[:, body.reference.surface] if self.is_condensed else body.nodes
-        return Ties.of(nodes, self.plates, body.n_nodes, first=len(self.free) + self.plates.count)
+    def _ties(self, nodes: IntArray) -> Ties:
+        """Ties of elements of nodes (e, n) to the plates."""
+        return Ties.of(nodes, self.plates, self.body.n_nodes, first=len(self.free) + self.plates.count)
 
     def tangent(self, state: State, load_factor: float, reactions: FloatArray) -> tuple[SparseMatrix, Tangent]:
         """The linearised equations at a state and a fraction of the full load, and the elements'.
@@ -325,7 +332,7 @@ class System:
         return self.matrix(data, None, parts, state.rotation), parts
 
     def _assembled(
-        self, blocks: Iterable[tuple[slice, FloatArray]], state: State, load_factor: float, reactions: FloatArray
+        self, blocks: Iterable[FloatArray], state: State, load_factor: float, reactions: FloatArray
     ) -> FloatArray:
         """Blocks of the tangent in `assembly` of the elements', with what plates and following pressures add."""
         data = self.assembly.sum(blocks, self.plates.spins(state.rotation))
@@ -345,7 +352,7 @@ class System:
     @cached_property
     def rest_data(self) -> FloatArray:
         """Blocks of the tangent at rest in `assembly`, (n_entries, 3, 3): linear elasticity, of every parity."""
-        blocks: Iterator[tuple[slice, FloatArray]] = self.body.rest_blocks()
+        blocks: Iterator[FloatArray] = self.body.rest_blocks()
         if self.body.is_mixed:  # its forces of pressures are wanted, too
             blocks = self.body.rest.blocks()
         return self.assembly.sum(blocks, self.plates.spins(self.rest().rotation))
@@ -377,7 +384,7 @@ class System:
 
     def _coupling(self, pressing: FloatArray, rotation: FloatArray) -> sp.csr_matrix:
         """∫ q c of continuous pressures and of the unknowns, (n_mixed, 3 n_blocks); entries of 0 stay."""
-        body, ties = self.body, self._ties
+        body, ties = self.body, self._ties(self.body.nodes)
         e, m, k = pressing.shape
         number = self.number.copy()
         number[self.plates.node] = len(self.free) + self.plates.plate
@@ -415,3 +422,9 @@ class System:
             if judge.n_negative:
                 return False
         return True
+
+
+def _applied(rows: sp.csr_matrix, values: FloatArray) -> FloatArray:
+    """Sparse rows times values (..., n, 3)."""
+    flat = np.moveaxis(values, -2, 0)
+    return np.moveaxis((rows @ flat.reshape(len(flat), -1)).reshape(-1, *flat.shape[1:]), 0, -2)

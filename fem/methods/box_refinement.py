@@ -1,56 +1,52 @@
-"""Scenes of boxes of any contrast, ν, shear and slenderness: few boxes of order 4, split where needed.
+"""Scenes of boxes of any contrast, ν, shear and slenderness: few hexahedra of high order, split where needed.
 
-The first mesh has a line at every edge of body, regions and loads, and little else. Each solve tells which boxes the
-errors of the probes come from, and along which axis; those are split, the others stay. The matrix is factored, so
-neither moduli far apart nor ν near 0.5 cost more than anything else.
+The first mesh has a line at every edge of body, regions and loads, and little else. It is solved with order 3, then
+with order 4. Each solve tells which boxes the errors of the probes come from, and along which axis; those are split,
+the others stay. The matrix is factored, so neither moduli far apart nor ν near 0.5 cost more than anything else.
 
-What the highest degree along an axis adds to an answer u_h and to z_h of `fem.levels` in a box stands for both their
-errors there: the sum of the products over all boxes and axes is the probe's indicator η. Over 730 meshes of 111 scenes
-the error was 0.05 to 0.92 times η in nine of ten (median 0.31, at most 2).
+What the highest degree along an axis adds to an answer u_h, and to the answer z_h to a unit load on a probe, stands for
+both their errors in a box: the error of a probe is a(u − u_h, z − z_h) (Becker & Rannacher, Acta Numerica 10, 2001),
+and the sum of the products over all boxes and axes is the probe's indicator η.
 """
 
-from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.polynomial import legendre
-from threadpoolctl import ThreadpoolController
 
-from fem.boxes.boxes import Boxes, lobatto_points
-from fem.boxes.splitting import AxisTree, BoxMesh
-from fem.field import Field, unfolded
+from common.threads import one_blas_thread
+from fem.kernel.elements import Basis, HexQ, Pressure, hexahedra, lobatto_points
 from fem.kernel.factor import Factor, checked_solve
+from fem.kernel.field import rows_at, unfolded
+from fem.kernel.law import LAWS
 from fem.kernel.loads import Load, StiffLoad
-from fem.kernel.mirrors import Parity, parities
-from fem.levels import largest_contributors, shown_ratios, unit_loads
+from fem.kernel.mirrors import flipped_rectangles, folded_point, images, parities
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
+from fem.levels import estimated_errors, largest_contributors, unit_loads
+from fem.meshes.boxes import AxisTree, BoxMesh, hanging
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
-from fem.rubber.body import Condensed, Kind, RubberBody
-from fem.scene.scene import Scene, regions_at
+from fem.scene.scene import Probe, Scene, regions_at
 from fem.scene.solution import MeshAnswer, Solution, Stopwatch
-from fem.system import System
 from geometry.layout import FloatArray
 
-ORDER = 4  #: of the functions along each axis; at 1e-3 order 3 takes three to five times the unknowns
+ORDERS = 3, 4  #: of the first two answers; at 0.1 % order 3 takes two to five times the unknowns of 4
 MAX_FIRST = 45  #: first boxes, before any is split; where there would be more, they are wider than the body is thin
 ON_FACE = 1e-3  #: of a load's width: an edge so near a body's or region's face gets no line; the load stays exact
 SMALL = 0.2  #: of the first boxes' width: smaller loads and probes lie in shells of boxes
 SHELL_RATIO = 4.0  #: of the margins of neighbouring shells
 NEAR = 0.35  #: of a shell's margin: a face or edge so near is taken for the shell's
 MAX_BOXES = 1000  #: beyond, more than 4 GB of memory are needed
-SHARES = 0.4, 0.7  #: least and greatest share of the indicators' sum that is split at once
+SHARES = 0.4, 0.7  #: least and greatest part of the indicators' sum that is split at once
 TAKEN = 0.85  #: of the indicators of split boxes, what their splitting takes away
-AIM = 0.85  #: share of the tolerance at which splitting aims: what it takes varies
+AIM = 0.85  #: fraction of the tolerance at which splitting aims: what it takes varies
 MAX_GROWTH = 2.5  #: of the number of boxes from mesh to mesh
 MAX_PROBES = 20  #: that have unit loads of their own; of more, `N_SUMS` sums with random signs
 N_SUMS = 24
 PRESSURE_WEIGHT = 0.05  #: of pressures beside shear strains; with 0.25 meshes of ν near 0.5 had 10 % more unknowns
-SAFETY = 2.5  #: factor on the ratio of error to η that changes have shown
-MAX_RATIO = 1.5  #: taken where no change has shown it, and the most that is believed
-MIN_RATIO, EARLY_RATIO = 0.3, 1.2  #: the least, and that of the first two meshes and of few boxes
-FEW_BOXES = 24
-MIN_FALL = 0.3  #: of η from mesh to mesh, where changes are compared with it: over less they say little
 
 
 class SplitBoxes:
@@ -60,76 +56,76 @@ class SplitBoxes:
     """
 
     def __init__(self, scene: Scene, plan: Plan) -> None:
-        mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
-        self.scene, self.plan = scene, replace(plan, mirrors=mirrors)
-        self.mesh = first_mesh(scene, self.plan)
-        self.history: list[Indicated] = []
-        self._condensed: dict[Kind, Condensed] = {}
+        self.mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
+        self.scene, self.plan, self.order = with_plates_on_faces(scene, plan), plan, ORDERS[0]
+        self.mesh = first_mesh(scene, replace(plan, mirrors=self.mirrors))
+        self.probes: list[FloatArray] = []  #: of every answer, (n_probes, 3)
+        self.eta: list[FloatArray] = []  #: indicators of their errors, (n_probes,)
 
     def __str__(self) -> str:
-        return f"{len(self.mesh.boxes)} boxes of order {ORDER}"
+        return f"{len(self.mesh.boxes)} boxes of order {self.order}"
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_BOXES} boxes" if len(self.mesh.boxes) >= MAX_BOXES else None
 
-    def solve(self, watch: Stopwatch) -> MeshAnswer:
-        scene, mirrors = self.scene, self.plan.mirrors
-        (parity,) = parities(mirrors)
+    def error(self) -> float:
+        return float(estimated_errors(self.probes, self.eta, self.order).max())
+
+    def refine(self, indicators: FloatArray, excess: float) -> None:
+        if self.order < ORDERS[-1]:
+            self.order = ORDERS[-1]
+        else:
+            self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
+
+    def body(self) -> Rubber:
+        """The boxes as they are, filled with their rubbers."""
+        mesh, pair = self.mesh.mesh(), hexahedra(self.order)
         low, high = self.mesh.corners
-        boxes = self.mesh.filled(ORDER, scene.outline.lean, regions_at((low + high) / 2, self.plan.regions))
-        materials = [scene.material, *(material for _, material in self.plan.regions)]
-        body = RubberBody.of(boxes, materials, self._condensed)
-        system = System(body, on_lines(scene, boxes), mirrors, parity)
-        matrix = system.matrix(system.rest_tangent())
+        region = regions_at((low + high) / 2, self.plan.regions)
+        materials = [self.scene.material, *(material for _, material in self.plan.regions)]
+        shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
+        basis = Basis(mesh, pair[0])
+        body = Rubber(basis, pair[1], LAWS["linear"].of(materials, shares), region)
+        return body.with_hanging_nodes(hanging(self.mesh, mesh, basis.dofs, pair[0]))
+
+    def solve(self, watch: Stopwatch) -> MeshAnswer:
+        body, (parity,) = self.body(), parities(self.mirrors)
+        system = System(body, self.scene.loads, self.mirrors, parity)
+        matrix = system.rest_matrix()
         watch.spent("assemble")
         factor = Factor(matrix, definite=True, upper=True, by_degree=True)
         watch.spent("factor")
-        forces = system.loads_on(system.rest()).reshape(-1, 1)
-        y, residual = checked_solve(factor, forces)
+        y, residual = checked_solve(factor, system.full_loads)
         u = system.displaced(y)[0]
-        probes = np.array([system.seen(probe, u) for probe in scene.probes])
+        rows = [probe_rows(system, self.mesh, probe) for probe in self.scene.probes]
+        probes = np.array([(signs * (own @ u)).sum(axis=0) for own, signs in rows])
         weights = unit_loads(probes, MAX_PROBES, N_SUMS)
-        duals, _ = checked_solve(factor, system.unit_loads(weights, scene.probes))
+        duals, _ = checked_solve(factor, system.rest_loads(_forces(rows, weights)))
         found = surplus(body, u, system.displaced(duals))
-        self.history.append(Indicated(probes, indicators_of_probes(found, len(probes)), len(boxes.nodes)))
+        self.probes.append(probes)
+        self.eta.append(_of_probes(found, len(probes)))
         watch.spent("solve")
+        mesh = copy(self.mesh)
         return MeshAnswer(
             probes=probes,
-            energy_mj=system.copies * float((forces * y).sum()) / 2,
+            energy_mj=system.copies * float((system.full_loads * y).sum()) / 2,
             residual=residual,
             unknowns=system.n_unknowns,
             indicators=found.sum(axis=2),
-            field=lambda: self._field(boxes, parity, u),
+            field=lambda: unfolded(mesh, body, self.mirrors, [(parity, u)]),
         )
 
-    def _field(self, boxes: Boxes, parity: Parity, u: FloatArray) -> Field:
-        """Displacement of the whole body on quadratic boxes, eight to each of the solution's."""
-        side, corners = boxes.size / 2, np.indices((2, 2, 2)).reshape(3, -1).T
-        low = (boxes.low[:, None] + corners * side[:, None]).reshape(-1, 3)
-        nodes, region = np.arange(27 * len(low)).reshape(-1, 27), np.repeat(boxes.region, 8)
-        high = low + np.repeat(side, 8, axis=0)
-        halves = Boxes(low=low, high=high, order=2, nodes=nodes, region=region, lean=boxes.lean)
-        materials = [self.scene.material, *(rubber for _, rubber in self.plan.regions)]
-        return unfolded(halves, self.plan.mirrors, [(parity, boxes.at(halves.points_mm) @ u)], materials)
 
-    def refine(self, indicators: FloatArray, excess: float) -> None:
-        self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
-
-    def error(self) -> float:
-        return float(estimated_errors(self.history).max())
-
-
+@one_blas_thread()  # OpenBLAS gets products too small for two; MKL's factorisation keeps its own
 def solve_on_boxes(scene: Scene, plan: Plan, with_field: bool = False) -> Solution:
     """Solve a scene whose every region is a box (or the same sheared box), as `solve_adaptively`.
 
     A `SolverError` says that an answer cannot be trusted.
     """
     watch = Stopwatch()
-    # OpenBLAS gets products too small for two threads; MKL's factorisation keeps its own
-    with ThreadpoolController().select(internal_api="openblas").limit(limits=1):
-        mesh = SplitBoxes(scene, plan)
-        watch.spent("mesh")
-        return solve_adaptively(scene, mesh, watch, [], with_field)
+    mesh = SplitBoxes(scene, plan)
+    watch.spent("mesh")
+    return solve_adaptively(scene, mesh, watch, [], with_field)
 
 
 def marked(indicators: FloatArray, share: float) -> np.ndarray:
@@ -169,7 +165,8 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
     inner += [shell for shell, _ in shells]
     around = [{float(side[axis]): margin for shell, margin in shells for side in shell} for axis in range(3)]
     x, y, z = (AxisTree(line, own, shell) for line, own, shell in zip(lines, stops, around, strict=True))
-    mesh = BoxMesh((x, y, z))
+    lean_x, lean_y = scene.outline.lean
+    mesh = BoxMesh((x, y, z), (float(lean_x), float(lean_y)))
     while True:
         lowest, highest = mesh.corners
         marks = np.zeros(lowest.shape, dtype=bool)
@@ -263,18 +260,28 @@ def _apart(places: list[float], slack: float) -> list[float]:
     return sorted(kept)
 
 
-def on_lines(scene: Scene, boxes: Boxes) -> list[Load]:
-    """A scene's loads, edges of plates that `first_mesh` moved to a face moved as well."""
-    loads: list[Load] = []
-    for load in scene.loads:
-        if isinstance(load, StiffLoad):
-            x0, y0, x1, y1 = (
-                _nearest(boxes.lines[k % 2] + boxes.lean[k % 2] * boxes.height_mm, place, ON_FACE * load.size_mm[k % 2])
-                for k, place in enumerate(load.rectangle)
-            )
-            load = replace(load, center_mm=((x0 + x1) / 2, (y0 + y1) / 2), size_mm=(x1 - x0, y1 - y0))
-        loads.append(load)
-    return loads
+def _faces(scene: Scene, plan: Plan, axis: int) -> list[float]:
+    """Faces of the body, lowest and highest, and of its regions along an axis."""
+    prisms = (scene.outline, *(prism for prism, _ in plan.regions))
+    if axis == 2:
+        return [end[2] for prism in prisms for end in (prism.base_mm, prism.top_mm)]
+    return [prism.base_mm[axis] + side * prism.section_mm[axis] / 2 for prism in prisms for side in (-1, 1)]
+
+
+def with_plates_on_faces(scene: Scene, plan: Plan) -> Scene:
+    """The scene with edges of plates that lie next to a face moved to it, where their lines are."""
+
+    def moved(load: Load) -> Load:
+        if not isinstance(load, StiffLoad):
+            return load
+        ends = np.array(load.rectangle)
+        for k, place in enumerate(load.rectangle):
+            shift = scene.outline.lean[k % 2] * scene.height_mm
+            faces = np.array(_faces(scene, plan, k % 2))
+            ends[k] = _nearest(faces, place - shift, ON_FACE * load.size_mm[k % 2]) + shift
+        return load.image(ends, np.ones(3), np.ones(3))
+
+    return replace(scene, loads=tuple(moved(load) for load in scene.loads))
 
 
 def _nearest(line: FloatArray, place: float, within: float) -> float:
@@ -283,63 +290,66 @@ def _nearest(line: FloatArray, place: float, within: float) -> float:
     return nearest if abs(nearest - place) <= within else place
 
 
-# errors of probes
+# probes, and the errors of these
 
 
-class Indicated(NamedTuple):
-    """Probes on a mesh and the indicators of their errors."""
+def probe_rows(system: System, mesh: BoxMesh, probe: Probe) -> tuple[sp.csr_matrix, FloatArray]:
+    """Rows (r, n_nodes) and signs (r, 3): u of a probe is Σ_r signs · (rows @ u), anywhere on the whole body."""
+    if probe.kind == "mean":
+        seen = images(system.mirrors, system.parity)
+        rows = system.integrals(
+            np.array([flipped_rectangles(np.array(probe.rectangle), flipped) for flipped, _ in seen])
+        )
+        return rows / rows.sum(), np.array([signs for _, signs in seen])
+    place, signs = folded_point(np.array(probe.position_mm), system.mirrors, system.parity)
+    return rows_at(system.body, *mesh.located(place[None])), signs[None]
 
-    probes: FloatArray  #: (n_probes, 3) [mm]
-    eta: FloatArray  #: (n_probes,), relative
-    n_boxes: int
+
+def _forces(rows: list[tuple[sp.csr_matrix, FloatArray]], weights: FloatArray) -> FloatArray:
+    """Nodal forces (k, n_nodes, 3) that do weights (k, n_probes, 3) times the displacements of probes as work."""
+    n = rows[0][0].shape[1]
+    forces = np.zeros((len(weights), n, 3))
+    for number, (own, signs) in enumerate(rows):
+        signed = np.einsum("ri,ki->rki", signs, weights[:, number]).reshape(len(signs), -1)
+        forces += (own.T @ signed).reshape(n, -1, 3).swapaxes(0, 1)
+    return forces
 
 
-def indicators_of_probes(surplus: FloatArray, n_probes: int) -> FloatArray:
+def _of_probes(surplus: FloatArray, n_probes: int) -> FloatArray:
     """η of each probe, (n_probes,), from the `surplus` of the `unit_loads`; of sums, one bound for all."""
     if n_probes <= MAX_PROBES:
         return np.linalg.norm(surplus.sum(axis=(0, 1)).reshape(n_probes, 3), axis=1)
     return np.full(n_probes, np.sqrt((surplus**2).mean(axis=2)).sum())
 
 
-def estimated_errors(history: Sequence[Indicated]) -> FloatArray:
-    """Relative error of each probe on the last of several meshes, (n_probes,): η times `SAFETY` times its shown ratio.
-
-    On the meshes of 111 scenes (blocks, slabs, plates, pillars, voids, inclusions, rigid and tiny patches, ν = 0 to
-    0.499999), stopped at six tolerances, 2 of 739 estimates were below the error, by 1.16 and 1.31; factor 2 leaves 10
-    of 771, 1.5 leaves 21 of 807.
-    """
-    probes, eta = (np.array([mesh[k] for mesh in history[-4:]]) for k in (0, 1))
-    if len(history) == 1:
-        return MAX_RATIO * eta[-1]
-    least = EARLY_RATIO if len(history) == 2 or history[-1].n_boxes < FEW_BOXES else MIN_RATIO
-    return np.clip(SAFETY * shown_ratios(probes, eta, MIN_FALL), least, MAX_RATIO) * eta[-1]
-
-
-def surplus(body: RubberBody, u: FloatArray, duals: FloatArray) -> FloatArray:
-    """Products of what the highest degrees add to an answer and to others, by element and axis, (n_elements, 3, k).
+def surplus(body: Rubber, u: FloatArray, duals: FloatArray) -> FloatArray:
+    """Products of what the highest degrees add to an answer and to others, by element and local axis, (e, 3, k).
 
     The answer is u (n_nodes, 3) of a body at rest, `duals` (k, n_nodes, 3) are answers to unit loads on the probes.
     They are multiplied as strain energies are: the order of the displacement by μ |∂u|², the highest of the pressure by
     p²/μ. Without the pressure the estimate at a loaded corner, ν = 0.4999, was 0.8 times the error.
     """
-    boxes, reference = body.boxes, body.reference
-    order, n = boxes.order, boxes.order + 1
-    to_highest = np.linalg.inv(legendre.legvander(lobatto_points(order), order))[order]
+    elem, pressure, table = body.basis.elem, body.pressure, body.reference
+    assert isinstance(elem, HexQ)
+    assert isinstance(pressure, Pressure)
+    order, n = elem.maxdeg, elem.maxdeg + 1
+    lattice = np.empty((n, n, n), dtype=np.int64)
+    lattice[tuple(elem.places.T)] = np.arange(n**3)
     lumped = 2 / (order * n * legendre.legval(lobatto_points(order), np.eye(n)[order]) ** 2)
-    across = np.multiply.outer(lumped, lumped)
-    pull = np.linalg.inv(boxes.shear)
+    across, to_highest = np.multiply.outer(lumped, lumped), elem.to_legendre[order]
     lame, mu = body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
-    values = np.concatenate([u[None], duals])[:, boxes.nodes]  # (1 + k, e, n³, 3)
-    lattice = values.reshape(*values.shape[:2], n, n, n, 3)
-    found = np.empty((len(boxes.nodes), 3, len(duals)))
+    pull, volume = body.pull[:, 0], body.dx.sum(axis=1)
+    values = np.concatenate([u[None], duals])
+    own = values[:, body.nodes[:, lattice.ravel()]].reshape(len(values), body.n_elements, n, n, n, 3)
+    found = np.empty((body.n_elements, 3, len(duals)))
     for d in range(3):
-        top = np.abs(np.tensordot(to_highest, lattice, (0, 2 + d)))
+        top = np.abs(np.tensordot(to_highest, own, (0, 2 + d)))
         energy = np.einsum("jk,ejka,cejka->ec", across, top[0], top[1:], optimize=True)
-        size = (pull[d] ** 2).sum() * mu * body.scale[d] ** 2 * body.jacobian * order * n
-        found[:, d] = size[:, None] * energy
-    along = np.einsum("jkn,cena->cejka", reference.divergence, values, optimize=True)
-    divergence = np.abs(np.einsum("ja,je,cejka->cek", pull, body.scale, along, optimize=True))
-    highest = reference.degrees == reference.degrees.max()
-    toward = highest / highest.sum(axis=1, keepdims=True).clip(1)
-    of_pressures = np.einsum("ek,cek,kd->edc", divergence[0], divergence[1:], toward, optimize=True)
-    return found + (PRESSURE_WEIGHT * lame**2 / mu * body.jacobian)[:, None, None] * of_pressures
+        found[:, d] = ((pull[:, d] ** 2).sum(axis=1) * mu * volume * order * n / 2)[:, None] * energy
+    highest = pressure.degrees.sum(axis=1) == pressure.maxdeg
+    shown = table.weights[:, None] * table.pressures[:, highest]
+    shown /= np.sqrt(table.weights @ table.pressures[:, highest] ** 2)
+    moments = np.abs(body.strain(values).theta @ shown)  # (1 + k, e, highest)
+    toward = pressure.degrees[highest] / max(pressure.maxdeg, 1)
+    of_pressures = np.einsum("eh,ceh,hd->edc", moments[0], moments[1:], toward, optimize=True)
+    return found + (PRESSURE_WEIGHT * lame**2 / mu * volume)[:, None, None] * of_pressures

@@ -14,10 +14,10 @@ import numpy as np
 import psutil
 import pytest
 
+from common import pool as pools
 from common.errors import DesignError
 from common.pool import WorkerLost, in_parallel, open_pool
 from common.storage.journal import Journal
-from geometry import pool as pools
 from tests.common.fake_job import TASKS, go_on, register, square, threads
 
 ROOT = Path(__file__).parents[2]

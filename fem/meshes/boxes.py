@@ -2,27 +2,26 @@
 
 Every axis is a forest of intervals (`AxisTree`). A box is one interval of each axis, so boxes that meet have faces and
 edges of which one holds the other, once `BoxMesh` has split those that would cross. Nodes on the face or edge of a
-larger box are no unknowns: they take what that box's functions give there (`Boxes.constraint`), so displacements stay
+larger box are no unknowns: they hang, and take what that box's functions give there (`hanging`), so displacements stay
 continuous.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, product
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from skfem import Dofs, Element, MeshHex
+from skfem.refdom import RefHex
 
-from fem.boxes.boxes import Boxes
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 
 TOWARD_STOP = 0.2  #: of an interval that ends at a stop, the part on that side when it is split; 0.15 and 0.3 do alike
-BITS = 20  #: of a number of a vertex or an interval, in the key of an entity
-#: a box's vertices, edges, faces and inside: along each axis its low end, its inside or its high end
-PLACES = tuple(product(range(3), repeat=3))
+BITS = 20  #: of a number of a vertex or an interval, in the key of a face
+ON_FACE = 1e-9  #: of the mesh's extent: how far rounding may take a node off a face
 
 
 class AxisTree:
@@ -78,33 +77,11 @@ class AxisTree:
         return self._children[interval]
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """An axis as arrays, one entry for each vertex and interval."""
-
-    low: FloatArray
-    high: FloatArray
-    parent: IntArray
-    ends: IntArray  #: shape (n, 2)
-
-    @cached_property
-    def is_vertex(self) -> NDArray[np.bool_]:
-        return self.ends[:, 0] < 0
-
-    @cached_property
-    def depth(self) -> IntArray:
-        """Number of splittings that made each entry; parents come before their children."""
-        depth = np.zeros(len(self.parent), dtype=np.int64)
-        for number, parent in enumerate(self.parent):
-            depth[number] = 0 if parent < 0 else depth[parent] + 1
-        return depth
-
-
 class BoxMesh:
-    """Boxes over three axes; the first ones fill the whole grid of the axes' first intervals."""
+    """Boxes over three axes, sheared as one; the first ones fill the whole grid of the axes' first intervals."""
 
-    def __init__(self, axes: tuple[AxisTree, AxisTree, AxisTree]) -> None:
-        self.axes = axes
+    def __init__(self, axes: tuple[AxisTree, AxisTree, AxisTree], lean: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.axes, self.lean = axes, lean
         self.boxes: IntArray = np.array(list(product(*(axis.roots for axis in axes))))  #: (n, 3), an interval an axis
 
     def split(self, marks: NDArray[np.bool_]) -> None:
@@ -119,61 +96,58 @@ class BoxMesh:
             self.boxes = np.vstack([self.boxes[~chosen], np.array(new)])
             marks = self._crossing()
 
-    def tables(self) -> tuple[Table, Table, Table]:
-        """The axes as arrays."""
-        x, y, z = (
-            Table(np.array(a.low), np.array(a.high), np.array(a.parent), np.array(a.ends, dtype=np.int64))
-            for a in self.axes
-        )
-        return x, y, z
-
     @property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner of every box, each of shape (n, 3) [mm]."""
-        tables = self.tables()
+        """Lowest and highest corner of every box before it is sheared, each of shape (n, 3) [mm]."""
         low, high = (
-            np.stack([getattr(t, side)[self.boxes[:, d]] for d, t in enumerate(tables)], axis=1)
+            np.stack([np.array(getattr(axis, side))[self.boxes[:, d]] for d, axis in enumerate(self.axes)], axis=1)
             for side in ("low", "high")
         )
         return low, high
 
+    @property
+    def shear(self) -> FloatArray:
+        """∂x/∂x₀ of the places x₀ before they are sheared, (3, 3)."""
+        out = np.eye(3)
+        out[:2, 2] = self.lean
+        return out
+
+    def mesh(self) -> MeshHex:
+        """scikit-fem's mesh; boxes that share a whole face share its vertices, and local axes are those of space."""
+        ends = np.stack(
+            [np.array(axis.ends)[self.boxes[:, d]] for d, axis in enumerate(self.axes)], axis=1
+        )  # (n, 3, 2)
+        corner = RefHex.p.T.astype(int)  # (8, 3)
+        vertices = np.stack([ends[:, d, corner[:, d]] for d in range(3)], axis=-1)  # (n, 8, 3)
+        _, first, number = np.unique(_key(*np.moveaxis(vertices, -1, 0)), return_index=True, return_inverse=True)
+        own = vertices.reshape(-1, 3)[first]
+        places = np.stack([np.array(axis.low)[own[:, d]] for d, axis in enumerate(self.axes)])
+        return MeshHex(self.shear @ places, np.ascontiguousarray(number.reshape(len(self.boxes), 8).T))
+
+    def located(self, points_mm: FloatArray, among: NDArray[np.bool_] | None = None) -> tuple[IntArray, FloatArray]:
+        """The box that holds each of points (k, 3), (k,), and where in it, (3, k) in 0..1; `among` is not asked."""
+        places, (low, high) = points_mm @ np.linalg.inv(self.shear).T, self.corners
+        places = np.clip(places, low.min(axis=0), high.max(axis=0))
+        found = np.empty(len(places), dtype=np.int64)
+        for some in np.array_split(np.arange(len(places)), 1 + places.size * len(low) // 3_000_000):
+            off = np.maximum(low - places[some, None], places[some, None] - high).max(axis=2)
+            found[some] = off.argmin(axis=1)
+        return found, ((places - low[found]) / (high[found] - low[found])).T
+
     def _crossing(self) -> NDArray[np.bool_]:
         """Boxes to split, shape (n, 3), because a face is narrower one way and wider the other than what it meets."""
-        tables, n = self.tables(), len(self.boxes)
+        n = len(self.boxes)
         marks = np.zeros((n, 3), dtype=bool)
         for normal in range(3):
             one, two = (d for d in range(3) if d != normal)
-            plane = tables[normal].ends[self.boxes[:, normal]].T.ravel()
+            plane = np.array(self.axes[normal].ends)[self.boxes[:, normal]].T.ravel()
             i, j = np.tile(self.boxes[:, one], 2), np.tile(self.boxes[:, two], 2)
-            at, up = _ancestors(tables[one].parent, i)
+            at, up = _ancestors(np.array(self.axes[one].parent), i)
             wider, owner = _key(plane[at], up, j[at]), at
-            at, up = _ancestors(tables[two].parent, j)
+            at, up = _ancestors(np.array(self.axes[two].parent), j)
             longer = _key(plane[at], i[at], up)
             marks[owner[np.isin(wider, longer)] % n, two] = True
         return marks
-
-    def filled(self, order: int, lean: tuple[float, float], region: IntArray) -> Boxes:
-        """Functions of an order on the boxes, whose region (n,) and lean are as in `Boxes`."""
-        tables, (low, high), m = self.tables(), self.corners, len(self.boxes)
-        places = [
-            np.column_stack([t.ends[self.boxes[:, d], 0], self.boxes[:, d], t.ends[self.boxes[:, d], 1]])
-            for d, t in enumerate(tables)
-        ]
-        every = np.column_stack([_key(*(places[d][:, at[d]] for d in range(3))) for at in PLACES])
-        keys, first, of_boxes = np.unique(every, return_index=True, return_inverse=True)
-        entities = np.column_stack([keys >> (2 * BITS), (keys >> BITS) % 2**BITS, keys % 2**BITS])
-        within = np.column_stack([~t.is_vertex[entities[:, d]] for d, t in enumerate(tables)])
-        count = (order - 1) ** within.sum(axis=1)
-        start = np.concatenate([[0], np.cumsum(count)])[of_boxes.reshape(every.shape)]
-        nodes, steps = np.empty((m, *[order + 1] * 3), dtype=np.int64), [[0], range(1, order), [order]]
-        for column, at in enumerate(PLACES):
-            own = [steps[place] for place in at]
-            number = np.arange(np.prod([len(along) for along in own])).reshape([len(along) for along in own])
-            nodes[np.ix_(range(m), *own)] = start[:, column, None, None, None] + number
-        boxes = Boxes(low=low, high=high, order=order, nodes=nodes.reshape(m, -1), region=region, lean=lean)
-        master = _masters(tables, entities, keys, within)
-        owner = np.where(master == np.arange(len(keys)), -1, first[master] // len(PLACES))
-        return boxes.hung(np.repeat(owner, count))
 
 
 def _key(i: IntArray, j: IntArray, k: IntArray) -> IntArray:
@@ -192,31 +166,50 @@ def _ancestors(parent: IntArray, cells: IntArray) -> tuple[IntArray, IntArray]:
     return np.concatenate([at for at, _ in found]), np.concatenate([up for _, up in found])
 
 
-def _masters(
-    tables: tuple[Table, Table, Table], entities: IntArray, keys: IntArray, within: NDArray[np.bool_]
-) -> IntArray:
-    """The entity that gives each its values, shape (n,): itself, or the largest face or edge that holds it."""
-    dimension = within.sum(axis=1)
-    depth = np.sum([t.depth[entities[:, d]] for d, t in enumerate(tables)], axis=0)
-    size = dimension * 1000 - depth  # a face goes before an edge, an ancestor before what was split from it
-    master = np.arange(len(entities))
-    best = size.copy()
-    x, rows_x = entities[:, 0], np.arange(len(entities))
-    while len(rows_x):
-        y, rows_y, x_y = entities[rows_x, 1], rows_x, x
-        while len(rows_y):
-            z, rows_z, x_z, y_z = entities[rows_y, 2], rows_y, x_y, y
-            while len(rows_z):
-                key = _key(x_z, y_z, z)
-                found = np.searchsorted(keys, key) % len(keys)
-                hit = keys[found] == key
-                row, holder = rows_z[hit], found[hit]
-                larger = size[holder] > best[row]
-                master[row[larger]], best[row[larger]] = holder[larger], size[holder[larger]]
-                z = tables[2].parent[z]
-                z, rows_z, x_z, y_z = (values[z >= 0] for values in (z, rows_z, x_z, y_z))
-            y = tables[1].parent[y]
-            y, rows_y, x_y = (values[y >= 0] for values in (y, rows_y, x_y))
-        x = tables[0].parent[x]
-        x, rows_x = (values[x >= 0] for values in (x, rows_x))
-    return master
+def hanging(boxes: BoxMesh, mesh: MeshHex, dofs: Dofs, elem: Element) -> sp.csr_matrix | None:
+    """Values of all nodes (n, n) of a mesh of boxes from those of the independent ones; None where none hangs.
+
+    A vertex, edge or face hangs on the largest box that holds it and has it not as its own: its nodes take what that
+    box's functions give there.
+    """
+    low, high = boxes.corners
+    places = np.linalg.inv(boxes.shear) @ mesh.p
+    slack, n_boxes = ON_FACE * float(np.ptp(places, axis=1).max()), len(low)
+    owners, nodes = [], []
+    for corners, own, numbers in (
+        (np.arange(mesh.nvertices)[None], mesh.t, dofs.nodal_dofs),
+        (mesh.edges, mesh.t2e, dofs.edge_dofs),
+        (mesh.facets, mesh.t2f, dofs.facet_dofs),
+    ):
+        ends = places[:, corners]  # (3, k, count)
+        start, end = ends.min(axis=1).T, ends.max(axis=1).T
+        owner = np.full(len(start), -1, dtype=np.int64)
+        for box in np.argsort((high - low).prod(axis=1), kind="stable"):  # the largest comes last
+            inside = ((start >= low[box] - slack) & (end <= high[box] + slack)).all(axis=1)
+            inside[own[:, box]] = False
+            owner[inside] = box
+        owners.append(np.repeat(owner, len(numbers)))
+        nodes.append(numbers.T.ravel())
+    owner = np.full(dofs.N, -1, dtype=np.int64)
+    owner[np.concatenate(nodes)] = np.concatenate(owners)
+    hung = np.flatnonzero(owner >= 0)
+    if not len(hung):
+        return None
+    where = np.empty((3, dofs.N))
+    of_box = dofs.element_dofs.T
+    where[:, of_box] = (low[:, None] + elem.doflocs * (high - low)[:, None]).transpose(2, 0, 1)
+    box = owner[hung]
+    local = (where[:, hung].T - low[box]) / (high[box] - low[box])
+    values = np.stack([elem.lbasis(local.T, i)[0] for i in range(len(elem.doflocs))], axis=1)
+    values[np.abs(values) < 1e-13] = 0.0  # what is zero but for rounding would couple distant nodes
+    rows = np.repeat(hung, values.shape[1])
+    direct = sp.csr_matrix((values.ravel(), (rows, of_box[box].ravel())), shape=(dofs.N, dofs.N))
+    direct = (direct + sp.diags_array((owner < 0).astype(float))).tocsr()
+    direct.eliminate_zeros()
+    constraint = direct
+    for _ in range(n_boxes):  # a larger face may itself hang on a yet larger one
+        if not (owner[constraint.indices] >= 0).any():
+            break
+        constraint = (constraint @ direct).tocsr()
+        constraint.eliminate_zeros()
+    return constraint
