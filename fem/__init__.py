@@ -9,16 +9,21 @@ them), `system.py` (their equations under loads), `factor.py` (factorisations an
 (displacement and stress anywhere), `pictures/`.
 """
 
-from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.solving import ResponseSettings, array_response, solve_response
-from fem.factor import SolverError
-from fem.methods.solving import solve_scene
-from fem.scene.loads import SceneError
-from fem.scene.scene import Scene
-from fem.scene.scene_file import read_scene
-from fem.scene.solution import Solution
-from fem.tetrahedra.mixed import TaylorHood, taylor_hood
-from fem.tetrahedra.patch import PatchError, patch_integrals, patch_means
+from typing import TYPE_CHECKING
+
+from common.lazy import lazily
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse, read_response, write_response
+    from fem.array.solving import ResponseSettings, array_response, solve_response
+    from fem.factor import SolverError
+    from fem.methods.solving import solve_scene
+    from fem.scene.loads import SceneError
+    from fem.scene.scene import Scene
+    from fem.scene.scene_file import read_scene
+    from fem.scene.solution import Solution
+    from fem.tetrahedra.mixed import TaylorHood, taylor_hood
+    from fem.tetrahedra.patch import PatchError, patch_integrals, patch_means
 
 __all__ = [
     "ArrayResponse",
@@ -39,3 +44,5 @@ __all__ = [
     "taylor_hood",
     "write_response",
 ]
+
+__getattr__ = lazily(__name__)
