@@ -18,13 +18,11 @@ def lazily(module: str) -> Callable[[str], Any]:
     """
 
     def loaded(name: str) -> Any:
-        space = vars(sys.modules[module])
-        homes = _homes(space["__file__"])
+        homes = _homes(str(sys.modules[module].__file__))
         if name not in homes:
-            raise AttributeError(f"module '{module}' has no name '{name}'; it has {', '.join(sorted(homes))}.")
+            raise AttributeError(f"module '{module}' has no attribute '{name}'; it has {', '.join(sorted(homes))}.")
         home, own = homes[name]
-        space[name] = getattr(import_module(home), own)
-        return space[name]
+        return getattr(import_module(home), own)
 
     return loaded
 

@@ -32,7 +32,7 @@ def run(called: Callable[[], int]) -> NoReturn:
     for folder in (cache_folder(), Path(tempfile.gettempdir())):
         remove_leftovers(folder)
     code = _run(called)
-    interrupts.leave_to_finish()
+    interrupts.leave_to_finish(code)
     sys.exit(code)
 
 
