@@ -3,20 +3,20 @@
 In: a response (influence matrix) and a load protocol. Out: `Samples`, that is tractions, forces, displacements, pillar
 lengths and resistances of many samples, in memory, as a NetCDF file or a zarr directory. Begin with `simulation.py`,
 which goes from loads (`protocols.py`) to resistances as a real sensor reads them (`imperfections.py`), and with
-`variables.py`, which says what samples hold. Names that need the finite elements are loaded when asked for.
+`variables.py`, which says what samples hold. Names are loaded when they are first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dataset.imperfections import OPEN_OHM, Imperfections
-from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
-from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
-from dataset.samples import SampleError, Samples
-from dataset.stored import in_memory, read_samples
+from common.lazy import lazily
 
 if TYPE_CHECKING:
+    from dataset.imperfections import OPEN_OHM, Imperfections
+    from dataset.measurement import counts_from_resistance, measured, resistance_from_counts
+    from dataset.resistance import pillar_lengths, pillar_resistances, rest_resistances
+    from dataset.samples import SampleError, Samples
     from dataset.simulation import DatasetSettings, measured_again, simulate
+    from dataset.stored import in_memory, read_samples
 
 __all__ = [
     "OPEN_OHM",
@@ -36,8 +36,4 @@ __all__ = [
     "simulate",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in ("DatasetSettings", "measured_again", "simulate"):
-        return getattr(import_module("dataset.simulation"), name)
-    raise AttributeError(f"module 'dataset' has no name '{name}'; it has {', '.join(__all__)}.")
+__getattr__ = lazily(__name__)

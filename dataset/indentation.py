@@ -10,7 +10,7 @@ from threading import Lock
 
 import numpy as np
 
-from common.storage.netcdf import write_netcdf
+from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
@@ -100,13 +100,13 @@ def write_contact(contact: Contact, path: Path) -> None:
     """Write a contact as a data set of one sample, and pressure, shear, gap and displacement over its grid."""
     patch = contact.patch
     maps = {
-        "pressure_mpa": (("y", "x"), contact.pressure_mpa, {"units": "MPa"}),
-        "shear_mpa": (("direction", "y", "x"), contact.shear_mpa, {"units": "MPa", "note": "on the sensor"}),
-        "gap_mm": (("y", "x"), contact.gap_mm, {"units": "mm", "note": "between shape and rubber"}),
-        "moved_mm": (("axis", "y", "x"), contact.displacement_mm, {"units": "mm", "note": "of the top, z up"}),
-        "state": (("y", "x"), contact.state, {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}),
+        "pressure_mpa": Named(("y", "x"), contact.pressure_mpa, {"units": "MPa"}),
+        "shear_mpa": Named(("direction", "y", "x"), contact.shear_mpa, {"units": "MPa", "note": "on the sensor"}),
+        "gap_mm": Named(("y", "x"), contact.gap_mm, {"units": "mm", "note": "between shape and rubber"}),
+        "moved_mm": Named(("axis", "y", "x"), contact.displacement_mm, {"units": "mm", "note": "of the top, z up"}),
+        "state": Named(("y", "x"), contact.state, {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}),
     }
-    places = {"x": ("x", patch.x_mm, {"units": "mm"}), "y": ("y", patch.y_mm, {"units": "mm"})}
+    places = {"x": Named(("x",), patch.x_mm, {"units": "mm"}), "y": Named(("y",), patch.y_mm, {"units": "mm"})}
     story = {
         "depth_mm": contact.depth_mm,
         "at_mm": list(contact.at_mm),
@@ -115,8 +115,10 @@ def write_contact(contact: Contact, path: Path) -> None:
         "error_estimate": contact.error_estimate,
         "electrode_error_estimate": contact.electrode_error_estimate,
     }
-    sample = samples_of([contact]).to_xarray()
-    write_netcdf(sample.assign(maps).assign_coords({**places, "direction": ["x", "y"]}).assign_attrs(story), path)
+    sample = samples_of([contact]).content()
+    coords = {**sample.coords, **places, **labelled({"direction": ["x", "y"]})}
+    whole = Content(data_vars={**sample.data_vars, **maps}, coords=coords, attrs={**sample.attrs, **story})
+    write_netcdf(whole, path)
 
 
 def drawn_press(

@@ -21,7 +21,7 @@ import numpy as np
 
 from common.errors import FileFormatError
 from common.storage.files import digest, reported, require_folder
-from common.storage.netcdf import chosen_variables
+from common.storage.netcdf import chosen_dims, is_unnamed
 from common.storage.unfinished import unfinished_folder
 from dataset.variables import TIME, VARIABLES, coordinates
 from geometry.layout import FloatArray, Layout
@@ -226,7 +226,14 @@ def open_zarr(
             opened = xr.open_zarr(path, chunks=None, consolidated=False, decode_times=False)
         for header in headers:
             opened[header.parent.name]  # a damaged one is left out without a word
-        found = chosen_variables(opened, path, wanted, made_by, optional, instead)
+        there = {str(name): tuple(map(str, values.dims)) for name, values in opened.data_vars.items()}
+        chosen = {}
+        for name, dims in chosen_dims(path, there, wanted, made_by, optional, instead).items():
+            values = opened[name]
+            if is_unnamed(there[name], dims):
+                values = values.drop_vars(list(values.coords)).rename(dict(zip(values.dims, dims, strict=True)))
+            chosen[name] = values.transpose(*dims)
+        found = xr.Dataset(chosen, attrs=opened.attrs)
         for labels in found.coords.values():
             _ = labels.values  # which decodes them
     except (FileFormatError, MemoryError):

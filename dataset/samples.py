@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from common.errors import DesignError, TriPillarError, require_type
 from common.storage.files import digest
-from common.storage.netcdf import write_netcdf
+from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import PAPERS, Imperfections, stated_imperfections
 from dataset.leaves import is_zarr, leaf_size, write_leaves
 from dataset.measurement import ReadingError
@@ -244,17 +244,19 @@ class Samples(AnySamples):
         dropped: dict[str, Any] = {name: None for name in VARIABLES if name not in (*names, *LABELS)}
         return replace(self, **dropped)
 
-    def to_xarray(self) -> "xr.Dataset":
+    def content(self) -> Content:
         """The content of a dataset file."""
-        import xarray as xr
-
-        held = self.arrays()
-        timed = self.time_s is not None
-        return xr.Dataset(
-            {name: (VARIABLES[name].dims_in(timed), values, VARIABLES[name].notes) for name, values in held.items()},
-            coords=coordinates(held, self.layout) | ({"time_s": ("time", self.time_s, TIME)} if timed else {}),
+        held, known, timed = self.arrays(), VARIABLES, self.time_s is not None
+        times = {} if self.time_s is None else {"time_s": Named(("time",), self.time_s, TIME)}
+        return Content(
+            data_vars={name: Named(known[name].dims_in(timed), held[name], known[name].notes) for name in held},
+            coords=labelled(coordinates(held, self.layout)) | times,
             attrs={**self.attributes(), "content_hash": self.content_hash},
         )
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The content of a dataset file as xarray has it."""
+        return self.content().to_xarray()
 
     def write(self, path: Path, dtype: str = "float64") -> None:
         """Write a dataset file, whole or not at all: NetCDF, or a zarr directory where the path ends in .zarr.
@@ -267,7 +269,7 @@ class Samples(AnySamples):
         if is_zarr(path):
             write_leaves(path, self.arrays(), self.attributes(), dtype, self.layout, self.time_s)
         else:
-            write_netcdf(self.to_xarray(), path)
+            write_netcdf(self.content(), path)
 
 
 def joined(parts: Sequence[Samples]) -> Samples:

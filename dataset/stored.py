@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from common.errors import DesignError, FileFormatError, TriPillarError
 from common.storage.files import digest
-from common.storage.netcdf import read_netcdf
+from common.storage.netcdf import Content, read_netcdf
 from common.storage.seal import say_made_anew
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
@@ -24,6 +24,8 @@ from geometry.layout import FloatArray, Layout
 
 if TYPE_CHECKING:
     import xarray as xr
+
+AnyContent = TypeVar("AnyContent", Content, "xr.Dataset")  #: of a file, or lazily of a directory
 
 MADE_BY = "tripillar dataset"
 IN_MEMORY = 0.7  #: largest part of the free memory that samples may take
@@ -174,11 +176,11 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
         rows, cols = arrays["force_n"].shape[-3:-1]
         described = _described(path, {}, rows, cols, layout.pillar_names)
     else:
-        data = read_netcdf(path, *_variables(labels_only))
-        described = _described(path, data.attrs, data.sizes["row"], data.sizes["col"], _names(data))
-        data = _contract(path, data, described["layout"])
+        read = read_netcdf(path, *_variables(labels_only))
+        described = _described(path, read.attrs, read.sizes["row"], read.sizes["col"], _names(read))
+        data = _contract(path, read, described["layout"])
         attributes, time_s = data.attrs, _times(path, data)
-        arrays = {str(name): values.to_numpy().astype(float, copy=False) for name, values in data.data_vars.items()}
+        arrays = {name: each.values.astype(float, copy=False) for name, each in data.data_vars.items()}
     _require_sound(path, arrays, described["layout"])
     samples = Samples(**arrays, time_s=time_s, **described)
     if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
@@ -207,27 +209,27 @@ def _variables(labels_only: bool) -> tuple[dict[str, Any], str, dict[str, Any], 
     return wanted, MADE_BY, optional, {"sample": TIMED}
 
 
-def _times(path: Path, data: "xr.Dataset") -> FloatArray | None:
+def _times(path: Path, data: "Content | xr.Dataset") -> FloatArray | None:
     """Times of the moments of series [s]; None of samples without a time."""
-    if "series" not in data.dims:
+    if "series" not in data.sizes:
         return None
-    time_s = np.asarray(data.coords["time_s"], np.float64) if "time_s" in data.coords else np.zeros(0)
+    time_s = np.asarray(data.coords["time_s"].values, np.float64) if "time_s" in data.coords else np.zeros(0)
     if not (len(time_s) and np.isfinite(time_s).all() and (np.diff(time_s) > 0).all()):
         raise FileFormatError(f"{path}: series need a coordinate 'time_s' on 'time', growing [s]: add it.")
     return time_s
 
 
-def _names(data: "xr.Dataset") -> list[str]:
+def _names(data: "Content | xr.Dataset") -> list[str]:
     """Names of the pillars, as they stand in the file; none if they are not labelled."""
-    return [str(name) for name in data["pillar"].values] if "pillar" in data.coords else []
+    return [str(name) for name in data.coords["pillar"].values] if "pillar" in data.coords else []
 
 
-def _contract(path: Path, data: "xr.Dataset", layout: Layout) -> "xr.Dataset":
+def _contract(path: Path, data: AnyContent, layout: Layout) -> AnyContent:
     """Numbers, with axes, pillars and electrodes in the order of the contract, which those without labels have."""
     for dim, labels in labels_of(layout).items():
-        if dim not in data.dims or (dim not in data.coords and data.sizes[dim] == len(labels)):
+        if dim not in data.sizes or (dim not in data.coords and data.sizes[dim] == len(labels)):
             continue
-        given = [str(label) for label in data[dim].values] if dim in data.coords else []
+        given = [str(label) for label in data.coords[dim].values] if dim in data.coords else []
         if sorted(given) != sorted(labels):
             raise FileFormatError(
                 f"{path}: dimension '{dim}' is {given or f'of size {data.sizes[dim]}'}, expected {labels}: give these, "

@@ -7,20 +7,20 @@ one sensor from pairs, `evaluation` says how large errors are, `export` writes a
 torch when it is asked for; nothing else does.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dataset.samples import SampleError
-from decoupler.data.columns import component_named
-from decoupler.evaluation.assessment import Assessment, assess
-from decoupler.evaluation.crossval import cross_validate
-from decoupler.evaluation.metrics import component_errors, evaluate, force_errors, pca_floor
-from decoupler.model.baseline import LeastSquares, hooke_forces
-from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
-from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
+from common.lazy import lazily
 
 if TYPE_CHECKING:
+    from dataset.samples import SampleError
+    from decoupler.data.columns import component_named
+    from decoupler.evaluation.assessment import Assessment, assess
+    from decoupler.evaluation.crossval import cross_validate
+    from decoupler.evaluation.metrics import component_errors, evaluate, force_errors, pca_floor
+    from decoupler.model.baseline import LeastSquares, hooke_forces
+    from decoupler.model.decoupler import Decoupler
+    from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
+    from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
     from decoupler.training.trainer import train
 
 __all__ = [
@@ -46,8 +46,4 @@ __all__ = [
     "write_model",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "train":
-        return import_module("decoupler.training.trainer").train
-    raise AttributeError(f"module 'decoupler' has no name '{name}'; it has {', '.join(__all__)}.")
+__getattr__ = lazily(__name__)

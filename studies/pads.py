@@ -14,7 +14,7 @@ from fem.array.response import ArrayResponse
 from geometry.design import PAD_KINDS, SensorDesign
 from studies.program import run_alone
 from studies.tables import report
-from tripillar.pipeline.run import respond
+from tripillar.pipeline.stage import respond
 from tripillar.sweep.judge import metrics_of
 from tripillar.terminal.progress import Bars
 

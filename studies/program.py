@@ -6,6 +6,7 @@ from typing import NoReturn
 
 import cyclopts
 
+from tripillar.cli.parser import run_app
 from tripillar.terminal import interrupts
 from tripillar.terminal.entry import run
 
@@ -18,4 +19,4 @@ def run_alone(function: Callable[..., None]) -> NoReturn:
         default_parameter=cyclopts.Parameter(negative=()), exit_on_error=False, print_error=False,
     )  # fmt: skip
     app.default(function)
-    run(lambda: int(app(sys.argv[1:]) or 0))
+    run(lambda: run_app(app, sys.argv[1:]))

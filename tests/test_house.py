@@ -1,6 +1,7 @@
 """The layout of the house: imports run one way, pictures are leaves, files are short, help is light."""
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -8,6 +9,9 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import pytest
+
+from tests.house import SMALL
 from tripillar.cli.app import COMMANDS
 
 ROOT = Path(__file__).parents[1]
@@ -139,6 +143,25 @@ def test_help_loads_nothing_heavy_and_is_printed_at_once():
     subprocess.run([sys.executable, "-m", "tripillar", "--help"], capture_output=True, cwd=ROOT, check=True)
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < HELP_S
+
+
+LEFT_OUT = ["cyclopts", "docstring_parser", "xarray", "pandas", "scipy.interpolate", "scipy.stats", "torch", "pyvista"]
+#: typed plainly, and what else none of these loads
+PLAIN = {
+    f"solve {ROOT}/scenes/block-patch.toml --tolerance 0.05 --json": ["rich", "netCDF4", "fem.conduction", "dataset"],
+    "response --design small.toml --out r.nc --method layer --json -q": ["dataset", "decoupler", "fem.conduction"],
+}
+
+
+@pytest.mark.parametrize("typed", PLAIN)
+def test_what_is_typed_plainly_loads_neither_a_parser_nor_what_it_does_not_need(typed, tmp_path):
+    """Start-up is most of the time of a simple scene, and of whatever is in the cache."""
+    (tmp_path / "small.toml").write_text(SMALL)
+    code = f"import os, sys\nos.chdir({str(tmp_path)!r})\nsys.argv[1:] = {typed.split()!r}\n"
+    code += "from tripillar.cli.app import main\ntry: main()\nexcept SystemExit as end: assert not end.code"
+    done = loaded_by(code, [*LEFT_OUT, *PLAIN[typed]])
+    assert json.loads(done.stdout)
+    assert not {*LEFT_OUT, *PLAIN[typed]} & {*done.stderr.split()}, done.stderr
 
 
 def test_replay_loads_no_torch_and_training_no_cad_and_no_mesher():

@@ -91,13 +91,9 @@ def __getattr__(name: str) -> object:
     """Load a name of the face when it is first used."""
     from importlib import metadata
 
-    from tripillar.face.stages import imported_by
+    from common.lazy import lazily
 
-    if name not in ("__version__", *__all__):
-        raise AttributeError(f"module 'tripillar' has no attribute '{name}'; it has {', '.join(__all__)}.")
-    value: object = metadata.version("tripillar") if name == "__version__" else imported_by(__file__, name)
-    globals()[name] = value
-    return value
+    return metadata.version("tripillar") if name == "__version__" else lazily(__name__)(name)
 
 
 def __dir__() -> list[str]:

@@ -192,7 +192,7 @@ def _size(n_bytes: int) -> str:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block is done: xarray waits for ever for a lock that an interrupted write still holds.
+    """Hold Ctrl-C back until the block is done: a library that is interrupted in a write may wait for ever, or crash.
 
     Does nothing outside the main thread, which gets no signals.
     """

@@ -97,7 +97,7 @@ def fold(
     from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
 
     started = time.perf_counter()
-    model = train(data[trained_on], component, network, training, response=response)
+    model = train(data[trained_on], component, network, training, response=response, judged=False)
     seconds, outcome = time.perf_counter() - started, model.made_from["outcome"]
     errors = evaluate(model, data[tested_on])
     return Fold(errors=errors, iterations=outcome["iterations"], reason=outcome["reason"], seconds=seconds)

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from dataset import Samples
 from dataset.measurement import ReadingError
@@ -213,6 +212,8 @@ def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str 
 
 def _in_best_order(data: Samples, component: Component, forward: SensorModel) -> dict[str, Mend]:
     """The order of pillars that explains the readings best, by a joint model; none if it is the stated one."""
+    from scipy.optimize import linear_sum_assignment
+
     names, taken, every = data.layout.pillar_names, component.pillars(data.layout), Columns.of(data, COMPONENTS["all"])
     shape = len(data), -1, len(names)
     both = np.sqrt(every.resistance_ohm).reshape(shape), forward.lengths(every.force_n).reshape(shape)

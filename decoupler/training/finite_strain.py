@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import nnls
 
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
@@ -153,6 +152,8 @@ def _moved_image(displacement_mm: FloatArray, images: list[int]) -> FloatArray:
 
 def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
     """a, b ≥ 0 of squares ≈ a + b x, each (n,), as likely as may be for squares of normal numbers."""
+    from scipy.optimize import nnls
+
     found = np.array([1.0, 0.0])
     for _ in range(ROUNDS):  # least squares, weighted by what the last round expects
         expected = found[0] + found[1] * x

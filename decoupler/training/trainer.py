@@ -48,6 +48,7 @@ def train(
     training: TrainingConfig | None = None,
     progress: Progress = _silent,
     response: "ArrayResponse | None" = None,
+    judged: bool = True,
 ) -> Decoupler:
     """Train one network on all samples of `data`; leave test samples out beforehand.
 
@@ -64,6 +65,8 @@ def train(
         Called as progress(iteration, mse) once an iteration; mse is of the outputs scaled to [-1, 1].
     response : ArrayResponse, optional
         Of the sensor; the feature `inverse` needs it, the others do not heed it.
+    judged : bool
+        Find the uncertainty of its forces, too, which takes a third of the time.
 
     Raises
     ------
@@ -93,7 +96,7 @@ def train(
         columns = Columns.of(data.drifted(np.random.default_rng([seed, DRIFTS])), parts)
         columns = without_stuck(columns, None if response is None else SensorModel.of(response, parts))
         forward = explaining(response, columns) if network.feature == "inverse" else None
-        trained = fitted_network(columns, network, training, data.design, forward, progress)
+        trained = fitted_network(columns, network, training, data.design, forward, progress, judged)
     story = {
         "recipe": model_cache_key(given, parts.name, network, training, response),
         "data_hash": given.content_hash,
@@ -110,8 +113,11 @@ def fitted_network(
     design: SensorDesign | None = None,
     forward: SensorModel | None = None,
     progress: Progress = _silent,
+    judged: bool = True,
 ) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
+
+    Without its uncertainty if that is not `judged`.
 
     Notes
     -----
@@ -136,7 +142,7 @@ def fitted_network(
     if known:
         targets = targets - inputs
     samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
-    start, judged = Network(network, inputs.shape[1], targets.shape[1], training.seed), None
+    start, kept = Network(network, inputs.shape[1], targets.shape[1], training.seed), None
     with _one_torch_thread(), torch.no_grad():
         hidden, output = start.hidden.detach(), start.output.detach()
         if known:
@@ -146,7 +152,7 @@ def fitted_network(
         if training.trainer == "varpro":
             order = _mixed(data.load, training)
             held_out = _n_held_out(data.load[order], training) if start.skip else 0  # a plain net has no linear map
-            judged = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
+            kept = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
             mixed = samples[torch.from_numpy(order)]
             point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
         else:
@@ -158,7 +164,7 @@ def fitted_network(
     if known:
         output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
     trained = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, data, ridge, n_light, judged)
+    uncertainty = fitted_uncertainty(trained, data, ridge, n_light, kept) if judged else None
     return replace(
         trained, uncertainty=uncertainty, made_from={"training": asdict(training), "outcome": asdict(outcome)}
     )

@@ -36,14 +36,18 @@ class Projected:
         self.s = 1.0 - A[:, :h] ** 2
         self.K = W2.T @ W2
         self.gradient = (((A @ point.output.T - samples.targets) @ W2) * self.s).T @ X  # (h, p)
-        M = A.T @ A
+        M = gram(A)
         M.diagonal().add_(ridge)
-        self.Q = torch.linalg.solve_triangular(torch.linalg.cholesky(M), A.T, upper=False).T  # A M⁻¹ Aᵀ = Q Qᵀ
+        L = torch.linalg.cholesky(M)
+        self.Q = torch.linalg.solve_triangular(L, A.T, upper=False).T  # A M⁻¹ Aᵀ = Q Qᵀ
         self.blocks = torch.empty(h, p, p, dtype=X.dtype)
+        roots, Z = self.s.sqrt(), torch.empty_like(X)  # one array for all nodes: new ones take as long as the products
         for j in range(h):
-            Z = self.s[:, j : j + 1] * X
-            followed = self.Q.T @ Z
-            self.blocks[j] = self.K[j, j] * (Z.T @ Z - followed.T @ followed)
+            skipped = gram(torch.mul(roots[:, j : j + 1], X, out=Z)) if samples.linear is X else None
+            torch.mul(self.s[:, j : j + 1], X, out=Z)
+            AtZ = torch.cat([A[:, :h].T @ Z, samples.linear.T @ Z if skipped is None else skipped])
+            followed = torch.linalg.solve_triangular(L, AtZ, upper=False)  # Qᵀ Z
+            self.blocks[j] = self.K[j, j] * (gram(Z) - followed.T @ followed)
         self.scale = self.blocks.diagonal(dim1=1, dim2=2).max().item()
 
     def product(self, direction: Tensor) -> Tensor:
@@ -88,10 +92,16 @@ class Projected:
         return projected(self.samples, self.point.hidden + direction, self.ridge), promised
 
 
+def gram(Z: Tensor) -> Tensor:
+    """ZᵀZ by numpy, which multiplies half of it."""
+    columns = Z.numpy()
+    return torch.from_numpy(columns.T @ columns)
+
+
 def projected(samples: TrainingSet, hidden: Tensor, ridge: float) -> Point:
     """Hidden weights with the output weights that are best for them; cost ½‖r‖² + ½ ridge ‖W₂‖²."""
     A = samples.activations(hidden)
-    M = A.T @ A
+    M = gram(A)
     M.diagonal().add_(ridge)
     output = torch.cholesky_solve(A.T @ samples.targets, torch.linalg.cholesky(M)).T
     residual = A @ output.T - samples.targets

@@ -4,8 +4,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from tripillar.cli.app import COMMANDS, app_of
+from tripillar.cli.app import COMMANDS
 from tripillar.cli.help import labels, meaning, options_of
+from tripillar.cli.parser import app_of
 
 PAGE = Path(__file__).parents[1] / "commands.md"
 COMMON = 2  #: commands from which on an option of theirs is told once for all

@@ -5,19 +5,15 @@ The body is linear, so samples are superpositions of unit loads. `solving.py` co
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from common.errors import FileFormatError
 from common.storage.files import digest
-from common.storage.netcdf import read_netcdf, write_netcdf
+from common.storage.netcdf import Content, Named, labelled, read_netcdf, write_netcdf
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
 from geometry.layout import AXES, FloatArray
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 CONDUCTED_DIMS = ("row", "col", "pillar", "component")
 INFLUENCE_DIMS = ("row", "col", "electrode", "axis", "load_row", "load_col", "load_axis")
@@ -76,10 +72,8 @@ class ArrayResponse:
 
 def write_response(response: ArrayResponse, path: Path) -> None:
     """Write a response file, whole or not at all."""
-    import xarray as xr
-
     layout = response.design.unit.layout
-    coordinates = {"electrode": list(layout.upper_names), "axis": list(AXES), "load_axis": list(AXES)}
+    labels = {"electrode": list(layout.upper_names), "axis": list(AXES), "load_axis": list(AXES)}
     attributes = {
         "design": design_to_toml(response.design),
         "recipe": response.cache_key,
@@ -90,15 +84,15 @@ def write_response(response: ArrayResponse, path: Path) -> None:
         "residual": response.residual,
         "unknowns": response.unknowns,
     } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
-    variables: dict[str, Any] = {"influence_mm_per_n": (INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
+    variables = {"influence_mm_per_n": Named(INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
     if response.conducted is not None:
-        coordinates["pillar"] = list(layout.pillar_names)
+        labels["pillar"] = list(layout.pillar_names)
         attributes["conduction_error_estimate"] = response.conducted.error_estimate
         variables |= {
-            name: (dims, getattr(response.conducted, name.removeprefix("conducted_")), {"units": units})
+            name: Named(dims, getattr(response.conducted, name.removeprefix("conducted_")), {"units": units})
             for name, (dims, units) in CONDUCTED.items()
         }
-    write_netcdf(xr.Dataset(variables, coords=coordinates, attrs=attributes), path)
+    write_netcdf(Content(data_vars=variables, coords=labelled(labels), attrs=attributes), path)
 
 
 def read_response(path: Path) -> ArrayResponse:
@@ -108,7 +102,7 @@ def read_response(path: Path) -> ArrayResponse:
     try:
         response = ArrayResponse(
             design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
-            influence_mm_per_n=data["influence_mm_per_n"].to_numpy(),
+            influence_mm_per_n=data.data_vars["influence_mm_per_n"].values,
             conducted=_conducted(data, path),
             residual=float(data.attrs["residual"]),
             unknowns=int(data.attrs["unknowns"]),
@@ -130,12 +124,12 @@ def read_response(path: Path) -> ArrayResponse:
     return response
 
 
-def _conducted(data: "xr.Dataset", path: Path) -> ConductedPillars | None:
+def _conducted(data: Content, path: Path) -> ConductedPillars | None:
     """Conduction of a response file's content, None where it has none."""
-    found = [name for name in CONDUCTED if name in data]
+    found = [name for name in CONDUCTED if name in data.data_vars]
     if not found:
         return None
     if len(found) < len(CONDUCTED):
         raise FileFormatError(f"{path}: holds {', '.join(found)} alone: make it again by 'tripillar response'.")
-    values = {name.removeprefix("conducted_"): data[name].to_numpy() for name in found}
+    values = {name.removeprefix("conducted_"): data.data_vars[name].values for name in found}
     return ConductedPillars(**values, error_estimate=float(data.attrs["conduction_error_estimate"]))

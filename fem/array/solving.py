@@ -10,7 +10,6 @@ from common.errors import DesignError
 from common.storage.cache import kept
 from common.storage.files import digest
 from fem.array.closed_forms import layer_response
-from fem.array.conducted import conducted_pillars, with_references
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import response_by_cells, usual_tolerance
 from geometry.design import Electrics, SensorDesign, bent
@@ -95,6 +94,8 @@ def solve_response(
     if settings.method != "cells" and design.pad.kind == "stiff":
         raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
     if design.electrics.is_conduction:
+        from fem.array.conducted import conducted_pillars
+
         plain = replace(design, electrics=Electrics())
         solve = (lambda *asked: array_response(*asked)[0]) if cached else solve_response
         moved, start = solve(plain, settings, progress), perf_counter()
@@ -113,6 +114,8 @@ def _body(design: SensorDesign) -> SensorDesign:
 
 def _of_design(response: ArrayResponse, design: SensorDesign) -> ArrayResponse:
     """A body's response as that of a design, which may have reference pillars beside it."""
-    conducted = response.conducted
-    conducted = None if conducted is None else with_references(conducted, design.unit)
-    return replace(response, design=design, conducted=conducted)
+    if response.conducted is None:
+        return replace(response, design=design)
+    from fem.array.conducted import with_references
+
+    return replace(response, design=design, conducted=with_references(response.conducted, design.unit))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from common.errors import DesignError
 from common.storage.files import cache_folder, digest, write_text
-from common.storage.netcdf import write_netcdf
+from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import forces
@@ -114,12 +114,9 @@ def press_and_slide(response: "ArrayResponse", script: PressAndSlide, specimen: 
 
 def write_truth(motion: Motion, path: Path) -> None:
     """Write the forces that act over one period as NetCDF, whole or not at all."""
-    import xarray as xr
-
-    time_s = np.arange(len(motion.force_n)) * STEP_S
-    force_n = ("time_s", "row", "col", "axis"), motion.force_n, {"units": "N"}
-    coordinates = {"time_s": ("time_s", time_s, {"units": "s"}), "axis": list(AXES)}
-    write_netcdf(xr.Dataset({"force_n": force_n}, coordinates), path)
+    force_n = Named(("time_s", "row", "col", "axis"), motion.force_n, {"units": "N"})
+    time_s = Named(("time_s",), np.arange(len(motion.force_n)) * STEP_S, {"units": "s"})
+    write_netcdf(Content(data_vars={"force_n": force_n}, coords={"time_s": time_s, **labelled({"axis": AXES})}), path)
 
 
 def counts_over_time(

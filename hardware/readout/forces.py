@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import FileFormatError
+from common.storage.netcdf import Content, Named, labelled
 from common.threads import one_blas_thread
 from geometry.layout import AXES, FloatArray
 from hardware.link.frames import Info
@@ -124,37 +125,36 @@ class Forces:
         named = {name: getattr(self.wrench, attribute) for name, (attribute, _) in NET.items()}
         return {name: values for name, values in named.items() if values is not None}
 
-    def to_xarray(self) -> "xr.Dataset":
+    def content(self) -> Content:
         """The forces of a recording with their deviations, net wrench and χ², as they are written to NetCDF."""
-        import xarray as xr
-
         over_units = ("frame", "row", "col", "axis")
-        variables: dict[str, Any] = {
-            "force_n": (over_units, self.force_n, {"units": "N"}),
-            "saturated": (("frame", "row", "col", "pillar"), self.saturated.astype(np.int8)),
+        variables = {
+            "force_n": Named(over_units, self.force_n, {"units": "N"}),
+            "saturated": Named(("frame", "row", "col", "pillar"), self.saturated.astype(np.int8)),
         }
         if self.deviation_n is not None:
             meaning = "half-width that holds 68 % of errors"
-            variables["deviation_n"] = (over_units, self.deviation_n, {"units": "N", "meaning": meaning})
+            variables["deviation_n"] = Named(over_units, self.deviation_n, {"units": "N", "meaning": meaning})
         if self.moment_nmm is not None:
             attributes = {"units": "N mm", "meaning": "moments of the pressure about the unit's middle, of x p and y p"}
-            variables["moment_nmm"] = (("frame", "row", "col", "place"), self.moment_nmm[..., :2], attributes)
+            variables["moment_nmm"] = Named(("frame", "row", "col", "place"), self.moment_nmm[..., :2], attributes)
         if self.chi2 is not None:
             meaning = "chi squared over its degrees of freedom if a known load is on the sensor"
-            variables["chi2"] = (("frame",), self.chi2, {"units": "1", "meaning": meaning})
+            variables["chi2"] = Named(("frame",), self.chi2, {"units": "1", "meaning": meaning})
         for name, values in self.net().items():
             place = "place" if "centre" in name else "direction"
-            variables[name] = (("frame", place), values, {"units": NET[name][1]})
-        axes = {"axis": list(self.description.axes), "direction": list(AXES), "place": list(AXES[:2])}
-        return xr.Dataset(
-            variables,
-            coords={
-                "time_s": ("frame", self.time_s, {"units": "s"}),
-                "pillar": list(self.description.layout.pillar_names),
-                **axes,
-            },
+            variables[name] = Named(("frame", place), values, {"units": NET[name][1]})
+        pillars = self.description.layout.pillar_names
+        labels = {"axis": self.description.axes, "direction": AXES, "place": AXES[:2], "pillar": pillars}
+        return Content(
+            data_vars=variables,
+            coords={"time_s": Named(("frame",), self.time_s, {"units": "s"}), **labelled(labels)},
             attrs={"sensor": json.dumps(self.description.plain())},
         )
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The same as xarray has it."""
+        return self.content().to_xarray()
 
 
 class ForceReader:

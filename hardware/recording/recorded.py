@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import FileFormatError
+from common.storage.netcdf import Content, Named
 from geometry.layout import FloatArray
 from geometry.layout_file import layout_from_text
 from hardware.link.frames import Frame, Info, ScanMode, Statistics
@@ -111,16 +112,17 @@ class Recording(Header):
         found = {name: getattr(self, name) for name in COLUMNS}
         return found | {"received_s": unknown_s if self.received_s is None else self.received_s}
 
-    def to_xarray(self) -> "xr.Dataset":
+    def content(self) -> Content:
         """The recording as it is written to NetCDF: its `columns` by frame, header and statistics as attributes."""
-        import xarray as xr
+        notes = {name: {"long_name": meaning} for name, meaning in COLUMNS.items()}
+        notes["received_s"]["units"] = "seconds since 1970-01-01 00:00:00"
+        dims = ("frame", "crossing")
+        variables = {name: Named(dims[: each.ndim], each, notes[name]) for name, each in self.columns().items()}
+        return Content(data_vars=variables, attrs=self.plain() | asdict(self.statistics))
 
-        variables = {
-            name: (("frame", "crossing")[: values.ndim], values, {"long_name": COLUMNS[name]})
-            for name, values in self.columns().items()
-        }
-        variables["received_s"][2]["units"] = "seconds since 1970-01-01 00:00:00"
-        return xr.Dataset(variables, attrs=self.plain() | asdict(self.statistics))
+    def to_xarray(self) -> "xr.Dataset":
+        """The same as xarray has it."""
+        return self.content().to_xarray()
 
     def frames(self) -> Iterator[Frame]:
         """The frames as the board sent them."""

@@ -72,7 +72,7 @@ def convert(recording: Recording, path: Path) -> None:
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".nc":
-        write_netcdf(recording.to_xarray(), path)
+        write_netcdf(recording.content(), path)
     elif suffix == ".mcap":
         _write_mcap(path, json_channels(INFO, SCAN), _messages(recording))
     elif suffix == ".csv":
@@ -93,7 +93,8 @@ def write_forces(recording: Recording, forces: Forces, path: Path, ros2: bool = 
     suffix = Path(path).suffix.lower()
     if suffix == ".nc" and not ros2:
         stated = asdict(recording.statistics) | {"calibration": recording.calibration} | dict(recording.made_from)
-        write_netcdf(forces.to_xarray().assign_attrs(stated), path)
+        content = forces.content()
+        write_netcdf(replace(content, attrs={**content.attrs, **stated}), path)
     elif suffix == ".mcap" and ros2:
         from hardware.streams.ros2_file import ros2_channels, ros2_messages
 

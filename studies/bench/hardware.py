@@ -29,7 +29,7 @@ from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
 from studies.program import run_alone
 from studies.tables import measured_on, report
-from tripillar.pipeline.run import respond
+from tripillar.pipeline.stage import respond
 from tripillar.terminal.progress import Bars
 
 PERIODS = 5  #: of the motion in the recording

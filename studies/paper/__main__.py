@@ -22,7 +22,7 @@ from studies.paper.results import Results, kept
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
 from studies.program import run_alone
 from tripillar.face.inputs import design_of
-from tripillar.pipeline.run import respond
+from tripillar.pipeline.stage import respond
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.progress import Bars
 

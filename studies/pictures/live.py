@@ -14,7 +14,7 @@ from hardware.readout.calibration import Electronics
 from hardware.readout.forces import ForceReader
 from studies.paper_sensor import board_info, joint_net
 from studies.program import run_alone
-from tripillar.pipeline.run import respond
+from tripillar.pipeline.stage import respond
 from tripillar.terminal.force_view import live_view
 from tripillar.terminal.progress import Bars
 

@@ -27,7 +27,7 @@ from studies.robustness.study import (
 )
 from studies.robustness.truths import PROTOCOLS, TRUTHS
 from studies.tables import table_of
-from tripillar.pipeline.run import respond
+from tripillar.pipeline.stage import respond
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.progress import Bars
 from tripillar.terminal.tables import show

@@ -11,7 +11,7 @@ import xarray as xr
 
 from common.storage.cache import kept, read_arrays, write_arrays
 from common.storage.files import digest, replacing, uninterrupted
-from common.storage.netcdf import read_netcdf, write_netcdf
+from common.storage.netcdf import Content, Named, labelled, read_netcdf, write_netcdf
 from common.storage.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, sealed, sealed_json
 from geometry import Array, FileFormatError, Material, SensorDesign
 from geometry.mesh import TetMesh, read_mesh, write_mesh
@@ -19,12 +19,12 @@ from geometry.mesh import TetMesh, read_mesh, write_mesh
 RNG = np.random.default_rng(0)
 ARRAYS = {"a": RNG.normal(size=(2, 3)), "steps": np.array(["one", "two"])}
 WANTED = {"load": ("row", "col"), "reply": ("row", "col", "axis")}
-DATA = xr.Dataset(
-    {
-        "load": (("row", "col"), RNG.normal(size=(2, 3)), {"units": "N"}),
-        "reply": (("row", "col", "axis"), RNG.normal(size=(2, 3, 2))),
+DATA = Content(
+    data_vars={
+        "load": Named(("row", "col"), RNG.normal(size=(2, 3)), {"units": "N"}),
+        "reply": Named(("row", "col", "axis"), RNG.normal(size=(2, 3, 2))),
     },
-    coords={"axis": ["x", "y"]},
+    coords={**labelled({"axis": ["x", "y"]}), "time_s": Named(("row",), np.arange(2.0), {"units": "s"})},
     attrs={"design": "# ν and Ω are no ASCII\n", "seed": 3},
 )
 MESH = TetMesh(RNG.normal(size=(5, 3)), np.array([[0, 1, 2, 3], [1, 2, 3, 4]]), np.array([0, 1]), "0123456789abcdef")
@@ -37,7 +37,7 @@ def read_data(path):
 #: writer, reader, what is compared
 KINDS = {
     "npz": (lambda path: write_arrays(ARRAYS, path), read_arrays, lambda found: digest(*map(repr, found.values()))),
-    "nc": (lambda path: write_netcdf(DATA, path), read_data, lambda found: found.to_dict()),
+    "nc": (lambda path: write_netcdf(DATA, path), read_data, lambda found: found.to_xarray().to_dict()),
     "vtu": (lambda path: write_mesh(MESH, path), read_mesh, lambda found: (found.content_hash, found.cache_key)),
 }
 GIVEN = {"npz": ARRAYS, "nc": DATA, "vtu": MESH}
@@ -69,14 +69,31 @@ def test_a_file_comes_back_to_the_last_bit_and_is_refused_where_it_is_damaged(tm
 def test_missing_variables_and_wrong_dims_are_named_and_others_transposed(tmp_path):
     path = tmp_path / "a.nc"
     for data, says in (
-        (DATA.drop_vars("reply"), r"has no variable 'reply', only \['load'\]"),
-        (DATA.expand_dims(sample=1), r"'load' has the dims .*, expected \('row', 'col'\)"),
+        (DATA.to_xarray().drop_vars("reply"), r"has no variable 'reply', only \['load'\]"),
+        (DATA.to_xarray().expand_dims(sample=1), r"'load' has the dims .*, expected \('row', 'col'\)"),
     ):
-        write_netcdf(data, path)
+        data.to_netcdf(path)
         with pytest.raises(FileFormatError, match=rf"{says}: give a file made by 'tripillar made-up'\.$"):
             read_data(path)
-    write_netcdf(DATA.transpose("axis", "col", "row"), path)
-    assert read_data(path).identical(DATA)
+    DATA.to_xarray().transpose("axis", "col", "row").to_netcdf(path)
+    assert read_data(path).to_xarray().drop_attrs(deep=True).identical(DATA.to_xarray().drop_attrs(deep=True))
+    write_netcdf(DATA, path)
+    with xr.open_dataset(path, decode_times=False) as opened:
+        assert opened.identical(DATA.to_xarray())
+
+
+def test_what_other_programs_pack_is_unpacked_as_xarray_does(tmp_path):
+    """Scaled integers, missing numbers, texts of single characters."""
+    values = np.array([[1.0, np.nan, 2.5], [0.0, -1.5, 3.0]])
+    packed = {"dtype": "i2", "scale_factor": 0.5, "add_offset": 1.0, "_FillValue": -99}
+    letters = xr.DataArray(np.array([b"x", b"y"]), dims="axis")
+    data = DATA.to_xarray().assign(load=(("row", "col"), values)).assign_coords(axis=letters)
+    data.to_netcdf(tmp_path / "a.nc", encoding={"load": packed})
+    found = read_data(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc", decode_times=False) as opened:
+        assert np.array_equal(found.data_vars["load"].values, opened["load"].values, equal_nan=True)
+    assert np.array_equal(found.data_vars["load"].values, values, equal_nan=True)
+    assert list(found.coords["axis"].values) == ["x", "y"]
 
 
 @pytest.mark.parametrize("last", [LAST_LINE, b""], ids=["last line", "header"])

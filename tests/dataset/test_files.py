@@ -13,7 +13,6 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.storage.netcdf import write_netcdf
 from dataset import OPEN_OHM, DatasetSettings, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.stored import is_current
@@ -61,7 +60,7 @@ def by_others(samples: Samples, path: Path, change) -> Path:
     content.attrs.pop("content_hash")
     content = change(content)
     if path.suffix == ".nc":
-        write_netcdf(content, path)
+        content.to_netcdf(path)
     else:
         content.to_zarr(path, zarr_format=2, consolidated=True)
     return path

@@ -42,7 +42,7 @@ def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("board"))
     tp.write(tp.train(tp.dataset(RESPONSE, "contact", 300, bits=12), response=RESPONSE), house.folder / MODEL[1])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tripillar.pipeline.run.array_response", lambda *_: (RESPONSE, house.folder / "none", False))
+        patch.setattr("tripillar.pipeline.stage.array_response", lambda *_: (RESPONSE, house.folder / "none", False))
         yield house
 
 

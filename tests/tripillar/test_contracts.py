@@ -15,15 +15,17 @@ from tests.docs.terminal import ROOT
 from tests.fem.scenes import BLOCK
 from tests.house import SMALL, House
 from tests.tripillar.made_files import a_dataset, a_model
-from tripillar.cli.app import COMMANDS, GONE, app_of, job_of
-from tripillar.cli.door import command_of, flag_of, spelled
+from tripillar.cli.app import COMMANDS, GONE, job_of
+from tripillar.cli.door import flag_of, spelled
 from tripillar.cli.help import meaning, options_of
+from tripillar.cli.parser import app_of, parsed
+from tripillar.cli.plain import typed_plainly
 from tripillar.face.inputs import COUNTS, TIMES
 
 APP = app_of()
 NAMES = [name for names in COMMANDS.values() for name in names]
 OPTIONS = {name: options_of(APP, name) for name in NAMES}
-PARAMETERS = {name: dict(inspect.signature(command_of(job_of(name))).parameters) for name in NAMES}
+PARAMETERS = {name: dict(inspect.signature(parsed(job_of(name))).parameters) for name in NAMES}
 MAX_COMMANDS = 21
 MODEL, DATA = {"model": "model.safetensors"}, {"data": "data.nc"}
 #: what a job must be given
@@ -120,6 +122,30 @@ def test_a_mistake_is_refused_alike_in_python_and_as_typed(house, name, key, val
         called(name, given)
     flags = {each: flag_of(each) for each in PARAMETERS[name]}
     assert said == f"tripillar: {spelled(str(refused.value), flags)}"
+
+
+PLAIN = {Path: ["a.toml"], str: ["word"], int: ["7"], float: ["-0.5", "0.25"]}  #: a negative number is not plain
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_typed_plainly_is_read_as_the_parser_does(name):
+    """Each flag alone and its opposite, beside what the command must be given; what is not plain is left to it."""
+    job, start = job_of(name), typed(name, NEEDED.get(name, {}))
+    plain = 0
+    for key, parameter in PARAMETERS[name].items():
+        mark, found = get_args(parameter.annotation)[1], kinds(parameter)
+        values = get_args(found[0]) if get_origin(found[0]) is Literal else PLAIN.get(found[0], ["1"])
+        more = [[flag, value] for flag in mark.name or () for value in values] if found != [bool] else []
+        more += [[flag] for flag in (*(mark.name or ()), *mark.negative)] if found == [bool] else []
+        for words in ([*start, *each] for each in ([], *more) if not {key} & NEEDED.get(name, {}).keys()):
+            given = typed_plainly(job, words[1:])
+            if given is not None:
+                _, bound, _ = APP.parse_args(words, exit_on_error=False, print_error=False)
+                assert (tuple(given[0]), given[1]) == (bound.args, bound.kwargs), words
+                plain += 1
+    assert plain
+    for words in (["--help"], [*start[1:], "--json", "--json"], [*start[1:], "--no-such-flag"], [*start[1:], "-0.5"]):
+        assert typed_plainly(job, words) is None, words
 
 
 def test_a_missing_file_is_refused_before_any_stage_is_loaded(house):

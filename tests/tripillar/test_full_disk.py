@@ -49,7 +49,7 @@ def house(tmp_path, shared_cache, monkeypatch):
     a_dataset(tmp_path / "data.nc")
     a_model(tmp_path / "model")
     known = made_up_response(sensor(1, 2))  # what is solved is not on trial
-    monkeypatch.setattr("tripillar.pipeline.run.array_response", lambda *_: (known, tmp_path / "none", False))
+    monkeypatch.setattr("tripillar.pipeline.stage.array_response", lambda *_: (known, tmp_path / "none", False))
     monkeypatch.setattr(saving, "FRAMES", 2)
     monkeypatch.setattr(saving, "HELD", 1)
     monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)

@@ -24,13 +24,13 @@ for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "pthread_sigmask"):
 from tripillar.terminal import interrupts
 interrupts.install()
 from common.storage.files import explained
-from common.storage.netcdf import write_netcdf
+from common.storage.netcdf import Content, Named, write_netcdf
 from hardware.boards import simavr_board, simulated, python_board
 from hardware.link.frames import Info
 from hardware.link.serial_ports import PortError, open_port
 import decoupler
 import common.pool, tripillar.cli.app
-write_netcdf(xarray.Dataset({"a": ("x", [1.0])}), Path("a.nc"))
+write_netcdf(Content(data_vars={"a": Named(("x",), numpy.ones(1))}), Path("a.nc"))
 assert [path.name for path in Path().iterdir()] == ["a.nc"]
 assert "disk is full" in explained(OSError(27, "File too large"), Path("a"))
 assert "Windows" in simavr_board.find_tools()

@@ -6,7 +6,6 @@ import pytest
 import xarray as xr
 
 from common.errors import DesignError
-from common.storage.netcdf import write_netcdf
 from dataset import read_samples
 from decoupler.model.model_file import read_model
 from fem.array.solving import ResponseSettings
@@ -126,7 +125,7 @@ def doubtful(house):
         data = pairs.copy(deep=True)
         ohm, force_n = data["resistance_ohm"].values, data["force_n"].values
         data["resistance_ohm"][:], data["force_n"][:] = change(ohm.copy(), force_n.copy())
-        write_netcdf(data, house.folder / name)
+        data.to_netcdf(house.folder / name)
     return house
 
 

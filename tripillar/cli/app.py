@@ -5,13 +5,11 @@ code 2. A command's job is loaded when it is named, its stage when it runs: help
 """
 
 import sys
-from importlib import import_module, metadata
-
-from cyclopts import App, Group
+from importlib import import_module
 
 from common.errors import DesignError
 from tripillar.cli.door import Job, command_of
-from tripillar.cli.help import Columns
+from tripillar.cli.plain import typed_plainly
 from tripillar.terminal.entry import run
 
 #: jobs by heading of the help and name of the command: the module of `tripillar.face`, and the function if it is
@@ -47,33 +45,6 @@ GONE = {
     "sweep --train": "train on samples of the designs that it has found",
     "board --scene": "board --pressure MPA",
 }
-ABOUT = """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
-
-`tripillar COMMAND --help` explains a command. New here? Begin with `tripillar doctor`, then `tripillar design`."""
-
-
-def app_of(*names: str) -> App:
-    """The program with these commands; default: with all."""
-    app = App(
-        name="tripillar",
-        help=ABOUT,
-        help_format="plaintext",  # a unit in brackets, [s], is no markup
-        help_formatter=Columns(),
-        result_action="return_value",
-        version=lambda: f"tripillar {metadata.version('tripillar')}",
-        version_flags="--version",
-        group_parameters=Group("Options", sort_key=1),
-        group_arguments=Group("Arguments", sort_key=0),
-        exit_on_error=False,
-        print_error=False,
-    )
-    app.register_install_completion_command(help="Let the shell complete commands, options and choices.")
-    for number, (heading, commands) in enumerate(COMMANDS.items()):
-        group = Group(heading, sort_key=number)
-        for place, name in enumerate(commands):
-            if not names or name in names:
-                app.command(command_of(job_of(name)), name=name, group=group, sort_key=place)
-    return app
 
 
 def job_of(name: str) -> Job:
@@ -91,11 +62,17 @@ def called() -> int:
         if gone in GONE:
             raise DesignError(f"{gone} is gone: write tripillar {GONE[gone]}.")
     known = {name for commands in COMMANDS.values() for name in commands}
+    if words and words[0] in known:
+        given = typed_plainly(job_of(words[0]), words[1:])
+        if given is not None:
+            return command_of(job_of(words[0]))(*given[0], **given[1])
+    from tripillar.cli.parser import app_of, run_app  # which takes as long to load as a small scene to solve
+
     app = app_of(*({words[0]} & known if words else ()))
     if not words:
         app.help_print([])
         return 0
-    return int(app(words) or 0)
+    return run_app(app, words)
 
 
 def main() -> None:

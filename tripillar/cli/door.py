@@ -1,8 +1,8 @@
-"""From a job, a public function with a typed signature and a NumPy docstring, to a command.
+"""From a job, a public function with a typed signature, to a command.
 
-Positional-only parameters are arguments, all others flags: `depth_mm` is --depth, its unit is in the help. What a
-docstring says of a parameter is its help. Refusals name parameters as Python has them, `hidden=0`, and are spelled as
-typed here, `--hidden 0`. With --json, -v or -q it says how the answer and progress are printed.
+Positional-only parameters are arguments, all others flags: `depth_mm` is --depth, its unit is in the help. Refusals
+name parameters as Python has them, `hidden=0`, and are spelled as typed here, `--hidden 0`. With --json, -v or -q it
+says how the answer and progress are printed.
 """
 
 import inspect
@@ -13,39 +13,30 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
-
-from cyclopts import Parameter, Token
-from docstring_parser import parse
+from typing import Annotated, Any, get_args, get_origin
 
 from common.errors import DesignError, TriPillarError
 from tripillar.face.caller import Caller, Shown, called_by
-from tripillar.face.inputs import options_of, require_numbers
+from tripillar.face.inputs import Flag, options_of, require_numbers
 from tripillar.terminal.entry import say, wrote
 from tripillar.terminal.progress import Bars
 
 Job = Callable[..., Any]
 #: options that every command has
 COMMON: dict[str, Any] = {
-    "json": Annotated[
-        bool,
-        Parameter(
-            negative=(), show_default=False, help="Print the result as one JSON object on stdout; of live one a line."
-        ),
-    ],
+    "json": Annotated[bool, Flag(help="Print the result as one JSON object on stdout; of live one a line.")],
     "verbosity": Annotated[
         bool | None,
-        Parameter(
+        Flag(
             name=("--verbose", "-v"),
             negative=("--quiet", "-q"),
             help="Print a line for each step and its time, or no progress at all.",
         ),
     ],
 }
-SECONDS = Annotated[float, Parameter(show_default=False, help="Seconds after which to stop; default: on Ctrl-C.")]
+SECONDS = Annotated[float, Flag(help="Seconds after which to stop; default: on Ctrl-C.")]
 UNIT = re.compile(r"_(mm|mpa|s|hz|deg|n)$")  #: at the end of a parameter's name
 
 
@@ -86,7 +77,13 @@ class Typed(Caller):
 
 
 def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
-    """Parameters of a job that are typed, those of its `Options` in place of what holds them."""
+    """Parameters of a job that can be typed, those of its `Options` in place of what holds them."""
+    for given in _parameters_of(job):
+        if typed_as(given)[1].parse:
+            yield given
+
+
+def _parameters_of(job: Job) -> Iterator[inspect.Parameter]:
     for given in inspect.signature(job).parameters.values():
         if given.kind is not given.VAR_KEYWORD:
             yield given
@@ -102,27 +99,20 @@ def parameters_of(job: Job) -> Iterator[inspect.Parameter]:
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
+def typed_as(given: inspect.Parameter) -> tuple[Any, Flag]:
+    """The type of a parameter and how it is typed; an argument has no name."""
+    is_marked = get_origin(given.annotation) is Annotated
+    hint, *marks = get_args(given.annotation) if is_marked else (given.annotation,)
+    flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
+    if given.kind is given.POSITIONAL_ONLY or flag.name:
+        return hint, flag
+    name = flag_of(given.name)
+    return hint, replace(flag, name=("--out", "-o") if name == "--out" else (name,))
+
+
 def command_of(job: Job) -> Callable[..., int]:
-    """The command of a job, whose signature and docstring the parser reads."""
-    told, parameters, flags = meanings(job), [], {}
-    for given in parameters_of(job):
-        is_marked = get_origin(given.annotation) is Annotated
-        hint, *marks = get_args(given.annotation) if is_marked else (given.annotation,)
-        if any(mark.parse is False for mark in marks):
-            continue
-        is_argument = given.kind is given.POSITIONAL_ONLY
-        name = next((next(iter(mark.name)) for mark in marks if mark.name), flag_of(given.name))
-        flags[given.name] = given.name if is_argument else name
-        names = () if is_argument else ("--out", "-o") if name == "--out" else (name,)
-        own = Parameter(
-            name=names or None,
-            negative=(),
-            help=told.get(given.name),
-            show_default=not (given.default in (None, (), math.inf) or isinstance(given.default, bool)),
-            converter=whole if hint in WHOLE else None,
-        )
-        kind = given.POSITIONAL_ONLY if is_argument else given.KEYWORD_ONLY
-        parameters.append(given.replace(kind=kind, annotation=Annotated[hint, own, *marks]))
+    """The command of a job, which takes what was typed and gives the exit code."""
+    flags = {given.name: next(iter(typed_as(given)[1].name), given.name) for given in parameters_of(job)}
 
     def command(*arguments: Any, json: bool = False, verbosity: bool | None = None, **options: Any) -> int:
         bars = Bars(quiet=verbosity is False, verbose=verbosity is True)
@@ -141,12 +131,6 @@ def command_of(job: Job) -> Callable[..., int]:
                 typed.show()
         return typed.end()
 
-    parsed = parse(inspect.getdoc(job) or "")
-    paragraphs = [parsed.short_description or "", *(parsed.long_description or "").split("\n\n")]
-    command.__doc__ = "\n\n".join(" ".join(each.split()) for each in paragraphs).replace("``", "'")
-    command.__name__ = job.__name__
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return command
 
 
@@ -157,27 +141,6 @@ def flag_of(name: str) -> str:
     ('--depth', '--sense-ohm')
     """
     return "--" + UNIT.sub("", name).replace("_", "-")
-
-
-def meanings(job: Job) -> dict[str, str]:
-    """Help of each parameter by the docstrings of the job and of whatever has its options."""
-    found: dict[str, str] = {}
-    for options in (each for given in inspect.signature(job).parameters.values() for each in options_of(given)):
-        theirs = options.meanings() if is_dataclass(options.source) else meanings(options.source)
-        found |= {name: theirs[name] for name in options.names}
-    for each in parse(inspect.getdoc(job) or "").params:
-        text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
-        found |= dict.fromkeys(each.arg_name.split(", "), text)
-    return found
-
-
-def whole(hint: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
-    """Whole numbers that were typed; 1.5 is none."""
-    numbers = tuple(int(token.value) for token in tokens)
-    return numbers if get_origin(hint) is not None and get_origin(hint) not in (Union, UnionType) else numbers[0]
-
-
-WHOLE = (int, int | None, Sequence[int])
 
 
 def spelled(text: str, flags: Mapping[str, str]) -> str:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 
 from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
-from tripillar.face.inputs import BOARD, WIRES, File, ModelLike, job, model_of, to_write
+from tripillar.face.inputs import BOARD, WIRES, File, Flag, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
 
@@ -220,7 +219,7 @@ def replay(
     speed: float | None = None,
     out: File | None = None,
     ros2: bool = False,
-    crosstalk: Annotated[bool, Parameter(negative="--no-crosstalk")] = True,
+    crosstalk: Annotated[bool, Flag(negative=("--no-crosstalk",))] = True,
 ) -> "stages.Forces | None":
     """Turn a recording into forces, or watch it again.
 

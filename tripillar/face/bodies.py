@@ -5,8 +5,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Parameter
-
 from common.errors import DesignError
 from common.storage.files import write_bytes
 from geometry.design import Array, SensorDesign, Unit
@@ -15,7 +13,7 @@ from geometry.layout import LAYOUTS, told_by_tilt
 from geometry.wiring import explained
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, SceneLike, design_of, job, to_write
+from tripillar.face.inputs import DesignLike, File, Flag, SceneLike, design_of, job, to_write
 
 LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
 
@@ -172,7 +170,7 @@ def solve(
 def response(
     design: DesignLike | None = None,
     *,
-    out: Annotated[File | None, Parameter(required=True)] = None,
+    out: Annotated[File | None, Flag(required=True)] = None,
     tolerance: float | None = None,
     method: Literal["cells", "layer"] = "cells",
 ) -> "stages.ArrayResponse":

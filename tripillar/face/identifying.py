@@ -5,8 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
-
 from common.errors import DesignError, FileFormatError, require_type
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
@@ -17,6 +15,7 @@ from tripillar.face.inputs import (
     WIRES,
     DesignLike,
     File,
+    Flag,
     ModelLike,
     PairsLike,
     Protocol,
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     Tolerances = Mapping[str, float] | None
 else:
-    Tolerances = Annotated[None, Parameter(parse=False)]  # of the command line those of the design's file
+    Tolerances = Annotated[None, Flag(parse=False)]  # of the command line those of the design's file
 
 MAX_NEXT = 100  #: loads that are proposed in advance
 
@@ -56,7 +55,7 @@ def identify(
     usual: Protocol | None = None,
     tolerances: Tolerances = None,
     finite: SamplesLike | ModelLike | None = None,
-    next_loads: Annotated[int, Parameter(name="--next")] = 0,
+    next_loads: Annotated[int, Flag(name=("--next",))] = 0,
     have: str | None = None,
     seconds: float = 1.0,
     force: bool = False,

@@ -43,6 +43,19 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Flag:
+    """Mark of a job's parameter that is typed otherwise than its name and type say."""
+
+    name: tuple[str, ...] = ()  #: how it is typed; default: by its name
+    negative: tuple[str, ...] = ()  #: how the opposite of a bool is typed
+    help: str = ""  #: default: what the docstring says
+    required: bool = False  #: on the command line, where a default would be written to a file unasked
+    parse: bool = True  #: False of what Python alone takes
+    consume_multiple: bool = False  #: whether several values may follow
+    show_default: str = ""  #: what the help has in the place of the default
+
+
 class Options:
     """Mark of a job's ``**options``: they are those of a dataclass or of another job, and flags of the command line.
 

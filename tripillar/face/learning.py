@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import Parameter
 
 from common.errors import DesignError, require_type
 from geometry.design import SensorDesign
@@ -17,6 +16,7 @@ from tripillar.face.caller import current
 from tripillar.face.inputs import (
     DesignLike,
     File,
+    Flag,
     ModelLike,
     Options,
     SamplesLike,
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     Response = stages.ArrayResponse | None
 else:
     SeveralSamples = list[Path]
-    Response = Annotated[None, Parameter(parse=False)]  # for Python alone
+    Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
 Net = Literal["plain", "skip"]
 Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
-GOAL = Parameter(name="--goal")
-ITERATIONS = Parameter(name="--iterations")
+GOAL = Flag(name=("--goal",))
+ITERATIONS = Flag(name=("--iterations",))
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -65,7 +65,7 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
-    out: Annotated[File | None, Parameter(required=True)] = None,
+    out: Annotated[File | None, Flag(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
     trainer: Trainer = "varpro",
@@ -187,9 +187,9 @@ TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "g
 @job()
 def evaluate(
     model: ModelLike | None = None,
-    data: Annotated[SamplesLike | None, Parameter(required=True)] = None,
+    data: Annotated[SamplesLike | None, Flag(required=True)] = None,
     *,
-    limits: Annotated[bool, Parameter(negative="--no-limits")] = True,
+    limits: Annotated[bool, Flag(negative=("--no-limits",))] = True,
     folds: int | None = None,
     response: Response = None,
     **training: Annotated[Any, TRAINING],

@@ -4,12 +4,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import Parameter
-
 from common.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import File, job
+from tripillar.face.inputs import File, Flag, job
 
 
 @job(out=".toml", next_test=".csv", picture=".png")
@@ -18,7 +16,7 @@ def rubber(
     data: File | None = None,
     out: File | None = None,
     check: File | None = None,
-    next_test: Annotated[File | None, Parameter(name="--next")] = None,
+    next_test: Annotated[File | None, Flag(name=("--next",))] = None,
     picture: File | None = None,
     columns: str = "",
     length_mm: float | None = None,

@@ -5,14 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
-
 from common.errors import DesignError, require_type
 from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, Protocol, design_of, job
+from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Options, Protocol, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
@@ -20,14 +18,14 @@ else:
     SensorLike = Path
 
 Kind = Literal[Protocol, "indent"]
-NEEDED = Parameter(required=True)  # on the command line, where a default would be written to a file unasked
+NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
 SPECIMEN = Options(
     Imperfections,
-    offset_ohm=Annotated[float, Parameter(name="--offset")],
-    drift_offset_ohm=Annotated[float, Parameter(name="--drift-offset")],
-    dead_pillars=Annotated[Sequence[str], Parameter(name="--dead-pillar")],
-    dead_rows=Annotated[Sequence[int], Parameter(name="--dead-row")],
-    dead_cols=Annotated[Sequence[int], Parameter(name="--dead-col")],
+    offset_ohm=Annotated[float, Flag(name=("--offset",))],
+    drift_offset_ohm=Annotated[float, Flag(name=("--drift-offset",))],
+    dead_pillars=Annotated[Sequence[str], Flag(name=("--dead-pillar",))],
+    dead_rows=Annotated[Sequence[int], Flag(name=("--dead-row",))],
+    dead_cols=Annotated[Sequence[int], Flag(name=("--dead-col",))],
 )
 
 
@@ -44,7 +42,7 @@ def dataset(
     rate: float | None = None,
     crossbar: Circuit | None = None,
     sense_ohm: float | None = None,
-    correct: Annotated[bool, Parameter(negative="--no-correct")] = True,
+    correct: Annotated[bool, Flag(negative=("--no-correct",))] = True,
     strain: Literal["linear", "finite"] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,

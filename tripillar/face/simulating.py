@@ -7,21 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
-
 from common.errors import DesignError
 from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Options, design_of, job
+from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Options, design_of, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse
 else:
     SensorLike = Path
 
-OFFSET = Annotated[float, Parameter(name="--offset")]
+OFFSET = Annotated[float, Flag(name=("--offset",))]
 KNOWN = ("gain_spread", "offset_ohm", "specimen", "memory_spread", "temperature_rise")  #: of a specimen
 SPECIMEN = Options(Imperfections, *KNOWN, offset_ohm=OFFSET)
 
@@ -31,7 +29,7 @@ SPECIMEN = Options(Imperfections, *KNOWN, offset_ohm=OFFSET)
 def board(
     design: SensorLike | None = None,
     *,
-    chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Parameter(name="--board")] = "auto",
+    chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Flag(name=("--board",))] = "auto",
     link: File | None = None,
     pressure_mpa: float = 3.0,
     period_s: float = 6.0,

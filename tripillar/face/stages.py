@@ -1,11 +1,9 @@
 """Names of the stages that jobs call, each loaded when it is first used: to load all of them takes seconds."""
 
 # ruff: noqa: F401, I001
-import ast
-from functools import cache
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from common.lazy import lazily
 
 if TYPE_CHECKING:
     from dataset.finite_strain import n_groups, require_finite
@@ -24,8 +22,8 @@ if TYPE_CHECKING:
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import loads_of as loads_of_protocol
     from decoupler.evaluation.assessment import Assessment, as_plain, assess
-    from decoupler.evaluation.crossval import cross_validate, over_folds, split_folds, summary
-    from decoupler.evaluation.metrics import evaluate as errors_on
+    from decoupler.evaluation.crossval import Fold, cross_validate, over_folds, split_folds, summary
+    from decoupler.evaluation.metrics import ForceErrors, evaluate as errors_on
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.export import export_model
     from decoupler.inverse.posterior import Posterior
@@ -43,7 +41,7 @@ if TYPE_CHECKING:
     from decoupler.rubber.series import Series, read_series
     from decoupler.rubber.silicones import surrounded
     from decoupler.rubber.unknown import write_test
-    from decoupler.touch.assessment import assess_touch
+    from decoupler.touch.assessment import TouchAssessment, assess_touch
     from decoupler.touch.bare import BareDecoder
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
@@ -107,7 +105,10 @@ if TYPE_CHECKING:
         assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,
         stage_table,
     )  # fmt: skip
-    from tripillar.pipeline.run import PipelineResult, meshed, respond, run_pipeline
+    from tripillar.pipeline.comparison import Comparison
+    from tripillar.pipeline.manufactured import AS_READ, PAIRS
+    from tripillar.pipeline.run import CAP, SPLITS, PipelineResult, run_pipeline
+    from tripillar.pipeline.stage import Stage, meshed, respond
     from tripillar.datasets.finite_samples import simulate_finite
     from tripillar.datasets.leaves import LeafJob, make_directory
     from tripillar.sweep.optimize import search
@@ -125,21 +126,4 @@ if TYPE_CHECKING:
     from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
 
 
-@cache
-def _homes(file: str) -> dict[str, tuple[str, str]]:
-    """Module and name there of each name that a file imports."""
-    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
-    imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    return {each.asname or each.name: (str(node.module), each.name) for node in imported for each in node.names}
-
-
-def imported_by(file: str, name: str) -> Any:
-    """What a file imports under a name for type checkers alone."""
-    if name not in _homes(file):
-        raise AttributeError(f"no stage has the name {name}")
-    module, own = _homes(file)[name]
-    return getattr(import_module(module), own)
-
-
-def __getattr__(name: str) -> Any:
-    return imported_by(__file__, name)
+__getattr__ = lazily(__name__)

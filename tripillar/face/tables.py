@@ -7,16 +7,8 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from decoupler.evaluation.assessment import Assessment
-from decoupler.evaluation.crossval import Fold, over_folds
-from decoupler.evaluation.metrics import ForceErrors
-from decoupler.touch.assessment import TouchAssessment
-from fem.contact import Contact
-from fem.scene.solution import Solution
 from geometry.layout import AXES
-from tripillar.pipeline.comparison import Comparison
-from tripillar.pipeline.manufactured import AS_READ, PAIRS
-from tripillar.pipeline.run import CAP, SPLITS, Stage
+from tripillar.face import stages
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
 ERRORS = ("relative error", "RMSE [N]", "% of full scale")
@@ -31,22 +23,23 @@ def _headed(left: tuple[str, ...], right: tuple[str, ...], **settings: Any) -> T
     return table
 
 
-def _cells(errors: ForceErrors) -> tuple[str, str, str]:
+def _cells(errors: "stages.ForceErrors") -> tuple[str, str, str]:
     relative = "–" if errors.rel_err is None else f"{errors.rel_err:.2%}"
     return relative, f"{errors.rmse_n:.3f}", "–" if errors.full_scale_pct is None else f"{errors.full_scale_pct:.3f}"
 
 
-def comparison_table(comparisons: list[Comparison]) -> Table:
+def comparison_table(comparisons: "list[stages.Comparison]") -> Table:
     """Errors of every decoupler on every protocol's test samples, beside the paper's."""
-    (training, _), (test, _) = SPLITS["train"], SPLITS["test"]
+    (training, _), (test, _) = stages.SPLITS["train"], stages.SPLITS["test"]
+    cap, as_read, pairs = stages.CAP, stages.AS_READ, stages.PAIRS
     table = _headed(
         ("data", "decoupler"),
-        ("rel. error", "RMSE [N]", "% of full scale", AS_READ, "at rest [N]", "as made", "identified"),
-        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {CAP:.0%}), noise-free",
+        ("rel. error", "RMSE [N]", "% of full scale", as_read, "at rest [N]", "as made", "identified"),
+        title=f"Decoupling errors on {test} test samples ({training} for training, strain ≤ {cap:.0%}), noise-free",
         caption="Test samples come from the response that ours starts from; full scale is the largest force on a pad.\n"
-        f"{AS_READ}: relative error of the same networks on the same samples, read with that noise and converter.\n"
+        f"{as_read}: relative error of the same networks on the same samples, read with that noise and converter.\n"
         "At rest: nothing is on the sensor. As made: relative error on a sensor whose geometry, rubber, gains and\n"
-        f"offsets are a little off, with that noise and converter; identified: from {PAIRS} measured pairs of it",
+        f"offsets are a little off, with that noise and converter; identified: from {pairs} measured pairs of it",
     )
     for comparison in comparisons:
         title = f"{comparison.protocol}\nto {comparison.full_scale_n:.0f} N a pad"
@@ -63,17 +56,17 @@ def comparison_table(comparisons: list[Comparison]) -> Table:
     return table
 
 
-def stage_table(stages: list[Stage]) -> Table:
+def stage_table(ran: "list[stages.Stage]") -> Table:
     """Time of every stage, and what was reused."""
     table = _headed(("stage",), ("seconds",), title="Stages")
     table.add_column("")
-    for stage in stages:
+    for stage in ran:
         table.add_row(stage.name, f"{stage.seconds:.1f}", "reused, nothing changed" if stage.reused else stage.note)
-    table.add_row("all", f"{sum(stage.seconds for stage in stages):.1f}", "")
+    table.add_row("all", f"{sum(stage.seconds for stage in ran):.1f}", "")
     return table
 
 
-def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
+def assessment_table(assessed: "Mapping[str, stages.Assessment]") -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
     shares = [
         f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items() if one.coverage
@@ -93,7 +86,7 @@ def assessment_table(assessed: Mapping[str, Assessment]) -> Table:
     return table
 
 
-def assessed_touch_tables(found: TouchAssessment) -> list[Table]:
+def assessed_touch_tables(found: "stages.TouchAssessment") -> list[Table]:
     """Errors of a touch decoder: of units by force, then of the net force, its place and the units that are loaded."""
     table = _headed(("of all contacts",), ("value",))
     table.add_row("median error of the net Fz", f"{found.net_fz_median_pct:.1f}%")
@@ -104,7 +97,7 @@ def assessed_touch_tables(found: TouchAssessment) -> list[Table]:
     return [assessment_table(found.by_force), table]
 
 
-def crossval_table(tested: list[Fold]) -> Table:
+def crossval_table(tested: "list[stages.Fold]") -> Table:
     """Errors of every fold, their mean and their spread."""
     title = f"{len(tested)}-fold cross-validation"
     table = _headed((), ("fold", "force", *ERRORS, "iterations", "seconds"), title=title)
@@ -114,12 +107,12 @@ def crossval_table(tested: list[Fold]) -> Table:
             table.add_row("" if row else str(number), name, *_cells(errors), *trained)
     table.add_section()
     for label, statistic in (("mean", np.mean), ("spread", np.std)):
-        for name, errors in over_folds(tested, statistic).items():
+        for name, errors in stages.over_folds(tested, statistic).items():
             table.add_row(label, name, *_cells(errors), "", "")
     return table
 
 
-def solution_table(solution: Solution) -> Table:
+def solution_table(solution: "stages.Solution") -> Table:
     """Displacement of every probe of a scene, with how far to trust it below."""
     caption = (
         f"estimated error {solution.error_estimate:.1e}, energy {solution.energy_mj:.5g} mJ, {solution.unknowns} "
@@ -131,7 +124,7 @@ def solution_table(solution: Solution) -> Table:
     return table
 
 
-def contact_table(contact: Contact, strain: float) -> Table:
+def contact_table(contact: "stages.Contact", strain: float) -> Table:
     """Results of a contact, and the forces of the units that it loads most."""
     table = _headed(("",), AXES, title="Contact; forces on the sensor, z positive in compression")
     size = np.linalg.norm(contact.force_n, axis=2)

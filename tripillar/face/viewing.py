@@ -12,22 +12,20 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
-
 from common.errors import DesignError, FileFormatError
 from common.quantity import quantity
 from common.storage.files import digest
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import BodyLike, DesignLike, File, Options, design_of, job, model_of, require_packages
+from tripillar.face.inputs import BodyLike, DesignLike, File, Flag, Options, design_of, job, model_of, require_packages
 from tripillar.terminal.interrupts import leave_at_once
 
 if TYPE_CHECKING:
     Pressures = float | Sequence[float] | None
     Scale = float | str | None
 else:
-    Pressures = Annotated[tuple[float, ...], Parameter(consume_multiple=True, show_default=lambda _: "3")]
+    Pressures = Annotated[tuple[float, ...], Flag(consume_multiple=True, show_default="3")]
     Scale = str
 
 PRESSURES = (3.0,)  #: [MPa] where none is asked for
@@ -76,7 +74,7 @@ def view(
     pressure_mpa: Pressures = None,
     load: Literal["indenter", "uniform"] | None = None,
     colour: Annotated[
-        Literal["displacement", "vertical", "mises", "pressure"], Parameter(name=("--colour", "--color"))
+        Literal["displacement", "vertical", "mises", "pressure"], Flag(name=("--colour", "--color"))
     ] = "displacement",
     scale: Scale = "true",
     camera: Literal["iso", "top", "front", "side"] = "iso",

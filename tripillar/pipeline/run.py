@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from common.errors import FileFormatError, GeometryError
 from common.storage.files import digest, write_json, write_text
 from common.storage.journal import Journal, hashes_of, intact
@@ -25,14 +23,13 @@ from decoupler.model.model_file import model_cache_key, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
-from fem.array.solving import ResponseSettings, array_response
 from fem.array.unit_check import check_unit
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
-from geometry.mesh import sensor_mesh, smallest_dihedral_deg, suited_settings
 from geometry.mould import write_cad
 from tripillar.pipeline.comparison import Comparison, compare
 from tripillar.pipeline.manufactured import SETTINGS, as_made
+from tripillar.pipeline.stage import Stage, respond
 from tripillar.terminal.progress import Bars
 
 CAD_METHOD = 1  #: raise when the same design gives other CAD files
@@ -50,17 +47,6 @@ NETWORKS = {
         TrainingConfig(trainer="lm"),
     ),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """Result of one stage: its time, its files, and whether they were there already."""
-
-    name: str
-    seconds: float
-    reused: bool
-    files: tuple[Path, ...]
-    note: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,25 +110,6 @@ def draw(design: SensorDesign, folder: Path, bars: Bars) -> Stage:
     return Stage(name="CAD", seconds=bars.seconds(), reused=reused, files=(description, *files))
 
 
-def meshed(design: SensorDesign, bars: Bars) -> Stage:
-    """Mesh the sensor and judge the mesh."""
-    advance = bars.begin("mesh", total=1)
-    mesh, path, reused = sensor_mesh(design, suited_settings(design), needed=True)
-    note = f"{len(mesh.cells)} tetrahedra, dihedral angles from {smallest_dihedral_deg(mesh):.0f}°"
-    advance(1, "reused" if reused else note)
-    return Stage(name="mesh", seconds=bars.seconds(), reused=reused, files=(path,), note=note)
-
-
-def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
-    """Solve for the array's response. The array itself is never meshed."""
-    advance = bars.begin("response", total=1)
-    response, path, reused = array_response(design, settings, lambda step: advance(0, step))
-    note = response_note(response)
-    advance(1, "reused" if reused else note)
-    kept = (path,) if path.exists() else ()
-    return Stage(name="response", seconds=bars.seconds(), reused=reused, files=kept, note=note), response
-
-
 def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh one unit by pytetwild, solve it by scikit-fem, and say how far the response's cell is from it."""
     advance = bars.begin("unit", total=1)
@@ -158,15 +125,6 @@ def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
         note, reused = f"not compared with tetrahedra: {error}", False
     advance(1, note)
     return Stage(name="unit", seconds=bars.seconds(), reused=reused, files=files, note=note)
-
-
-def response_note(response: ArrayResponse) -> str:
-    """Method, size, residual and estimated error of a response, in a line."""
-    if not response.unknowns:
-        return f"closed form, method {response.method}"
-    note = f"{response.unknowns} unknowns, residual {response.residual:.0e}"
-    judged = "" if np.isnan(response.error_estimate) else f", estimated error {response.error_estimate:.1e}"
-    return f"method {response.method}: {note}{judged}"
 
 
 def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:

@@ -7,9 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, get_args
-
-import cyclopts
+from typing import NoReturn
 
 from common.errors import TriPillarError
 from common.storage.files import FULL, cache_folder, explained
@@ -34,7 +32,7 @@ def run(called: Callable[[], int]) -> NoReturn:
     for folder in (cache_folder(), Path(tempfile.gettempdir())):
         remove_leftovers(folder)
     code = _run(called)
-    interrupts.leave_to_finish()
+    interrupts.leave_to_finish(code)
     sys.exit(code)
 
 
@@ -48,8 +46,6 @@ def _run(called: Callable[[], int]) -> int:
         code = called()
         sys.stdout.flush()  # where a full disk shows
         return code
-    except cyclopts.CycloptsError as error:
-        message = _in_one_line(error)
     except TriPillarError as error:
         message = str(error)
     except OSError as error:
@@ -71,26 +67,3 @@ def _leave_stdout() -> None:
     """Throw away what could not be printed: the interpreter would try once more at its end."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _in_one_line(error: Any) -> str:
-    """What is wrong with what was typed, and where its help is."""
-    message = " ".join(str(error).split()).partition(" Available commands")[0]
-    argument, token = error.argument, getattr(error, "token", None)
-    if isinstance(error, cyclopts.MissingArgumentError) and argument is not None:
-        typed = argument.name if error.keyword is None else error.keyword
-        message = (
-            f"{typed} is missing: {(argument.parameter.help or '').partition(';')[0].rstrip('.')}."
-            if error.keyword is None
-            else f"{typed} needs a value."
-        )
-    elif isinstance(error, cyclopts.CoercionError) and argument is not None and token is not None:
-        kinds = {error.target_type, *get_args(error.target_type)}
-        choices = argument.get_choices(force=True)
-        must = "a whole number" if int in kinds else "a number" if float in kinds else "of another kind"
-        must = f"one of {', '.join(choices)}" if choices else must
-        message = f"{token.keyword or argument.name} {token.value} must be {must}."
-    elif isinstance(error, cyclopts.UnusedCliTokensError):
-        message = f"unexpected extra argument: {' '.join(error.unused_tokens or ())}."
-    command = " ".join(("tripillar", *(error.command_chain or ())))
-    return f"{message.replace(chr(34), chr(39))} See '{command} --help'."

@@ -7,6 +7,7 @@ code runs. Only the commands of a board and the served page, which end so every 
 A program loads this before anything else: it imports only what Python has loaded by then, or loads in a millisecond.
 """
 
+import atexit
 import os
 import signal
 import sys
@@ -30,6 +31,7 @@ _SILENT = "ignore:resource_tracker:UserWarning"
 _rung: list[int] = []  #: the end of a pipe that wakes the thread
 _ending = threading.Lock()
 _last_words = ["interrupted."]
+_codes: list[int] = []  #: exit codes of what is done
 
 
 def install() -> None:
@@ -38,6 +40,7 @@ def install() -> None:
         return
     warnings = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{warnings},{_SILENT}" if warnings else _SILENT
+    atexit.register(_leave)  # before all others, so that it is called after them
     heard, rung = os.pipe()
     if sys.platform != "win32":  # where a pipe to be woken by may block, and never does
         os.set_blocking(rung, False)
@@ -50,19 +53,26 @@ def install() -> None:
     import psutil
 
 
-def leave_to_finish() -> None:
-    """Ignore signals from now on: all is done, only the interpreter is to be closed."""
+def leave_to_finish(code: int) -> None:
+    """Ignore signals from now on: all is done, only the interpreter is to be closed, and to end with this exit code."""
+    _codes.append(code)
     for number in SIGNALS if _rung else ():
         signal.signal(number, signal.SIG_IGN)
 
 
-def leave_at_once() -> None:
-    """End with exit code 0 and without closing libraries, which takes seconds: all is done and written."""
+def _leave() -> None:
+    """Leave when threads have ended and libraries have done what they do at exit: to unload them takes 50 ms."""
+    if _codes:
+        leave_at_once(_codes[-1])
+
+
+def leave_at_once(code: int = 0) -> None:
+    """End without closing libraries, which may take seconds: all is done and written."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
     _end_children()
-    os._exit(0)
+    os._exit(code)
 
 
 @contextmanager

@@ -1,11 +1,13 @@
 """Progress of long stages for people: one rich bar a stage, on stderr, so that stdout keeps to results."""
 
 from collections.abc import Callable
+from functools import cached_property
 from time import perf_counter
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from rich import progress
-from rich.console import Console
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
 
 Advance = Callable[[float, str], None]  #: how much of the total is done since the last call, and a word on it
 
@@ -13,17 +15,29 @@ Advance = Callable[[float, str], None]  #: how much of the total is done since t
 class Bars:
     """A context in which stages show their progress and the time left; silent if `quiet`, a line a step if `verbose`.
 
+    rich is loaded by the first stage.
+
     >>> with Bars(quiet=True) as bars:
     ...     advance = bars.begin("mesh", total=2)
     ...     advance(1, "surfaces")
     """
 
     def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
         self._verbose = verbose
         self.is_quiet = quiet  #: whether nothing is to be shown
         self._start_s = self._begun_s = perf_counter()
-        self._progress = progress.Progress(
+
+    @cached_property
+    def _console(self) -> "Console":
+        from rich.console import Console
+
+        return Console(stderr=True, quiet=self.is_quiet)
+
+    @cached_property
+    def _progress(self) -> "Progress":
+        from rich import progress
+
+        return progress.Progress(
             progress.SpinnerColumn(finished_text="✓"),
             progress.TextColumn("{task.description:24}"),
             progress.BarColumn(bar_width=28),
@@ -33,13 +47,15 @@ class Bars:
             progress.TimeRemainingColumn(),
             progress.TextColumn("{task.fields[note]}", style="dim"),
             console=self._console,
-            disable=quiet or verbose,
+            disable=self.is_quiet or self._verbose,
         )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if "_progress" not in vars(self):  # no stage began
+            return
         if error is None:  # whatever ended before its limit, such as a training, is done as well
             for task in self._progress.tasks:
                 self._progress.update(task.id, completed=task.total)
