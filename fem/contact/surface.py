@@ -13,9 +13,8 @@ the edges of plates.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from common.errors import DesignError
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
@@ -56,7 +55,7 @@ from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
 from geometry.layout import FloatArray, electrode_squares
 
-VERSION = 2  #: raise when the same design gives another compliance, so that cached ones are not reused
+VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
@@ -130,7 +129,7 @@ def surface_compliance(
     def make() -> SurfaceCompliance:
         return replace(_solved(plain, progress), design=design, cache_key=cache_key)
 
-    return kept("surface.npz", cache_key, make, partial(_read, design), _write)
+    return kept_value(SurfaceCompliance, "surface.npz", cache_key, make, design=design, conducted=None)
 
 
 def _as_solved(design: SensorDesign) -> SensorDesign:
@@ -235,17 +234,6 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
         table[row, row:] = layer_mean_compliance(target, loads, design.unit.height_mm, design.matrix_material)
         table[row:, row] = table[row, row:][:, [1, 0, 2]][..., [1, 0, 2]]
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
-
-
-def _write(made: SurfaceCompliance, path: Path) -> None:
-    write_arrays({name: value for name, value in vars(made).items() if name not in ("design", "conducted")}, path)
-
-
-def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
-    """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    arrays: dict[str, Any] = read_arrays(path)
-    step_mm, cache_key = float(arrays.pop("step_mm")), str(arrays.pop("cache_key"))
-    return SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=cache_key)
 
 
 @dataclass(frozen=True)
