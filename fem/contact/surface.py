@@ -47,6 +47,7 @@ from fem.contact.tiles import (
     cell_strips,
     levers,
     on_plates,
+    rubber_below_mm,
     shares,
     slab_strips,
     tiles_per_pitch,
@@ -236,6 +237,13 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
 
+def overlaps(ends: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares (n, m) of cells between ends (n + 1,) in others, and times their arms about these others' middles."""
+    inside = np.clip(ends[:, None], others[:-1], others[1:])
+    share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
+    return share, share * ((inside[1:] + inside[:-1]) / 2 - (others[:-1] + others[1:]) / 2)
+
+
 @dataclass(frozen=True)
 class Patch:
     """A rectangle of the top, divided into nx × ny equal cells. Forces and displacements on it have (3, ny, nx)."""
@@ -254,6 +262,10 @@ class Patch:
     def cell_mm2(self) -> float:
         return self.cell_mm[0] * self.cell_mm[1]
 
+    def ends(self, axis: int) -> FloatArray:
+        """Ends of the cells along x (0) or y (1), (n + 1,)."""
+        return np.linspace(self.low_mm[axis], self.high_mm[axis], (self.nx, self.ny)[axis] + 1)
+
     @property
     def x_mm(self) -> FloatArray:
         """Middles of the cells along x, (nx,)."""
@@ -270,16 +282,10 @@ class Patch:
         The force along x, y, z [N], and the moments of z about the share's middle, ∫ p (x − x₀) and ∫ p (y − y₀)
         [N mm].
         """
-        sides = []
-        for low, high, n, count in zip(
-            self.low_mm, self.high_mm, (self.nx, self.ny), (array.cols, array.rows), strict=True
-        ):
-            ends = np.linspace(low, high, n + 1)
-            borders = (np.arange(count + 1) - count / 2) * array.pitch_mm
-            inside = np.clip(ends[:, None], borders[:-1], borders[1:])
-            share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
-            sides.append((share, share * ((inside[1:] + inside[:-1]) / 2 - (borders[:-1] + borders[1:]) / 2)))
-        (sx, mx), (sy, my) = sides
+        (sx, mx), (sy, my) = (
+            overlaps(self.ends(axis), np.linspace(-count / 2, count / 2, count + 1) * array.pitch_mm)
+            for axis, count in enumerate((array.cols, array.rows))
+        )
         moments = sy.T @ force_n[2] @ mx, my.T @ force_n[2] @ sx
         return np.concatenate([sy.T @ force_n @ sx, moments]).transpose(1, 2, 0)
 
@@ -362,6 +368,11 @@ class PatchCompliance:
     @cached_property
     def _rows(self) -> tuple[FloatArray, slice]:
         return shares(self.patch.y_mm, self.surface.strips(1), self.degree)
+
+    @cached_property
+    def below_mm(self) -> FloatArray | float:
+        """How far the cells at rest lie below the top."""
+        return rubber_below_mm(self.surface.design, self.patch.x_mm, self.patch.y_mm)
 
     @cached_property
     def _plates(self) -> NDArray[np.bool_] | None:
