@@ -5,6 +5,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +60,16 @@ class Pose:
         return replace(pose, step_mm=step + rolled, spin_rad=float(z))
 
 
+Cells = TypeVar("Cells", bound=PatchCompliance)
+Others = TypeVar("Others", bound=PatchCompliance)
+
+
 @dataclass(frozen=True, eq=False)
-class Touch:
+class Touch(Generic[Cells]):
     """A shape in balance with the cells of a grid: what its next increment goes on from."""
 
     pose: Pose
-    cells: PatchCompliance
+    cells: Cells
     friction: float
     state: State
     before: State  #: of the increment before, on these cells
@@ -72,7 +77,7 @@ class Touch:
     above_mm: FloatArray = field(default_factory=lambda: np.zeros(0))  #: as of `Contact`
 
     @classmethod
-    def at_rest(cls, pose: Pose, cells: PatchCompliance, friction: float) -> "Touch":
+    def at_rest(cls, pose: Pose, cells: Cells, friction: float) -> "Touch[Cells]":
         """Before anything touches."""
         state = State.at_rest(cells.patch, friction)
         return cls(pose, cells, friction, state, state)
@@ -85,7 +90,7 @@ class Touch:
         guess: State | None = None,
         drag_mm: FloatArray | None = None,
         passes: int = 1,
-    ) -> "Touch":
+    ) -> "Touch[Cells]":
         """The balance after the shape has moved there in one increment, to a tolerance of the largest force of a cell.
 
         Plates and the shape are apart where they touch by at most `SLACK` of the deepest place on the way. The rubber
@@ -98,10 +103,13 @@ class Touch:
         step = pose.step_mm[:2]
         if pose.spin_rad:
             step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
-        carried, slack_mm = before.carried(step), SLACK * deepest_mm if self.cells.surface.has_plates else np.inf
+        step = step.reshape(2, *(step.shape[1:] or (1, 1)))  # and the rubber does not yet follow
+        slip = -before.moved_mm[:-1] - step[: len(before.moved_mm) - 1]
+        slack_mm = SLACK * deepest_mm if self.cells.surface.has_plates else np.inf
         for _ in range(passes):  # again if it slipped past the rubber farther than assumed
             used, above = drag, pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm + self.cells.below_mm
-            after = carried.balanced(self.cells.pressed_mm, above, self.friction, tolerance, after, slack_mm)
+            apart = np.stack([*slip, above])
+            after = after.balanced(self.cells.pressed_mm, apart, self.friction, tolerance, slack_mm)
             drag = after.drag_mm
             if np.abs(drag - used).max() < SMALL_STEP * min(patch.cell_mm):
                 break
@@ -111,18 +119,16 @@ class Touch:
         """Where the state comes to if it goes on as in the last increment, as far as the pose does: a first guess."""
         last = self.pose.step_mm
         share = np.clip(np.vdot(last, pose.step_mm) / (np.vdot(last, last) + np.finfo(float).tiny), 0.0, MAX_AHEAD)
-        force, moved = (
-            getattr(self.state, name) + share * (getattr(self.state, name) - getattr(self.before, name))
-            for name in ("force_n", "moved_mm")
-        )
-        return replace(self.state, force_n=force, moved_mm=moved)
+        now, before = self.state, self.before
+        force, moved = now.force_n - before.force_n, now.moved_mm - before.moved_mm
+        return State(now.force_n + share * force, now.moved_mm + share * moved, now.rate)
 
-    def on(self, cells: PatchCompliance) -> "Touch":
+    def on(self, cells: Others) -> "Touch[Others]":
         """The same on other cells: its forces, and how they displace these."""
         (columns, _), (rows, _) = (overlaps(self.cells.patch.ends(k), cells.patch.ends(k)) for k in (0, 1))
         force = rows.T @ self.state.force_n @ columns
-        state = State(force, cells.pressed_mm(force), 0 * force[:-1])
-        return replace(self, cells=cells, state=state, before=state)
+        state = State(force, cells.pressed_mm(force))
+        return Touch(self.pose, cells, self.friction, state, state)
 
     def contact(self, path: Indentation, coarse: Callable[[], Contact]) -> Contact:
         """What is known of the contact at the end of a path, with the same on a coarser grid."""
@@ -204,7 +210,9 @@ def press(
     return touch.contact(path, lambda: on_coarse)
 
 
-def pressed(path: Indentation, cells: PatchCompliance, increments: int) -> tuple[Touch, NDArray[np.bool_]]:
+def pressed(
+    path: Indentation, cells: PatchCompliance, increments: int
+) -> tuple[Touch[PatchCompliance], NDArray[np.bool_]]:
     """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
     slide, whole = np.array(path.slide_mm, dtype=float), path.depth_mm
     stages = [(whole, slide)]

@@ -29,6 +29,16 @@ MAX_WINDOWS = 8  #: that are tried in a step
 TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Window(PatchCompliance):
+    """Some cells of one of the grids that are fixed to the top."""
+
+    level: int
+    first: FloatArray  #: number of its first cell along x and y
+    count: FloatArray  #: of its cells
+    whole: FloatArray  #: cells of the grid
+
+
 class Stepper:
     """A shape in contact with an array's top, moved step by step; it remembers what sticks.
 
@@ -42,12 +52,19 @@ class Stepper:
     def __init__(self, surface: SurfaceCompliance, *, friction: float = 0.5) -> None:
         require_friction(friction)
         self.surface, self.friction = surface, friction
-        self._grids = _Grids(surface)
+        # grids that are fixed to the top, each twice as fine as the one before
+        self._slab_mm = np.array(surface.design.slab_mm[:2])
+        half_mm, coarsest = self._slab_mm / 2, 2**COARSEST * self._slab_mm / self._slab_mm.max()
+        wanted, self._grids = np.maximum(1, np.rint(coarsest)).astype(int) // 2, list[FloatArray]()
+        for _ in range(COARSEST - 1, FINEST + 1):
+            ends = [lined_grid(surface.design, k, -half_mm[k], half_mm[k], int(wanted[k])) for k in (0, 1)]
+            self._grids.append(np.array([cells for _, _, cells in ends]))
+            wanted = 2 * self._grids[-1]
         self.lift()
 
     def lift(self) -> None:
         """Take the shape off: what comes next is a new touch."""
-        self._last: _Last | None = None
+        self._last: Touch[_Window] | None = None
 
     def step(self, shape: Shape, place_mm: Sequence[float], normal_n: float | None = None) -> Contact | None:
         """Move the shape and balance it; None where it does not touch.
@@ -76,12 +93,14 @@ class Stepper:
         found, self._last = self._stepped(shape, place) if normal_n is None else self._pressed(shape, place, normal_n)
         return found
 
-    def _pressed(self, shape: Shape, place: FloatArray, normal_n: float) -> "tuple[Contact | None, _Last | None]":
+    def _pressed(
+        self, shape: Shape, place: FloatArray, normal_n: float
+    ) -> tuple[Contact | None, Touch[_Window] | None]:
         """The step at the depth that a normal force takes: by secants, the first one a power law."""
         if not normal_n:
             return None, None
         height_mm, tried = self.surface.design.unit.height_mm, list[tuple[float, float]]()
-        depth_mm = self._last.touch.pose.depth_mm if self._last else FIRST_DEPTH * height_mm
+        depth_mm = self._last.pose.depth_mm if self._last else FIRST_DEPTH * height_mm
         for _ in range(MAX_SECANTS):
             if depth_mm >= height_mm:
                 break
@@ -97,10 +116,10 @@ class Stepper:
             f"normal_n={normal_n:g} is reached at no depth at {place[0]:g}, {place[1]:g} mm: press less."
         )
 
-    def _stepped(self, shape: Shape, place: FloatArray) -> "tuple[Contact | None, _Last | None]":
+    def _stepped(self, shape: Shape, place: FloatArray) -> tuple[Contact | None, Touch[_Window] | None]:
         """The contact after a step from the last one, and what the next step goes on from; None of both if it lifts."""
         design, last = self.surface.design, self._last
-        pose = last.touch.pose.then(shape, place) if last else Pose(shape, place)
+        pose = last.pose.then(shape, place) if last else Pose(shape, place)
         depth_mm = pose.depth_mm
         if depth_mm >= design.unit.height_mm:
             raise ContactError(
@@ -109,18 +128,18 @@ class Stepper:
         if depth_mm <= 0:
             return None, None
         reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
-        window = last.window if last else self._grids.around(place[:2] - reach, place[:2] + reach)
+        window = last.cells if last else self._around(place[:2] - reach, place[:2] + reach)
         if window is None:
             return None, None
-        begun = last.touch if last else Touch.at_rest(pose, window.cells, self.friction)
+        begun = last or Touch.at_rest(pose, window, self.friction)
         guess = begun.ahead(pose)
         for left in reversed(range(MAX_WINDOWS)):
             touch = begun.moved(pose, TOLERANCE, depth_mm, guess)
             over = place[:2] - begun.state.drag_mm  # the rubber
-            better = self._grids.better(window, begun.state.touches, touch.state.touches, over - reach, over + reach)
+            better = self._better(begun, touch.state.touches, over, reach)
             if better is None or not left:
                 break
-            window, begun, guess = better, begun.on(better.cells), touch.on(better.cells).state
+            begun, guess = begun.on(better), touch.on(better).state
         if not touch.state.touches.any():
             return None, None
         path = Indentation(
@@ -129,79 +148,35 @@ class Stepper:
         )  # fmt: skip
 
         def coarse() -> Contact:
-            half = self._grids.around(*window.box_mm, window.level - 1)
+            patch, rim = begun.cells.patch, MARGIN * np.array(begun.cells.patch.cell_mm)
+            half = self._around(patch.low_mm + rim, patch.high_mm - rim, begun.cells.level - 1)
             assert half is not None
-            return begun.on(half.cells).moved(pose, TOLERANCE, depth_mm).contact(path, coarse)
+            return begun.on(half).moved(pose, TOLERANCE, depth_mm).contact(path, coarse)
 
-        return touch.contact(path, coarse), _Last(touch, window)
+        return touch.contact(path, coarse), touch
 
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Some cells of one of the grids."""
-
-    cells: PatchCompliance
-    level: int
-    first: FloatArray  #: number of its first cell along x and y
-    whole: FloatArray  #: cells of the grid
-
-    @property
-    def count(self) -> FloatArray:
-        """Cells along x and y."""
-        return np.array([self.cells.patch.nx, self.cells.patch.ny])
-
-    @property
-    def box_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Its lowest and highest corner but for the margin."""
-        patch = self.cells.patch
-        rim = MARGIN * np.array(patch.cell_mm)
-        return np.array(patch.low_mm) + rim, np.array(patch.high_mm) - rim
-
-
-@dataclass(frozen=True, eq=False)
-class _Last:
-    touch: Touch
-    window: _Window
-
-
-class _Grids:
-    """Grids that are fixed to the top, each twice as fine as the one before."""
-
-    def __init__(self, surface: SurfaceCompliance) -> None:
-        self.surface, self.slab_mm = surface, np.array(surface.design.slab_mm[:2])
-        half_mm, coarsest = self.slab_mm / 2, 2**COARSEST * self.slab_mm / self.slab_mm.max()
-        wanted, self._cells = np.maximum(1, np.rint(coarsest)).astype(int) // 2, list[FloatArray]()
-        for _ in range(COARSEST - 1, FINEST + 1):
-            ends = [lined_grid(surface.design, k, -half_mm[k], half_mm[k], int(wanted[k])) for k in (0, 1)]
-            self._cells.append(np.array([cells for _, _, cells in ends]))
-            wanted = 2 * self._cells[-1]
-
-    def around(self, low_mm: FloatArray, high_mm: FloatArray, level: int | None = None) -> _Window | None:
+    def _around(self, low_mm: FloatArray, high_mm: FloatArray, level: int | None = None) -> _Window | None:
         """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
         if (corners := on_top(self.surface.design, low_mm, high_mm)) is None:
             return None
         low, high = corners
         if level is None:
-            longer, size = int(self.slab_mm.argmax()), high - low
-            sizes = [self.slab_mm[longer] / cells[longer] for cells in self._cells[1:]]
+            longer, size = int(self._slab_mm.argmax()), high - low
+            sizes = [self._slab_mm[longer] / cells[longer] for cells in self._grids[1:]]
             wanted_mm = max(size.min() / ACROSS, size.max() / ALONG)
             level = COARSEST + int(np.abs(np.log2(np.array(sizes) / wanted_mm)).argmin())
-        whole, half_mm = self._cells[level + 1 - COARSEST], self.slab_mm / 2
-        cell_mm = self.slab_mm / whole
+        whole, half_mm = self._grids[level + 1 - COARSEST], self._slab_mm / 2
+        cell_mm = self._slab_mm / whole
         first = np.floor((low + half_mm) / cell_mm).astype(int) - MARGIN
         asked = np.ceil((high + half_mm) / cell_mm).astype(int) + MARGIN - first
         count = np.minimum(BLOCK * np.ceil(asked / BLOCK).astype(int), whole)
         first = np.clip(first - (count - asked) // 2, 0, whole - count)
         (x0, y0), (x1, y1) = ((at * cell_mm - half_mm).tolist() for at in (first, first + count))
-        return _Window(PatchCompliance(self.surface, Patch((x0, y0), (x1, y1), *count.tolist())), level, first, whole)
+        patch = Patch((x0, y0), (x1, y1), *count.tolist())
+        return _Window(surface=self.surface, patch=patch, level=level, first=first, count=count, whole=whole)
 
-    def better(
-        self,
-        window: _Window,
-        before: NDArray[np.bool_],
-        after: NDArray[np.bool_],
-        low_mm: FloatArray,
-        high_mm: FloatArray,
+    def _better(
+        self, begun: Touch[_Window], after: NDArray[np.bool_], over_mm: FloatArray, reach_mm: FloatArray
     ) -> _Window | None:
         """A window that suits what touches, (ny, nx), before and after a step; None if this one does.
 
@@ -210,13 +185,16 @@ class _Grids:
         """
         if not after.any():
             return None
-        touching, first, count, whole = before | after, window.first, window.count, window.whole
+        window, touching = begun.cells, begun.state.touches | after
+        first, count, whole = window.first, window.count, window.whole
         low, high = np.array([np.flatnonzero(touching.any(axis=axis))[[0, -1]] for axis in (0, 1)]).T
-        origin, cell_mm = np.array(window.cells.patch.low_mm), self.slab_mm / whole
+        origin, cell_mm = np.array(window.patch.low_mm), self._slab_mm / whole
         if self.surface.has_plates:
-            may_first, may_last = (np.floor((at - origin) / cell_mm).astype(int) for at in (low_mm, high_mm))
-            low = np.minimum(low, np.maximum(may_first, -first))
-            high = np.maximum(high, np.minimum(may_last, whole - 1 - first))
+            far_low, far_high = (
+                np.floor((over_mm + far - origin) / cell_mm).astype(int) for far in (-reach_mm, reach_mm)
+            )
+            low = np.minimum(low, np.maximum(far_low, -first))
+            high = np.maximum(high, np.minimum(far_high, whole - 1 - first))
         inside = (low > 0) | (first == 0), (high < count - 1) | (first + count == whole)
         along = max(np.ptp(np.flatnonzero(after.any(axis=axis))) + 1 for axis in (0, 1))
         across = after.sum() / along
@@ -226,4 +204,4 @@ class _Grids:
         if np.all(inside) and not is_coarse and not is_fine:
             return None
         level = window.level + int(is_coarse) - int(is_fine)
-        return self.around(origin + low * cell_mm, origin + (high + 1) * cell_mm, level)
+        return self._around(origin + low * cell_mm, origin + (high + 1) * cell_mm, level)
