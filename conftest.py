@@ -9,7 +9,9 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import filelock
@@ -55,6 +57,17 @@ set_hypothesis_home_dir(SHARED / "hypothesis")
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
     """As `collect_ignore` would, which resolves all of its paths for every file: 3 s a worker."""
     return True if collection_path in NOT_COLLECTED else None
+
+
+def pytest_collect_file(file_path: Path) -> None:
+    """Import a floor's module by its name before pytest does by its file: one that its package imports is there then.
+
+    Else it would stand there twice, and what a test patches by name would be another copy than what it calls.
+    """
+    *package, name = file_path.with_suffix("").relative_to(HERE).parts if file_path.is_relative_to(HERE) else ("",)
+    if package and package[0] in FLOORS:
+        with suppress(ImportError):  # pytest says so
+            import_module(".".join([*package, *[name] * (name != "__init__")]))
 
 
 def pytest_unconfigure() -> None:

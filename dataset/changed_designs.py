@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.finite_strain import METHOD, require_finite
@@ -17,7 +17,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_volumes
 from geometry.tolerances import value_of
 
-VERSION = 4  #: raise when the same designs give other answers
+VERSION = 5  #: raise when the same designs give other answers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ def answers(
     require_finite(response.design)
     key = digest("changed designs", VERSION, METHOD, response.content_hash, response.design, other, force_n)
 
-    def solved() -> dict[str, FloatArray]:
+    def solved() -> Answers:
         design, k = response.design, response.design.n_units
         change = [value_of(other, name) - value_of(design, name) for name in sensitivities.parameters]
         by_parameters = np.tensordot(change, sensitivities.influence_mm_per_n, axes=1)
@@ -50,11 +50,10 @@ def answers(
             found = SampleSolver(other, influence, typical=typical).displacements(force_n)
         lengths = pillar_lengths(found.displacement_mm, other.unit)
         volumes = pillar_volumes(design.unit) / pillar_volumes(other.unit)
-        return {
-            "displacement_mm": found.displacement_mm,
-            "squares_mm2": lengths**2 * found.resistance_ratio * volumes,
-            "settled": found.settled.astype(float),
-        }
+        return Answers(
+            displacement_mm=found.displacement_mm,
+            squares_mm2=lengths**2 * found.resistance_ratio * volumes,
+            settled=found.settled,
+        )
 
-    arrays, _, _ = kept("changed.npz", key, solved, read_arrays, write_arrays)
-    return Answers(**(arrays | {"settled": arrays["settled"].astype(bool)}))
+    return kept_value(Answers, "changed.npz", key, solved)[0]

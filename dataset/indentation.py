@@ -4,6 +4,7 @@ Their tractions are those of contact, not uniform ones on pads: a truth that no 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -13,7 +14,7 @@ import numpy as np
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
-from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
+from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -127,17 +128,17 @@ def drawn_press(
     """A random shape, or one's own, turned, pressed and dragged somewhere, on so many cells along its longer side."""
     design = surface.design
     height, (wide, deep, _) = design.unit.height_mm, design.slab_mm
-    turn = generator.uniform(0.0, 180.0)
+    turn = about_z(generator.uniform(0.0, 180.0))
     shapes: tuple[Shape, ...] = (
         Sphere(height * generator.uniform(*RADIUS)),
-        Turned(Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH)), turn),
-        Turned(Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE))), turn),
+        Cylinder(height * generator.uniform(*RADIUS), height * generator.uniform(*LENGTH), turn=turn),
+        Flat((height * generator.uniform(*SIDE), height * generator.uniform(*SIDE)), turn=turn),
     )
     angle = generator.uniform(0.0, 2 * np.pi)
     slide = height * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)
     return press(
         surface,
-        Turned(own, turn) if own is not None else shapes[generator.integers(len(shapes))],
+        replace(own, turn=turn) if own is not None else shapes[generator.integers(len(shapes))],
         height * generator.uniform(*DEPTH),
         at_mm=(wide * generator.uniform(-0.5, 0.5), deep * generator.uniform(-0.5, 0.5)),
         slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),

@@ -19,8 +19,7 @@ from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
 from decoupler.touch.touch_file import read_model
-from fem.contact import Contact, ContactError, Sphere, SurfaceCompliance, press, surface_compliance
-from fem.contact.shapes import Upright
+from fem.contact import Contact, ContactError, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.program import run_alone
@@ -30,69 +29,62 @@ MAX_STRAIN = 0.3
 CELLS = 48
 
 
-@dataclass(frozen=True)
-class Cone(Upright):
+@dataclass(frozen=True, eq=False)
+class Cone(Shape):
     """A tip that points down."""
 
     slope: float
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return np.asarray(self.slope * np.hypot(x_mm, y_mm))
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         return height_mm / self.slope, height_mm / self.slope
 
 
-@dataclass(frozen=True)
-class Ring(Upright):
+@dataclass(frozen=True, eq=False)
+class Ring(Shape):
     """A torus that lies on the rubber."""
 
     radius_mm: float
     tube_mm: float
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         off = np.hypot(x_mm, y_mm) - self.radius_mm
         inside = np.minimum(np.abs(off), self.tube_mm)
         return np.where(np.abs(off) < self.tube_mm, self.tube_mm - np.sqrt(self.tube_mm**2 - inside**2), np.inf)
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         return self.radius_mm + self.tube_mm, self.radius_mm + self.tube_mm
 
 
-@dataclass(frozen=True)
-class Edge(Upright):
+@dataclass(frozen=True, eq=False)
+class Edge(Shape):
     """A roof upside down: two planes that meet in an edge of some length."""
 
     slope: float
     length_mm: float
-    turn_rad: float
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
-        along, across = x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin
-        return np.where(np.abs(along) <= self.length_mm / 2, self.slope * np.abs(across), np.inf)
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        return np.where(np.abs(x_mm) <= self.length_mm / 2, self.slope * np.abs(y_mm), np.inf)
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        cos, sin = abs(np.cos(self.turn_rad)), abs(np.sin(self.turn_rad))
-        along, across = self.length_mm / 2, height_mm / self.slope
-        return along * cos + across * sin, along * sin + across * cos
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        return self.length_mm / 2, height_mm / self.slope
 
 
-@dataclass(frozen=True)
-class TwoBalls(Upright):
+@dataclass(frozen=True, eq=False)
+class TwoBalls(Shape):
     """Two balls on one tool, one of them a little higher."""
 
     radii_mm: tuple[float, float]
     apart_mm: float
-    turn_rad: float
     higher_mm: float
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        x, y = np.cos(self.turn_rad) * self.apart_mm / 2, np.sin(self.turn_rad) * self.apart_mm / 2
-        one, other = (Sphere(radius) for radius in self.radii_mm)
-        return np.minimum(one.heights_mm(x_mm - x, y_mm - y), other.heights_mm(x_mm + x, y_mm + y) + self.higher_mm)
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        (one, other), off = (Sphere(radius) for radius in self.radii_mm), self.apart_mm / 2
+        return np.minimum(one.heights_mm(x_mm - off, y_mm), other.heights_mm(x_mm + off, y_mm) + self.higher_mm)
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         half = max(self.radii_mm) + self.apart_mm / 2
         return half, half
 
@@ -123,14 +115,14 @@ def unknown_samples(design: SensorDesign, errors: ReadingError, count: int, seed
 
 def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int) -> Contact:
     design = surface.design
-    h, slab, turn = design.unit.height_mm, np.array(design.slab_mm[:2]), generator.uniform(0, np.pi)
+    h, slab, turn = design.unit.height_mm, np.array(design.slab_mm[:2]), about_z(generator.uniform(0.0, 180.0))
     shape = (
         lambda: Cone(generator.uniform(0.2, 0.8)),
         lambda: Ring(h * generator.uniform(0.4, 1.0), h * generator.uniform(0.15, 0.5)),
-        lambda: Edge(generator.uniform(0.2, 0.8), h * generator.uniform(0.5, 3.0), turn),
+        lambda: Edge(generator.uniform(0.2, 0.8), h * generator.uniform(0.5, 3.0), turn=turn),
         lambda: TwoBalls(
-            (h * generator.uniform(0.3, 1.2), h * generator.uniform(0.3, 1.2)), h * generator.uniform(1.2, 4.5), turn,
-            h * generator.uniform(0, 0.03),
+            (h * generator.uniform(0.3, 1.2), h * generator.uniform(0.3, 1.2)), h * generator.uniform(1.2, 4.5),
+            h * generator.uniform(0, 0.03), turn=turn,
         ),
     )[kind]()  # fmt: skip
     angle, slide = (

@@ -76,6 +76,14 @@ def upward(folder: str, later: tuple[str, ...]) -> list[str]:
     ]
 
 
+def test_no_module_stands_twice():
+    """A class is the one that its module's name leads to; by two copies, what a test patches is not what it calls."""
+    modules = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] in FLOORS]
+    classes = [value for module in modules for value in list(vars(module).values()) if isinstance(value, type)]
+    own = [one for one in classes if one.__module__.partition(".")[0] in FLOORS and "." not in one.__qualname__]
+    assert [one for one in own if vars(sys.modules[one.__module__]).get(one.__name__, one) is not one] == []
+
+
 def test_imports_run_one_way():
     """No floor imports one above it, no room a later one: nothing of the product imports the laboratory or tests."""
     wrong = [line for k, floor in enumerate(FLOORS) for line in upward(floor, (*FLOORS[k + 1 :], "tests"))]

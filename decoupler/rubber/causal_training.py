@@ -7,13 +7,12 @@ middle, and some have gaps.
 import logging
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.causal import FARTHEST, LOG_SPREADS, CausalFilter
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 SESSIONS = 0.12  #: deviation of a strip's ln R between two mountings of it, relative
 SLOW = 0.03  #: slow error of its ln R, at least
 ONE_SIDED = 0.1  #: of a specimen's largest strain: less the other way is none
-VERSION = 3  #: of what training does; filters of others are trained anew
+VERSION = 4  #: of what training does; filters of others are trained anew
 RATES_S = (0.05, 0.3)  #: between readings
 SPEEDS = (0.004, 0.3)  #: of strain [1/s]
 HOLDS_S = (1.0, 300.0)
@@ -88,25 +87,7 @@ def trained(histories: Histories, memory: Memory) -> CausalFilter:
         logging.getLogger("tripillar").warning("training what follows this rubber's memory: a minute, once")
         return train(histories, memory)
 
-    def read(path: Path) -> CausalFilter:
-        return read_filter(path, memory, histories.strains)
-
-    return kept("causal.npz", key, make, read, write_filter)[0]
-
-
-ARRAYS = ("centre", "width", "hidden", "second", "output", "skip", "unit", "widening")
-
-
-def write_filter(causal: CausalFilter, path: Path) -> None:
-    """Write what a filter has learned, whole or not at all."""
-    write_arrays({name: getattr(causal, name) for name in ARRAYS}, path)
-
-
-def read_filter(path: Path, memory: Memory, strains: tuple[float, float]) -> CausalFilter:
-    """The filter of a rubber from what it has learned; `FileFormatError` if that is missing or damaged."""
-    arrays: dict[str, Any] = read_arrays(path)
-    numbers: dict[str, Any] = {name: float(arrays[name]) for name in ARRAYS[-2:]}
-    return CausalFilter(memory=memory, strains=strains, **{name: arrays[name] for name in ARRAYS[:-2]}, **numbers)
+    return kept_value(CausalFilter, "causal.npz", key, make, memory=memory)[0]
 
 
 def train(histories: Histories, memory: Memory) -> CausalFilter:

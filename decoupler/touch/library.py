@@ -10,19 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
-from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, Solid, surface_compliance
 from fem.contact.surface import Patch, SurfaceCompliance
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 
-VERSION = 2  #: raise when the same design gives another library
+VERSION = 3  #: raise when the same design gives another library
 PRESSES = 5000  #: that are solved
 OWN = 500  #: of each shape that is one's own
 CELLS = 18  #: of a press's grid along its longer side
@@ -78,14 +77,7 @@ def touch_library(
         solved = presses_of(list(_solved(surface, presses, progress, shapes)))
         return _spread_out(solved, surface, cache_key)
 
-    def write(library: TouchLibrary, path: Path) -> None:
-        write_arrays(dict(arrays_of(library)), path)
-
-    def read(path: Path) -> TouchLibrary:
-        found: TouchLibrary = built_of(TouchLibrary, read_arrays(path), {"cache_key": cache_key})
-        return found
-
-    return kept("touch.npz", cache_key, make, read, write)
+    return kept_value(TouchLibrary, "touch.npz", cache_key, make)
 
 
 def _solved(

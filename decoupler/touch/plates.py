@@ -16,16 +16,15 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.special import ndtri, stdtrit
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
-from decoupler.model.model_file import arrays_of, built_of
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.wrenches import N_LOADS, moved_by_wrenches
 from geometry.design import SensorDesign, bent
 from geometry.layout import FloatArray
 
-VERSION = 2  #: raise when the same design gives another response, so that cached ones are not reused
+VERSION = 3  #: raise when the same design gives another response, so that cached ones are not reused
 FRICTION = 0.3  #: root mean square of a contact's shear over its pressing force
 ARM = 12**-0.5  #: of its place along x or y over the pad's side: anywhere on it
 TWIST = 0.1  #: of its torque over the pressing force times the pad's side
@@ -65,11 +64,7 @@ def plate_response(
         d, sign = (each.reshape(design.n_units, *each.shape[2:]) for each in (conducted.rest_mm, conducted.sign))
         return PlateResponse(moved_mm=moved, cache_key=cache_key, components_mm=d, sign=sign)
 
-    def read(path: Path) -> PlateResponse:
-        found: PlateResponse = built_of(PlateResponse, read_arrays(path), {"cache_key": cache_key})
-        return found
-
-    return kept("plates.npz", cache_key, make, read, lambda made, path: write_arrays(dict(arrays_of(made)), path))
+    return kept_value(PlateResponse, "plates.npz", cache_key, make)
 
 
 @dataclass(frozen=True, kw_only=True)

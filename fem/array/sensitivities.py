@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from common.errors import DesignError
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
@@ -27,7 +27,7 @@ from geometry.layout import FloatArray
 from geometry.shares import pillar_shares
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations, value_of
 
-VERSION = 4  #: raise when the same design gives other derivatives, so that cached ones are not reused
+VERSION = 5  #: raise when the same design gives other derivatives, so that cached ones are not reused
 LEVEL, DEGREE = 2, 5  #: of the grid and of the port modes
 STEP = 0.01  #: of a parameter's deviation
 #: parameters that move edges of pads over those of electrodes, where B bends: a whole deviation to either side is taken
@@ -95,7 +95,7 @@ def response_sensitivities(
         derivatives |= dict.fromkeys(SCALES, by_scale / design.matrix_material.young_mpa)
         return {name: derivatives[name] for name in deviations}
 
-    derivatives, path, reused = kept("sensitivities.npz", cache_key, make, read_arrays, write_arrays)
+    derivatives, path, reused = kept_value(dict[str, FloatArray], "sensitivities.npz", cache_key, make)
     found = ResponseSensitivities(
         design=design,
         parameters=tuple(deviations),

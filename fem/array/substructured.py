@@ -7,14 +7,13 @@ that spare arrays of the same cell its mesh and its condensation.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
-from fem.array.cell import CondensedCell, Free, PortModes
+from fem.array.cell import CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.coupled_cells import CoupledArray, Kinds
 from fem.array.meshed import DesignCell, functionals, pad_plate
@@ -36,39 +35,7 @@ class RefinedCell:
     seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
 
 
-def write_refined(refined: RefinedCell, path: Path) -> None:
-    """Write a refined cell, whole or not at all."""
-    stated: dict[str, FloatArray] = {}
-    for part, (weight, kinds) in enumerate(refined.cells):
-        cells = list(kinds.values())
-        numbers = np.array([weight, cells[0].unknowns, max(cell.residual for cell in cells), cells[0].ports.side])
-        stacked = {name: np.stack([getattr(cell, name) for cell in cells]) for name in MATRICES}
-        places = np.array([" ".join(map(str, free)) for free in kinds])
-        stated |= {f"{name}{part}": value for name, value in (stacked | {"numbers": numbers, "places": places}).items()}
-    ports = next(iter(refined.cells[0][1].values())).ports
-    size_mm = {"half_mm": ports.half_mm, "height_mm": ports.height_mm}
-    write_arrays(stated | size_mm | {"error_estimate": refined.error_estimate, "steps": np.array(refined.steps)}, path)
-
-
-def read_refined(path: Path) -> RefinedCell:
-    """A cell that `write_refined` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    found = read_arrays(path)
-    parts: list[tuple[float, Kinds]] = []
-    while f"numbers{len(parts)}" in found or not parts:
-        part = len(parts)
-        kinds: dict[Free, CondensedCell] = {}
-        weight, unknowns, residual, degree = found[f"numbers{part}"].tolist()
-        ports = PortModes(float(found["half_mm"]), float(found["height_mm"]), int(degree), int(degree))
-        for number, place in enumerate(found[f"places{part}"].tolist()):
-            matrices = {name: found[f"{name}{part}"][number] for name in MATRICES}
-            cell = CondensedCell(ports=ports, **matrices, unknowns=int(unknowns), residual=residual)
-            kinds[tuple(int(side) for side in place.split())] = cell
-        parts.append((weight, kinds))
-    steps = tuple(found["steps"].tolist())
-    return RefinedCell(cells=tuple(parts), error_estimate=float(found["error_estimate"]), steps=steps)
-
-
-VERSION = 6  #: raise when the same design gives another refined cell, so that cached ones are not reused
+VERSION = 7  #: raise when the same design gives another refined cell, so that cached ones are not reused
 
 #: stages of refinement: two levels of the grid, and the degree of the port modes; edges of stiff pads ask more of these
 GRID_STAGES = {
@@ -191,7 +158,7 @@ def refined_cell(
 
     if not cached:
         return make()
-    return kept("cell.npz", cell_cache_key(design, tolerance), make, read_refined, write_refined)[0]
+    return kept_value(RefinedCell, "cell.npz", cell_cache_key(design, tolerance), make, seconds={})[0]
 
 
 Stage = tuple[int, int, int]  #: coarse and fine level, and the degree of the ports

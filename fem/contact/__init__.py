@@ -2,13 +2,14 @@
 
 In: a design, a shape, a depth. Out: tractions on the top, forces on every unit, displacements of the electrodes. In the
 order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex body, solid of an STL file), `surface.py`
-(how the top gives way under tractions, cached, and on the fine grid of one contact), `indentation.py` (unilateral
-contact with friction on that grid: open this file first), `balance.py` (how one increment of it is solved),
-`stepping.py` (the same step by step, as fast as simulators move a shape).
+(how the top gives way under tractions, cached, and on the fine grid of one contact), `indentation.py` (what is asked
+and what is known of a contact), `balance.py` (how one increment of it is solved), `driver.py` (increment by increment
+on a grid: open this file first), `stepping.py` (the same as fast as simulators move a shape).
 """
 
-from fem.contact.indentation import Contact, ContactError, press
-from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, Turned, read_solid
+from fem.contact.driver import press
+from fem.contact.indentation import Contact, ContactError, Indentation
+from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, about_z, read_solid
 from fem.contact.stepping import Stepper
 from fem.contact.surface import SurfaceCompliance, surface_compliance
 
@@ -19,13 +20,14 @@ __all__ = [
     "Convex",
     "Cylinder",
     "Flat",
+    "Indentation",
     "Shape",
     "ShapeError",
     "Solid",
     "Sphere",
     "Stepper",
     "SurfaceCompliance",
-    "Turned",
+    "about_z",
     "press",
     "read_solid",
     "surface_compliance",

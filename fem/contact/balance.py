@@ -1,7 +1,7 @@
 """Balance of a shape with an elastic top: unilateral contact with Coulomb's friction, one increment at a time."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +22,13 @@ class State:
 
     force_n: FloatArray
     moved_mm: FloatArray
-    slip_mm: FloatArray  #: (2 or 0, ny, nx): past the shape since the last balance, if the rubber stayed where it is
     rate: float = 0.0  #: of the last projected gradient [N/mm], with which the next balance begins
 
     @classmethod
     def at_rest(cls, patch: Patch, friction: float) -> "State":
         """Before anything touches."""
         zero = np.zeros((3 if friction else 1, patch.ny, patch.nx))
-        return cls(zero, zero, zero[:-1])
+        return cls(zero, zero)
 
     @property
     def touches(self) -> NDArray[np.bool_]:
@@ -39,9 +38,7 @@ class State:
     @property
     def whole_n(self) -> FloatArray:
         """Forces along x, y and into the body, (3, ny, nx)."""
-        whole = np.zeros((3, *self.force_n.shape[1:]))
-        whole[-len(self.force_n) :] = self.force_n
-        return whole
+        return np.concatenate([np.zeros((3 - len(self.force_n), *self.force_n.shape[1:])), self.force_n])
 
     @property
     def drag_mm(self) -> FloatArray:
@@ -51,49 +48,43 @@ class State:
             return np.zeros(2)
         return np.asarray((self.moved_mm[:2] * pressing).sum(axis=(1, 2)) / max(pressing.sum(), np.finfo(float).tiny))
 
-    def carried(self, step_mm: FloatArray) -> "State":
-        """The shape's surface moves by (2,) or (2, ny, nx) along the top, and the rubber does not yet follow."""
-        step = step_mm.reshape(2, *(step_mm.shape[1:] or (1, 1)))
-        return replace(self, slip_mm=-self.moved_mm[:-1] - step[: len(self.force_n) - 1])
-
     def balanced(
         self,
         give: Callable[[FloatArray], FloatArray],
-        above_mm: FloatArray,
+        apart_mm: FloatArray,
         friction: float,
         tolerance: float,
-        first: "State | None" = None,
         slack_mm: float = np.inf,
     ) -> "State":
-        """Forces of contact with a shape whose underside (ny, nx) stands elsewhere above the undeformed top now.
+        """Forces of contact, sought from these, with a shape that is apart (k, ny, nx) from rubber at rest.
 
-        `give` is the displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx) [N], the last component of both
-        into it. They are found to a tolerance of the largest pressing one, from those of `first` (default: these), and
-        cells overlap, or slip where they stick, by at most a slack.
-        A `SolverError` says that `MAX_STEPS` steps do not balance them.
+        Along x and y by how far the rubber would slip past the shape since the last balance, and along z by how far the
+        shape's underside stands above. `give` is the displacement (k, ny, nx) [mm] of the body by forces (k, ny, nx)
+        [N], the last component of both into it. Forces are found to a tolerance of the largest pressing one, and cells
+        overlap, or slip where they stick, by at most a slack. A `SolverError` says that `MAX_STEPS` steps do not
+        balance them.
 
         Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
         where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The
         rates α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and
         tangential forces couple in `give` and are solved together.
         """
-        guess = self if first is None else first
-        apart, force, moved, rate = np.stack([*self.slip_mm, above_mm]), guess.force_n, guess.moved_mm, guess.rate
+        force, moved, rate = self.force_n, self.moved_mm, self.rate
         if not rate:
-            overlap = np.where((apart + moved)[-1] < 0, apart + moved, 0.0)
+            overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
             probe = overlap if overlap.any() else force
             if not probe.any():
-                return replace(self, force_n=force, moved_mm=moved)
+                return self
             rate = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
         was_small = False
         for step in range(MAX_STEPS):
-            change = _projected(force - rate * (apart + moved), friction) - force
+            change = _projected(force - rate * (apart_mm + moved), friction) - force
             gave = give(change)
             force, moved = force + change, moved + gave
             most = np.abs(change).max()
             is_small = most <= tolerance * force[-1].max(initial=0.0) and most <= rate * slack_mm
             if is_small and was_small:
-                return replace(self, force_n=force, moved_mm=moved, rate=rate)
+                return State(force, moved, rate)
             was_small = is_small
             curvature = float(np.vdot(change, gave))
             if curvature > 0:

@@ -1,12 +1,11 @@
 """Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL.
 
-Capsules and convex bodies also stand as they are turned in space, for simulators that move them.
+Capsules and convex bodies stand as they are turned in space, for simulators that move them; the others turn about z.
 """
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -23,97 +22,103 @@ class ShapeError(TriPillarError, ValueError):
     """A shape without a size, or a file that holds no solid."""
 
 
-class Shape(Protocol):
-    """An indenter's underside about its origin along x and y; z = 0 at its lowest point."""
+def about_z(angle_deg: float) -> FloatArray:
+    """Rotation (3, 3) about z, from x towards y."""
+    if not abs(angle_deg) <= 360:
+        raise ShapeError(f"turn_deg={angle_deg:g} must be from -360 to 360 degrees.")
+    cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
-    @property
-    def turn(self) -> FloatArray:
-        """Rotation (3, 3) from its own axes to the sensor's."""
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A rigid body that touches with its underside.
+
+    One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
+    """
+
+    #: rotation (3, 3) from its own axes to the sensor's
+    turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.turn[2, 2] < 1 - MIN_SLOPE:
+            raise ShapeError("this shape turns about z alone: tip a Convex or a Capsule.")
 
     @property
     def lowest_mm(self) -> float:
         """Height of its lowest point above its origin."""
+        return 0.0
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height of the underside at points, infinite where there is none [mm]; x and y broadcast."""
+        """Height of the underside above its lowest point, infinite where there is none [mm]; x and y broadcast."""
+        cos, sin = self.turn[:2, 0]
+        return self.own_heights_mm(x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin)
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        """Half the extent along x and y of what lies below a height [mm]."""
+        """Half the extent along x and y of what lies below a height [mm], or of a box that turns along."""
+        (cos, sin), (x, y) = np.abs(self.turn[:2, 0]), self.own_extents_mm(height_mm)
+        return float(x * cos + y * sin), float(x * sin + y * cos)
+
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """`heights_mm` along its own axes."""
+        raise NotImplementedError
+
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
+        """`half_extents_mm` along its own axes."""
+        raise NotImplementedError
 
 
-class Upright:
-    """A shape that has its origin at its lowest point and does not turn in space."""
-
-    turn: ClassVar[FloatArray] = np.eye(3)
-    lowest_mm: ClassVar[float] = 0.0
-
-
-@dataclass(frozen=True)
-class Sphere(Upright):
-    """A ball."""
-
-    radius_mm: float
-
-    def __post_init__(self) -> None:
-        _require(radius_mm=self.radius_mm)
-
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        return _arc(np.hypot(x_mm, y_mm), self.radius_mm)
-
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        half = _half_chord(self.radius_mm, height_mm)
-        return half, half
-
-
-@dataclass(frozen=True)
-class Cylinder(Upright):
+@dataclass(frozen=True, eq=False)
+class Cylinder(Shape):
     """A round bar lying along x, its ends cut square."""
 
     radius_mm: float
     length_mm: float = MAX_MM
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _require(radius_mm=self.radius_mm, length_mm=self.length_mm)
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return np.where(np.abs(x_mm) <= self.length_mm / 2, _arc(y_mm, self.radius_mm), np.inf)
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         return self.length_mm / 2, _half_chord(self.radius_mm, height_mm)
 
 
-@dataclass(frozen=True)
-class Flat(Upright):
+@dataclass(frozen=True, eq=False)
+class Flat(Shape):
     """A flat punch with square edges: a rectangle, or a disc if it has a radius."""
 
     size_mm: tuple[float, float] = (0.0, 0.0)  #: along x and y
     radius_mm: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
             _require(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        half_x, half_y = self.half_extents_mm(0.0)
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        half_x, half_y = self.own_extents_mm(0.0)
         inside = (np.abs(x_mm) <= half_x) & (np.abs(y_mm) <= half_y)
         if self.radius_mm is not None:
             inside = np.hypot(x_mm, y_mm) <= self.radius_mm
         return np.where(inside, 0.0, np.inf)
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         radius_mm = self.radius_mm
         return (self.size_mm[0] / 2, self.size_mm[1] / 2) if radius_mm is None else (radius_mm, radius_mm)
 
 
 @dataclass(frozen=True, eq=False)
-class Solid(Upright):
+class Solid(Shape):
     """The underside of any solid as a map of heights; `read_solid` makes one of an STL file."""
 
     x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
     y_mm: FloatArray  #: (ny,)
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
 
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
         lines = (self.y_mm, self.x_mm)
         between = RegularGridInterpolator(lines, self.map_mm, bounds_error=False, fill_value=np.inf)
@@ -121,41 +126,18 @@ class Solid(Upright):
             found = between(np.stack(np.broadcast_arrays(y_mm, x_mm), axis=-1))
         return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
+    def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
         low = self.map_mm < height_mm
         x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
         return float(np.abs(x).max()), float(np.abs(y).max())
 
 
 @dataclass(frozen=True, eq=False)
-class Turned(Upright):
-    """A shape turned about z."""
-
-    shape: Shape
-    turn_deg: float  #: from x towards y
-
-    def __post_init__(self) -> None:
-        if not abs(self.turn_deg) <= 360:
-            raise ShapeError(f"turn_deg={self.turn_deg:g} must be from -360 to 360 degrees.")
-
-    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        cos, sin = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
-        return self.shape.heights_mm(x_mm * cos + y_mm * sin, y_mm * cos - x_mm * sin)
-
-    def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        """Of the box that turns along."""
-        cos, sin = abs(np.cos(np.radians(self.turn_deg))), abs(np.sin(np.radians(self.turn_deg)))
-        x, y = self.shape.half_extents_mm(height_mm)
-        return float(x * cos + y * sin), float(x * sin + y * cos)
-
-
-@dataclass(frozen=True, eq=False)
-class Capsule:
+class Capsule(Shape):
     """All points within a radius of a line along its own z, about its middle; without a length a ball."""
 
     radius_mm: float
     length_mm: float = 0.0  #: of the line
-    turn: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
         _require(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
@@ -173,7 +155,7 @@ class Capsule:
         at = (along - np.sqrt(np.maximum(r**2 - across2, 0.0)) * az) / flat if flat else -np.sign(az) * np.inf
         middle = np.clip(at, -self.length_mm / 2, self.length_mm / 2)
         beside2 = (along - flat * middle) ** 2 + across2
-        return _arc(np.sqrt(beside2), r) - r - self.lowest_mm + az * middle
+        return _arc(np.sqrt(beside2), r) + abs(az) * self.length_mm / 2 + az * middle
 
     def half_extents_mm(self, height_mm: float) -> tuple[float, float]:
         half = _half_chord(self.radius_mm, height_mm)
@@ -182,12 +164,25 @@ class Capsule:
 
 
 @dataclass(frozen=True, eq=False)
-class Convex:
+class Sphere(Capsule):
+    """A ball; its origin is its lowest point, that of a `Capsule` without a length its middle."""
+
+    length_mm: float = field(default=0.0, init=False)
+
+    @property
+    def lowest_mm(self) -> float:
+        return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Convex(Shape):
     """A convex body by its faces."""
 
     corners_mm: FloatArray  #: (n, 3), about its origin, along its own axes
     faces: FloatArray  #: (m, 4): normals outwards, and −normal · point [mm]
-    turn: FloatArray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        """It may be tipped."""
 
     @classmethod
     def hull(cls, points_mm: FloatArray) -> "Convex":

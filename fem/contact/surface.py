@@ -13,9 +13,8 @@ the edges of plates.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from common.errors import DesignError
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
@@ -48,6 +47,7 @@ from fem.contact.tiles import (
     cell_strips,
     levers,
     on_plates,
+    rubber_below_mm,
     shares,
     slab_strips,
     tiles_per_pitch,
@@ -56,7 +56,7 @@ from fem.tetrahedra.mixed import taylor_hood
 from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
 from geometry.layout import FloatArray, electrode_squares
 
-VERSION = 2  #: raise when the same design gives another compliance, so that cached ones are not reused
+VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
 MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
@@ -130,7 +130,7 @@ def surface_compliance(
     def make() -> SurfaceCompliance:
         return replace(_solved(plain, progress), design=design, cache_key=cache_key)
 
-    return kept("surface.npz", cache_key, make, partial(_read, design), _write)
+    return kept_value(SurfaceCompliance, "surface.npz", cache_key, make, design=design, conducted=None)
 
 
 def _as_solved(design: SensorDesign) -> SensorDesign:
@@ -237,15 +237,11 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
 
-def _write(made: SurfaceCompliance, path: Path) -> None:
-    write_arrays({name: value for name, value in vars(made).items() if name not in ("design", "conducted")}, path)
-
-
-def _read(design: SensorDesign, path: Path) -> SurfaceCompliance:
-    """A compliance that `_write` wrote; `FileFormatError` or `KeyError` if it is missing or damaged."""
-    arrays: dict[str, Any] = read_arrays(path)
-    step_mm, cache_key = float(arrays.pop("step_mm")), str(arrays.pop("cache_key"))
-    return SurfaceCompliance(design=design, **arrays, step_mm=step_mm, cache_key=cache_key)
+def overlaps(ends: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares (n, m) of cells between ends (n + 1,) in others, and times their arms about these others' middles."""
+    inside = np.clip(ends[:, None], others[:-1], others[1:])
+    share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
+    return share, share * ((inside[1:] + inside[:-1]) / 2 - (others[:-1] + others[1:]) / 2)
 
 
 @dataclass(frozen=True)
@@ -266,6 +262,10 @@ class Patch:
     def cell_mm2(self) -> float:
         return self.cell_mm[0] * self.cell_mm[1]
 
+    def ends(self, axis: int) -> FloatArray:
+        """Ends of the cells along x (0) or y (1), (n + 1,)."""
+        return np.linspace(self.low_mm[axis], self.high_mm[axis], (self.nx, self.ny)[axis] + 1)
+
     @property
     def x_mm(self) -> FloatArray:
         """Middles of the cells along x, (nx,)."""
@@ -282,16 +282,10 @@ class Patch:
         The force along x, y, z [N], and the moments of z about the share's middle, ∫ p (x − x₀) and ∫ p (y − y₀)
         [N mm].
         """
-        sides = []
-        for low, high, n, count in zip(
-            self.low_mm, self.high_mm, (self.nx, self.ny), (array.cols, array.rows), strict=True
-        ):
-            ends = np.linspace(low, high, n + 1)
-            borders = (np.arange(count + 1) - count / 2) * array.pitch_mm
-            inside = np.clip(ends[:, None], borders[:-1], borders[1:])
-            share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
-            sides.append((share, share * ((inside[1:] + inside[:-1]) / 2 - (borders[:-1] + borders[1:]) / 2)))
-        (sx, mx), (sy, my) = sides
+        (sx, mx), (sy, my) = (
+            overlaps(self.ends(axis), np.linspace(-count / 2, count / 2, count + 1) * array.pitch_mm)
+            for axis, count in enumerate((array.cols, array.rows))
+        )
         moments = sy.T @ force_n[2] @ mx, my.T @ force_n[2] @ sx
         return np.concatenate([sy.T @ force_n @ sx, moments]).transpose(1, 2, 0)
 
@@ -374,6 +368,11 @@ class PatchCompliance:
     @cached_property
     def _rows(self) -> tuple[FloatArray, slice]:
         return shares(self.patch.y_mm, self.surface.strips(1), self.degree)
+
+    @cached_property
+    def below_mm(self) -> FloatArray | float:
+        """How far the cells at rest lie below the top."""
+        return rubber_below_mm(self.surface.design, self.patch.x_mm, self.patch.y_mm)
 
     @cached_property
     def _plates(self) -> NDArray[np.bool_] | None:

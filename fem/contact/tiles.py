@@ -65,12 +65,14 @@ def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
     return [strip._replace(low_mm=x + strip.low_mm, high_mm=x + strip.high_mm) for x in middles for strip in one]
 
 
-def plated_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, cells: int) -> tuple[float, float, int]:
+def lined_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, cells: int) -> tuple[float, float, int]:
     """Ends and number of cells that cover a part of the top along an axis, with lines at the edges of plates.
 
-    Cells are at least as many as asked for. Where no number of them in a pitch meets the edges to `MEETS` of a cell,
-    the one that comes nearest is taken.
+    On bare rubber as asked; under plates they are at least as many. Where no number of them in a pitch meets the edges
+    to `MEETS` of a cell, the one that comes nearest is taken.
     """
+    if design.pad.kind == "soft":
+        return float(low_mm), float(high_mm), cells
     pitch, half = design.array.pitch_mm, design.slab_mm[axis] / 2
     wanted = int(np.ceil(cells * pitch / (high_mm - low_mm) - MEETS))
     plate = [(strip.low_mm, strip.high_mm) for strip in cell_strips(design, axis) if strip.is_plate]

@@ -19,7 +19,7 @@ from common.threads import one_blas_thread
 from dataset.indentation import samples_of
 from decoupler.touch.bare import TEMPER
 from decoupler.touch.decoder import TouchDecoder, Touched
-from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, Turned, press, surface_compliance
+from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.charts import new_figure
@@ -28,11 +28,11 @@ from studies.touched import Cone, Ring, TwoBalls, read_touch
 
 SHAPES: tuple[tuple[str, Shape, float, tuple[float, float]], ...] = (  #: name, shape, depth [mm], place [mm]
     ("ball", Sphere(12.0), 1.2, (3.0, 5.0)),
-    ("bar", Turned(Cylinder(8.0, 34.0), 30.0), 0.9, (-9.0, 6.0)),
-    ("punch", Turned(Flat((16.0, 10.0)), 20.0), 0.6, (6.0, -8.0)),
+    ("bar", Cylinder(8.0, 34.0, turn=about_z(30.0)), 0.9, (-9.0, 6.0)),
+    ("punch", Flat((16.0, 10.0), turn=about_z(20.0)), 0.6, (6.0, -8.0)),
     ("cone", Cone(0.3), 1.8, (-4.0, -12.0)),
     ("ring", Ring(9.0, 3.0), 0.9, (12.0, 8.0)),
-    ("two balls", TwoBalls((6.0, 8.0), 24.0, 0.5, 0.1), 1.2, (0.0, 4.0)),
+    ("two balls", TwoBalls((6.0, 8.0), 24.0, 0.1, turn=about_z(28.6)), 1.2, (0.0, 4.0)),
 )
 SLIDE_MM, FRICTION = (0.6, 0.2), 0.4
 BALL_MM, BALL_DEPTH_MM, FRAMES, FRAME_MS, QUALITY = 15.0, 0.9, 40, 100, 60

@@ -3,13 +3,16 @@
 import json
 import os
 import signal
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.typing import NDArray
 
-from common.storage.cache import kept, read_arrays, write_arrays
+from common.storage.cache import kept, kept_value, read_arrays, read_value, write_arrays, write_value
 from common.storage.files import digest, replacing, uninterrupted
 from common.storage.netcdf import Content, Named, labelled, read_netcdf, write_netcdf
 from common.storage.seal import BLANK, KEY, LAST_LINE, MARK, opened_json, require_intact, sealed, sealed_json
@@ -172,6 +175,49 @@ def test_an_answer_is_made_once_for_each_key_and_anew_where_it_is_damaged_foreig
         ["damaged or of an earlier version: it is made anew."] if said else []
     )
     assert cache.ask() == (again, path, True)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Many:
+    values: NDArray[np.float32]
+    answers: dict[tuple[int, ...], Answer]
+    pairs: tuple[tuple[float, Mapping[str, NDArray[Any]]], ...]
+    pair: tuple[int, bool] = (1, True)
+    extra: Answer | None = None
+    name: str = "ü"
+    left_out: list[str] = field(default_factory=list)
+
+
+def test_dataclasses_come_back_from_the_cache_bit_by_bit_or_are_refused(tmp_path, caplog):
+    """Arrays of any type, nested dataclasses, tuples and dicts of them, None, and numbers of NumPy; damaged ones are
+    made anew with a word."""
+    grids = ((0.1 + 0.2, {"a": np.arange(3, dtype=np.int8)}), (float("nan"), {}))
+    many = Many(
+        values=np.float32([[1.5, -0.0]]),
+        answers={(): Answer(np.float64(0.1), "k"), (1, 2): Answer(3, "")},
+        pairs=grids,
+        extra=Answer(float("inf"), "x"),
+        left_out=["of another place"],
+    )
+    found, path, reused = kept_value(Many, "many.npz", "k", lambda: many, left_out=["known"])
+    assert (found is many, reused) == (True, False)
+    found, _, reused = kept_value(Many, "many.npz", "k", lambda: many, left_out=["known"])
+    assert reused
+    assert found.values.dtype == np.float32
+    assert np.signbit(found.values[0, 1])
+    assert {key: vars(one) for key, one in found.answers.items()} == {
+        key: vars(one) for key, one in many.answers.items()
+    }
+    assert [repr(each) for each in found.pairs] == [repr(each) for each in grids]
+    assert (found.pair, found.extra, found.name) == ((1, True), many.extra, "ü")
+    assert found.left_out == ["known"]
+    for value, hint in ((many, Answer), ({"a": 1}, dict[str, str]), ((1, 2), tuple[int]), (None, Answer)):
+        write_value(value, tmp_path / "value.npz", "left_out")
+        with pytest.raises(FileFormatError, match="no value of this program"):
+            read_value(hint, tmp_path / "value.npz")
+    path.write_bytes(path.read_bytes()[:-9])
+    assert not kept_value(Many, "many.npz", "k", lambda: many, left_out=[])[2]
+    assert len(caplog.records) == 1
 
 
 def test_a_cache_that_cannot_be_written_loses_nothing_unless_the_file_is_needed(caplog, monkeypatch):

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.errors import FileFormatError
+from common.storage.cache import read_value, write_value
 from dataset.memory import broken_contacts
-from decoupler.rubber.causal_training import Histories, drawn, read_filter, train, write_filter
+from decoupler.rubber.causal import CausalFilter
+from decoupler.rubber.causal_training import Histories, drawn, train
 from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import log_ratio, numbers_of
 from geometry.design import Memory
@@ -31,8 +32,8 @@ APART_S = 0.1
 @pytest.fixture(scope="module")
 def causal(made_once):
     """Trained once, in whatever processes its tests run."""
-    folder = made_once("causal", lambda folder: write_filter(train(ASKED, MEMORY), folder / "causal.npz"))
-    return read_filter(folder / "causal.npz", MEMORY, ASKED.strains)
+    folder = made_once("causal", lambda folder: write_value(train(ASKED, MEMORY), folder / "causal.npz", "memory"))
+    return read_value(CausalFilter, folder / "causal.npz", memory=MEMORY)
 
 
 @pytest.fixture(scope="module")
@@ -139,15 +140,13 @@ def test_readings_that_come_at_once_or_never_leave_numbers(causal):
 
 
 def test_a_filter_comes_back_from_its_file(causal, tmp_path):
-    write_filter(causal, tmp_path / "a.npz")
-    found = read_filter(tmp_path / "a.npz", MEMORY, ASKED.strains)
+    write_value(causal, tmp_path / "a.npz", "memory")
+    found = read_value(CausalFilter, tmp_path / "a.npz", memory=MEMORY)
     y = read(press([0.05, 0.1])[1][:100])
     for mine, its in zip(
         causal.followed(np.arange(100) * 0.1, y), found.followed(np.arange(100) * 0.1, y), strict=True
     ):
         assert (mine == its).all()
-    with pytest.raises(FileFormatError):
-        read_filter(tmp_path / "none.npz", MEMORY, ASKED.strains)
 
 
 def test_histories_are_those_of_their_seed():

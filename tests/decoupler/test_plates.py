@@ -15,7 +15,7 @@ from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.conducted import conducted_pillars
-from fem.contact import Flat, Sphere, SurfaceCompliance, Turned, press
+from fem.contact import Flat, Sphere, SurfaceCompliance, about_z, press
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
@@ -42,7 +42,7 @@ def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fem.contact.surface._extrapolated", lambda source: source.condensed(1, 3))
         patch.setattr("fem.contact.wrenches.surface_compliance", lambda design, progress: (surface, None, True))
-        patch.setattr("decoupler.touch.plates.kept", lambda kind, key, make, *_: (make(), None, False))
+        patch.setattr("decoupler.touch.plates.kept_value", lambda hint, kind, key, make: (make(), None, False))
         plates = plate_response(design)[0]
     return PlateDecoder(design=design, errors=READ, library=plates, pillars=Pillars.designed(design))
 
@@ -104,7 +104,13 @@ def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name
     contacts = [
         press(surface, Sphere(9.0), 0.9, at_mm=(1.0, 0.5), cells=24),
         press(
-            surface, Turned(Flat((5.0, 8.0)), 20.0), 0.3, at_mm=(8.0, 6.0), slide_mm=(0.4, 0.0), friction=0.5, cells=24
+            surface,
+            Flat((5.0, 8.0), turn=about_z(20.0)),
+            0.3,
+            at_mm=(8.0, 6.0),
+            slide_mm=(0.4, 0.0),
+            friction=0.5,
+            cells=24,
         ),
     ]
     data = samples_of(10 * contacts)

@@ -20,7 +20,7 @@ from decoupler.touch.regression import NEAREST
 from decoupler.touch.sensing import Pillars
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
-from fem.contact import Cylinder, Turned, press, surface_compliance
+from fem.contact import Cylinder, about_z, press, surface_compliance
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from tests.fem.coarse_plates import rigid_plates
@@ -61,7 +61,7 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
             if symmetry & bit:
                 turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
         return press(
-            surface, Turned(Cylinder(6.0, 9.0), turn), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
+            surface, Cylinder(6.0, 9.0, turn=about_z(turn)), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
         )
 
     solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
@@ -158,7 +158,7 @@ def test_two_contacts_are_told_apart(decoder):
     """One near an electrode of each of two opposite units, solved alone: together they are no press of the library."""
     surface = surface_compliance(DESIGN)[0]
     both = [
-        press(surface, Turned(Cylinder(4.0, 4.0), 30.0), 0.8, at_mm=at, friction=0.3)
+        press(surface, Cylinder(4.0, 4.0, turn=about_z(30.0)), 0.8, at_mm=at, friction=0.3)
         for at in ((-18.0, -12.0), (11.0, 17.0))
     ]
     moved = sum(one.electrode_mm.reshape(1, -1) for one in both)

@@ -26,7 +26,7 @@ def coarse(design: SensorDesign, level: int, degree: int) -> Iterator[None]:
         patch.setattr("fem.array.meshed.GRID_DEGREE", degree)
         for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
             patch.setattr(name, lambda unit, strained=False: (conductor, conductor))
-        patch.setattr("fem.contact.conducting.kept", lambda kind, key, make, *_: (make(), None, False))
+        patch.setattr("fem.contact.conducting.kept_value", lambda hint, kind, key, make: (make(), None, False))
         yield
 
 

@@ -15,7 +15,7 @@ from fem.contact import (
     ShapeError,
     Sphere,
     SurfaceCompliance,
-    Turned,
+    about_z,
     press,
     read_solid,
 )
@@ -63,7 +63,7 @@ def test_a_sphere_on_the_thin_slab_is_ngsolve_s():
 def test_the_estimate_covers_what_finer_grids_and_increments_change(pair: SurfaceCompliance):
     """Of forces and electrodes; the tiles, the same in both, are in the estimate as well."""
     path = {"at_mm": (3.0, 2.0), "slide_mm": (0.3, -0.2), "friction": 0.7}
-    coarse, fine = (press(pair, Turned(Cylinder(6.0, 5.0), 20.0), 0.8, cells=cells, **path) for cells in (16, 80))
+    coarse, fine = (press(pair, Cylinder(6.0, 5.0, turn=about_z(20.0)), 0.8, cells=cells, **path) for cells in (16, 80))
     for name, estimate in (("force_n", coarse.error_estimate), ("electrode_mm", coarse.electrode_error_estimate)):
         one, other = getattr(coarse, name), getattr(fine, name)
         assert np.linalg.norm(one - other) < estimate * np.linalg.norm(other)

@@ -17,7 +17,7 @@ from fem.contact import (
     Sphere,
     Stepper,
     SurfaceCompliance,
-    Turned,
+    about_z,
     press,
 )
 from fem.contact.surface import PatchCompliance
@@ -40,7 +40,7 @@ def moved(stepper: Stepper, shape: Shape, *path_mm):
 
 @pytest.mark.parametrize(
     ("shape", "at_mm", "slide_mm"),
-    [(Turned(Flat((6.0, 4.0)), 20.0), (-5.0, 1.0), (0.0, 0.4)), (Sphere(5.0), (13.0, 3.0), (0.3, 0.2))],
+    [(Flat((6.0, 4.0), turn=about_z(20.0)), (-5.0, 1.0), (0.0, 0.4)), (Sphere(5.0), (13.0, 3.0), (0.3, 0.2))],
     ids=["punch", "beside the rim"],
 )
 def test_small_steps_end_where_the_press_does(pair: SurfaceCompliance, shape: Shape, at_mm, slide_mm):
@@ -100,23 +100,38 @@ def test_steps_that_cannot_be_are_refused(pair: SurfaceCompliance, place_mm, for
         Stepper(pair).step(Capsule(BALL_MM), place_mm, force_n)
 
 
+@pytest.mark.parametrize(
+    ("place_mm", "force_n"), [((1.0, 0.0, 0.0), 1e5), ((100.0, 0.0, 0.0), 5.0), ((1.0, 0.0, -3.0), None)]
+)
+def test_a_refused_step_leaves_the_shape_where_it_was(pair: SurfaceCompliance, place_mm, force_n):
+    """To the last bit: the next step is one from there, with all that friction remembers."""
+    refused, other = (Stepper(pair, friction=FRICTION) for _ in range(2))
+    for stepper in (refused, other):
+        moved(stepper, Capsule(BALL_MM), (0.0, 0.0, BALL_MM), (0.0, 0.0, BALL_MM - DEPTH_MM))
+    with pytest.raises(ContactError):
+        refused.step(Capsule(BALL_MM), place_mm, force_n)
+    one, another = (each.step(Capsule(BALL_MM), (0.1, 0.0, BALL_MM - DEPTH_MM)) for each in (refused, other))
+    assert np.array_equal(one.cell_force_n, another.cell_force_n)
+    assert one.net_force_n[0] > 0.01 * one.net_force_n[2]
+
+
 def test_turned_shapes_are_what_they_are_made_of():
     """A bar lies along its turn from x towards y; a capsule is balls along a line, a convex body the space below all of
     its faces."""
     end = 3.9 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
-    bar = Turned(Cylinder(1.0, 8.0), 30.0)
+    bar = Cylinder(1.0, 8.0, turn=about_z(30.0))
     assert bar.heights_mm(end[0], end[1] * np.array([1.0, -1.0])) == pytest.approx([0.0, np.inf], abs=1e-12)
     assert bar.half_extents_mm(2.0) == pytest.approx((4 * end[0] / 3.9 + 0.5, 2 + end[0] / 3.9), abs=1e-12)
     x, y = np.meshgrid(np.linspace(-6.1, 6.1, 25), np.linspace(-6.1, 6.1, 25))
     for turn in (np.eye(3), turned(0, np.pi / 2, 0), turned(0.3, -0.8, 0.4)):
-        capsule = Capsule(3.0, 7.0, turn)
+        capsule = Capsule(3.0, 7.0, turn=turn)
         cx, cy, cz = turn[:, 2, None] * np.linspace(-3.5, 3.5, 2001)
         square = 9.0 - (x[..., None] - cx) ** 2 - (y[..., None] - cy) ** 2
         lower = np.where(square >= 0, cz - np.sqrt(np.maximum(square, 0)), np.inf).min(axis=-1) - capsule.lowest_mm
         heights = capsule.heights_mm(x, y)
         assert np.nan_to_num(heights, posinf=-99) == pytest.approx(np.nan_to_num(lower, posinf=-99), abs=1e-4)
     body = Convex.hull(BOX_MM)
-    tipped = Convex(body.corners_mm, body.faces, turned(0, 0.1, 0))
+    tipped = Convex(body.corners_mm, body.faces, turn=turned(0, 0.1, 0))
     heights = tipped.heights_mm(x, y)
     inside = np.isfinite(heights)
     points = np.stack([x, y, heights + tipped.lowest_mm], axis=-1)[inside] @ tipped.turn
@@ -125,6 +140,8 @@ def test_turned_shapes_are_what_they_are_made_of():
     assert heights.min() == pytest.approx(0.0, abs=0.06)
     with pytest.raises(ShapeError, match="no volume"):
         Convex.hull(BOX_MM[:, :2] @ np.eye(2, 3))
+    with pytest.raises(ShapeError, match="turns about z alone"):
+        Flat((6.0, 4.0), turn=turned(0.1, 0.0, 0.0))
 
 
 def test_a_small_step_takes_few_products_on_one_grid_after_the_other(
@@ -137,7 +154,7 @@ def test_a_small_step_takes_few_products_on_one_grid_after_the_other(
     products, cells_mm = [], []
     give = PatchCompliance.pressed_mm
     monkeypatch.setattr(PatchCompliance, "pressed_mm", lambda self, force: products.append(1) or give(self, force))
-    stepper, bar = Stepper(pair, friction=FRICTION), Turned(Cylinder(11.0, 11.4), 84.0)
+    stepper, bar = Stepper(pair, friction=FRICTION), Cylinder(11.0, 11.4, turn=about_z(84.0))
     for depth_mm in np.arange(1, 81) * 0.01:
         cells_mm.append(stepper.step(bar, (-5.0, 0.0, -depth_mm)).patch.cell_mm[0])
     assert len(products) < 7 * len(cells_mm)

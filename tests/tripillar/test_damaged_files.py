@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from common.storage.cache import read_value, write_value
 from common.storage.journal import Journal
 from common.storage.seal import MARK
 from fem.array import substructured
@@ -24,8 +25,8 @@ def a_cell(path):
     matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in substructured.MATRICES}
     cell = CondensedCell(ports=PortModes(7.5, 10.0, 2, 2), **matrices, unknowns=100, residual=1e-12)
     refined = substructured.RefinedCell(cells=((1.0, {(): cell}),), error_estimate=1e-3, steps=("one", "two"))
-    substructured.write_refined(refined, path)
-    return substructured.read_refined
+    write_value(refined, path)
+    return lambda path: read_value(substructured.RefinedCell, path)
 
 
 def a_response(path):

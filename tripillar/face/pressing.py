@@ -140,16 +140,10 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
         raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
     if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
+    turn = stages.about_z(given.pop("turn_deg", 0.0))
     if kind == "flat" and "size_mm" in given:
-        flat = stages.Flat(_pair("size_mm", given["size_mm"], alone=True))
-        return stages.Turned(flat, given.get("turn_deg", 0.0))
-    radius_mm = given.pop("radius_mm")
-    if kind == "flat":
-        return stages.Flat(radius_mm=radius_mm)
-    turn_deg = given.pop("turn_deg", 0.0)
-    return (
-        stages.Sphere(radius_mm) if kind == "sphere" else stages.Turned(stages.Cylinder(radius_mm, **given), turn_deg)
-    )
+        return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn=turn)
+    return {"sphere": stages.Sphere, "cylinder": stages.Cylinder, "flat": stages.Flat}[kind](**given, turn=turn)
 
 
 def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:

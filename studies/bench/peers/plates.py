@@ -24,7 +24,7 @@ from dataset.indentation import contact_lengths
 from dataset.resistance import exact_resistances, pillar_lengths, rest_resistances
 from fem.conduction.potentials import pillars_per_mm
 from fem.contact import Convex, Flat, Shape, Sphere, SurfaceCompliance, press, surface_compliance
-from fem.contact.indentation import CELLS
+from fem.contact.driver import CELLS
 from geometry.design import Array, Electrics, Pad, Plate, SensorDesign
 from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_centres
 from studies.bench.peers.conduction import VOXEL_MM, Deformed, NgsolveUnit
