@@ -26,6 +26,7 @@ def numbers(values: Any) -> Any:
 
 
 def rubber(random: Random, contrast: float = 1.0) -> Table:
+    """Of the house's modulus times a contrast, of any ν."""
     return {"young_mpa": float(f"{YOUNG_MPA * contrast:.4g}"), "poisson": float(random.choice(RATIOS))}
 
 
@@ -61,13 +62,13 @@ def inside(random: Random, size: FloatArray) -> list[FloatArray]:
 
 def block(
     random: Random, low: Any = (5.0, 5.0, 2.0), high: Any = (30.0, 30.0, 12.0), loads: int = 1, besides: int = 1,
-    **shares: float,
+    least: float = 0.15, most: float = 0.6,
 ) -> Table:  # fmt: skip
     """A box under patches, which are probed, as are rectangles and points besides; a third have their patch in mid."""
     size = np.round(np.exp(random.uniform(np.log(low), np.log(high))), 2)
     middle = loads == 1 and random.random() < 1 / 3
-    patches = [rectangle(random, size, middle, **shares) for _ in range(loads)]
-    others = [rectangle(random, size, **shares) for _ in range(int(random.integers(besides + 1)))]
+    patches = [rectangle(random, size, middle, least, most) for _ in range(loads)]
+    others = [rectangle(random, size, False, least, most) for _ in range(int(random.integers(besides + 1)))]
     return {
         "body": {"kind": "block", "size_mm": numbers(size)},
         "material": rubber(random),
@@ -77,6 +78,7 @@ def block(
 
 
 def slab(random: Random) -> Table:
+    """Wide, and probed far from its load."""
     return block(random, (40.0, 40.0, 5.0), (100.0, 100.0, 12.0), besides=4, least=0.08, most=0.2)
 
 
@@ -132,17 +134,15 @@ def inclusion(random: Random, count: int = 1, buried: float = 0.4, exponents: tu
     for number in range(count):
         where = rectangle(random, np.array([x / count, y]), least=0.2, most=0.5)
         low, high = random.uniform((0.1, 0.5), (0.4, 0.9)) * (random.random(2) < buried)
-        ends = ((0.0, low * height), (0.0, high * height if high else height))
-        at = np.array(where["center_mm"]) + [number * x / count, 0.0]
+        at = np.add(where["center_mm"], (number * x / count, 0.0))
         material = rubber(random, 10.0 ** random.uniform(*exponents))
-        prisms.append(
-            {"base_mm": numbers([*at, ends[0][1]]), "top_mm": numbers([*at, ends[1][1]]), "section_mm": where["size_mm"]}
-            | material
-        )
+        base, top = numbers([*at, low * height]), numbers([*at, (high or 1.0) * height])
+        prisms.append({"base_mm": base, "top_mm": top, "section_mm": where["size_mm"]} | material)
     return found | {"inclusion": prisms}
 
 
 def inclusions(random: Random) -> Table:
+    """Two or three."""
     return inclusion(random, count=int(random.integers(2, 4)))
 
 

@@ -16,10 +16,8 @@ from fem.scene.scene import Block, Scene
 from geometry.layout import FloatArray
 
 #: places of a C3D20's nodes, in halves of its edges
-NODES = np.array(
-    [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2), (1, 0, 0), (2, 1, 0)]
-    + [(1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2), (0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)]
-)
+PLACES = "000 200 220 020 002 202 222 022 100 210 120 010 102 212 122 012 001 201 221 021"
+NODES = np.array([list(map(int, place)) for place in PLACES.split()])
 CORNERS, MIDDLES = slice(4, 8), slice(12, 16)  #: nodes of the upper face
 
 
@@ -37,7 +35,7 @@ def takes(scene: Scene) -> bool:
 
 
 def lines_of(scene: Scene, n: int) -> list[FloatArray]:
-    """Lines of the quarter from its middle planes: n boxes below half the patch, which crowd at its edge, as at base and top."""
+    """Lines of the quarter from its middle planes: n below half the patch, crowded at its edge, at base and top."""
 
     def crowded(start: float, end: float, boxes: int, both: bool) -> FloatArray:
         t = np.linspace(0, 1, boxes + 1)
@@ -62,7 +60,7 @@ def deck_of(scene: Scene, n: int) -> tuple[str, dict[int, float], int]:
     high = np.column_stack([fine[k][boxes[:, k] + 2] for k in range(3)])
     loaded = (high[:, 2] == scene.height_mm) & (high[:, :2] <= edge).all(axis=1)
     weights: dict[int, float] = {}
-    for k in np.flatnonzero(loaded):
+    for k in np.flatnonzero(loaded).tolist():
         area = np.prod(high[k, :2] - [fine[axis][boxes[k, axis]] for axis in (0, 1)]) / edge.prod()
         for of, share in ((CORNERS, -1 / 12), (MIDDLES, 1 / 3)):
             for node in elements[k, of]:
@@ -87,9 +85,8 @@ def solve_by_calculix(scene: Scene, n: int) -> tuple[dict[str, FloatArray], floa
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "deck.inp").write_text(deck, encoding="ascii")
         before = os.times()
-        subprocess.run(
-            ["ccx", "-i", "deck"], cwd=folder, capture_output=True, check=True, env=os.environ | {"OMP_NUM_THREADS": "1"}
-        )
+        alone = os.environ | {"OMP_NUM_THREADS": "1"}
+        subprocess.run(["ccx", "-i", "deck"], cwd=folder, capture_output=True, check=True, env=alone)
         after = os.times()
         rows = [line.split() for line in Path(folder, "deck.dat").read_text(encoding="ascii").splitlines()]
     sunk = sum(weights[int(row[0])] * float(row[3]) for row in rows if len(row) == 4 and row[0].isdigit())

@@ -10,6 +10,7 @@ import json
 import time
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import ngsolve as ng
 from netgen.occ import Axes, Glue, OCCGeometry, Pnt, Vec, WorkPlane, X, Z
@@ -33,17 +34,19 @@ def flags() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def face(corners: tuple[float, ...], z: float) -> object:
+def face(corners: tuple[float, ...], z: float) -> Any:
     """A rectangle x0, y0, x1, y1 at some height."""
     x0, y0, x1, y1 = corners
     return WorkPlane(Axes(Pnt(x0, y0, z), n=Z, h=X)).Rectangle(x1 - x0, y1 - y0).Face()
 
 
 def rectangle(middle: list[float], size: list[float]) -> tuple[float, ...]:
+    """Corners x0, y0, x1, y1."""
     return (middle[0] - size[0] / 2, middle[1] - size[1] / 2, middle[0] + size[0] / 2, middle[1] + size[1] / 2)
 
 
-def moduli(rubber: dict) -> tuple[float, float]:
+def moduli(rubber: dict[str, Any]) -> tuple[float, float]:
+    """λ and μ."""
     young, nu = rubber["young_mpa"], rubber["poisson"]
     return young * nu / ((1 + nu) * (1 - 2 * nu)), young / (2 * (1 + nu))
 
@@ -66,7 +69,7 @@ def left(corners: tuple[float, ...]) -> tuple[float, ...]:
     return (*corners[:2], *map(min, corners[2:], middle))
 
 
-def solid(prism: dict) -> object:
+def solid(prism: dict[str, Any]) -> Any:
     """A prism, left of the planes where it is the body's."""
     corners = rectangle(prism["base_mm"], prism["section_mm"])
     along = [q - p for p, q in zip(prism["base_mm"], prism["top_mm"], strict=True)]
@@ -79,26 +82,26 @@ probes = {one["name"]: rectangle(one["center_mm"], one["size_mm"]) for one in sc
 least = min(min(x1 - x0, y1 - y0) for (x0, y0, x1, y1), _ in loads)
 
 
-def marked(edges: object, kind: str, share: float) -> None:
+def marked(edges: Any, kind: str, share: float) -> None:
     """Refine edges by their length or geometrically."""
-    for edge in edges:  # type: ignore[attr-defined]  # a list of netgen's
+    for edge in edges:
         edge.hpref = 1 if given.hp and kind in given.singular.split(",") else 0
         if share:
             edge.maxh = share * least
 
 
 matrix = solid(body)
-marked([edge for edge in matrix.edges if abs(edge.center.z) < 1e-9], "base", given.base)  # type: ignore[attr-defined]
+marked([edge for edge in matrix.edges if abs(edge.center.z) < 1e-9], "base", given.base)
 parts = []
 for number, region in enumerate(regions):
     part = solid(region)
     if cut:
-        part = part * matrix  # type: ignore[operator]  # netgen's solids
-    part.mat(f"region {number}")  # type: ignore[attr-defined]
-    marked(part.edges, "regions", given.edge)  # type: ignore[attr-defined]
-    matrix = matrix - part  # type: ignore[operator]
+        part = part * matrix
+    part.mat(f"region {number}")
+    marked(part.edges, "regions", given.edge)
+    matrix = matrix - part
     parts.append(part)
-matrix.mat("matrix")  # type: ignore[attr-defined]
+matrix.mat("matrix")
 outlines = dict.fromkeys(corners for corners, _ in loads)
 for corners in outlines:
     parts.append(face(corners, height))
@@ -134,7 +137,7 @@ K = ng.BilinearForm(space, symmetric=True, condense=True)
 K += (2 * mu * ng.InnerProduct(ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))) + volumes) * ng.dx
 
 
-def inside(corners: tuple[float, ...]) -> object:
+def inside(corners: tuple[float, ...]) -> Any:
     """1 inside a rectangle, 0 outside."""
     x0, y0, x1, y1 = corners
     return ng.IfPos((ng.x - x0) * (x1 - ng.x), 1, 0) * ng.IfPos((ng.y - y0) * (y1 - ng.y), 1, 0)
