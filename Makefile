@@ -41,6 +41,7 @@ paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing besi
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
 	$(BIN)/python -m studies.bench --out $(OUT)/bench
+	$(BIN)/python -m studies.bench.gate --out $(OUT)/bench/gate.json
 	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
 	$(BIN)/python -m studies.bench.virtual --out $(OUT)/bench/virtual.json
 	$(BIN)/python -m studies.bench.pressing --out $(OUT)/bench/pressing.json

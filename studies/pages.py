@@ -1,4 +1,4 @@
-"""Tables of docs/results.md from what runs wrote: ``python -m studies.pages OUT`` takes new numbers from a folder.
+"""Tables of docs/ from what runs wrote: ``python -m studies.pages OUT`` takes new numbers from a folder.
 
 A run writes JSON; what pages show of it is kept in docs/numbers/, and stands in the page between comments
 ``<!-- numbers: NAME -->`` and ``<!-- end -->``. A test finds a page that is older than its numbers.
@@ -17,7 +17,7 @@ from studies.program import run_alone
 from tripillar.terminal.entry import wrote
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = "results.md"
+PAGES = ("results.md", "physics.md")
 BLOCK = re.compile(r"(?<=<!-- numbers: )(\w+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 OURS = "skip net from the response (ours)"
 SHOWN = {  #: decouplers of the table of `tripillar run`, with what the page calls them
@@ -89,18 +89,35 @@ def dead_table(found: Numbers) -> str:
     return markdown(("dead", "its units: net / Bayes limit", "other units: net / Bayes limit"), rows, 3)
 
 
+def gate_table(found: Numbers) -> str:
+    """Seconds of programs to true errors: the whole process and, in brackets, the solve alone."""
+    (rows, _), cells = found["tables"].values(), dict[str, dict[str, str]]()
+    for row in rows:
+        took = {key.split(" whole")[0]: value for key, value in row.items() if "whole" in key}
+        mine = took.pop("TriPillar", None)
+        for peer in took or [""]:
+            pair = [f"{one[0]:.2f} ({one[1]:.2f})" if one else "–" for one in (mine, took.get(peer))]
+            shown = cells.setdefault(f"{row['scene'].replace('-', ' ')}, {peer or 'NGSolve'}", {})
+            shown[f"{100 * row['asked']:g} %"] = " / ".join(pair)
+    levels = dict.fromkeys(level for each in cells.values() for level in each)
+    lines = [[name, *(each.get(level, "–") for level in levels)] for name, each in cells.items()]
+    return markdown(("scene, program", *levels), lines, 1)
+
+
 #: by the name in a page: the file of its numbers, and how they are laid out
 TABLES: dict[str, tuple[str, Callable[[Numbers], str]]] = {
     "train": ("train.json", train_table),
     "truths": ("truths.json", truths_table),
     "readings": ("robustness.json", readings_table),
     "dead": ("robustness.json", dead_table),
+    "gate": ("gate.json", gate_table),
 }
 #: by file of numbers: what a run calls it
 RUNS = {
     "train.json": "table.json",
     "truths.json": "robustness/robustness-pairs.json",
     "robustness.json": "robustness/robustness.json",
+    "gate.json": "bench/gate.json",
 }
 #: entries of a run's file that no page shows
 UNSHOWN = {"made_from", "stages", "rise", "named", "seconds"}
@@ -127,9 +144,10 @@ def fill(
         if out is not None and (out / written).exists():
             write_json(_kept(json.loads((out / written).read_text(encoding="utf-8"))), docs / "numbers" / name)
             files.append(docs / "numbers" / name)
-    page = docs / PAGE
-    write_text(filled(page.read_text(encoding="utf-8"), docs / "numbers"), page)
-    wrote([*files, page])
+    for page in filter(Path.exists, (docs / name for name in PAGES)):
+        write_text(filled(page.read_text(encoding="utf-8"), docs / "numbers"), page)
+        files.append(page)
+    wrote(files)
 
 
 def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], n_texts: int) -> str:

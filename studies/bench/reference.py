@@ -110,12 +110,12 @@ def main(names: list[str]) -> None:
     for group, finest in solved_together(names or all_scenes()):
         entries = make_references(group, finest)
         stored = stored_references() | entries
-        write_text(_laid_out({"method": METHOD, "scenes": stored}), REFERENCES)
+        write_text(laid_out({"method": METHOD, "scenes": stored}), REFERENCES)
         for name, entry in entries.items():
             print(f"{name}: uncertain by {max(entry['uncertainties'].values()):g}", flush=True)
 
 
-def _laid_out(values: dict[str, Any]) -> str:
+def laid_out(values: dict[str, Any]) -> str:
     """JSON with a line for each list of numbers."""
     text = json.dumps(values, indent=1, ensure_ascii=False)
     return re.sub(r"\[[^\[\]{}]*\]", lambda found: re.sub(r"\s+", " ", found[0]), text) + "\n"

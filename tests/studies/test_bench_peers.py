@@ -10,6 +10,7 @@ from fem.kernel.loads import DeadLoad
 from fem.scene.scene import Block, Inclusion, Probe, Scene
 from geometry.design import Material
 from geometry.layout import unit_centres
+from studies.bench.gate import PEERS, by_ngsolve, cases, write_scene
 from studies.bench.peers import ngsolve_peer, plates
 from studies.bench.scenes import FINITE
 from studies.bench.solving import CONTENDERS, LOADED, measure
@@ -36,6 +37,37 @@ def test_columns_follow_hooke_and_rubbers_in_series_add_up(peer, monkeypatch):
             found = peer.solve(scene, 1)
             assert found.probes["corner"] == pytest.approx([0.0, 0.0, sunk_mm], abs=1e-8)
             assert sum(found.seconds.values()) > 0
+
+
+@pytest.mark.parametrize("flags", ["--order 2", "--order 2 --even xy", "--order 3 --hp 1 --even y"])
+def test_ngsolve_by_hand_follows_hooke_whatever_its_flags(flags, tmp_path):
+    """A column of two rubbers in series, covered all over at ν = 0, whole or cut at its middle planes."""
+    pytest.importorskip("ngsolve")
+    case = cases()["block-normal"]
+    whole, middle = {"center_mm": [2.0, 3.0], "size_mm": [4.0, 6.0]}, [2.0, 3.0]
+    rubber, stiff = ({"young_mpa": young, "poisson": 0.0} for young in (6.1, 12.2))
+    table = {
+        "body": {"kind": "block", "size_mm": [4.0, 6.0, 3.0]},
+        "material": rubber,
+        "inclusion": [stiff | {"base_mm": [*middle, 0.0], "top_mm": [*middle, 1.0], "section_mm": [4.0, 6.0]}],
+        "load": [whole | {"traction_mpa": [0.0, 0.0, -1.0]}],
+        "probe": [whole | {"name": "top", "kind": "mean"}],
+    }
+    case = case._replace(table=table, truth={"top": [0.0, 0.0, -2.0 / 6.1 - 1.0 / 12.2]})
+    assert by_ngsolve(case, write_scene(table, tmp_path / "column.toml"), flags).error < 1e-9
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_peers_of_the_gate_err_by_what_is_stored(peer, tmp_path):
+    missing, run = PEERS[peer]
+    if missing():
+        pytest.skip(missing())
+    case = cases()["block-normal"]
+    setting = case.cheapest(peer, 1e-2)
+    error, _ = case.settings[peer][setting]
+    found = run(case, write_scene(case.table, tmp_path / "scene.toml"), setting)
+    assert found.error == pytest.approx(error, rel=0.05)  # stored to two digits
+    assert 0 < found.solve_s <= found.whole_s
 
 
 def test_the_default_path_at_finite_strain_is_as_near_its_reference_as_asked():

@@ -2,13 +2,14 @@
 
 import json
 
-from studies.pages import BLOCK, DOCS, PAGE, TABLES, fill, filled
+from studies.pages import BLOCK, DOCS, PAGES, TABLES, fill, filled
 
 
 def test_no_page_is_older_than_its_numbers():
-    page = (DOCS / PAGE).read_text(encoding="utf-8")
-    assert {block[1] for block in BLOCK.finditer(page)} == set(TABLES)
-    assert filled(page, DOCS / "numbers") == page, "run python -m studies.pages"
+    pages = [(DOCS / name).read_text(encoding="utf-8") for name in PAGES]
+    assert {block[1] for page in pages for block in BLOCK.finditer(page)} == set(TABLES)
+    for page in pages:
+        assert filled(page, DOCS / "numbers") == page, "run python -m studies.pages"
 
 
 def test_new_numbers_of_a_run_come_into_the_page(tmp_path):
@@ -18,9 +19,9 @@ def test_new_numbers_of_a_run_come_into_the_page(tmp_path):
     row = {"truth": "pads", "protocol": "contact", "size": "6 × 6", "pairs": 10, "seconds": 1.0}
     row |= {"error_pct": [1.23456789, 2, 3], "limit_pct": [1, 1, 1], "within_68": [0.7] * 3, "within_95": [0.95] * 3}
     (out / "robustness-pairs.json").write_text(json.dumps([row, row | {"pairs": 3}]), encoding="utf-8")
-    (docs / PAGE).write_text("before\n<!-- numbers: truths -->\nold\n<!-- end -->\nafter\n", encoding="utf-8")
+    (docs / PAGES[0]).write_text("before\n<!-- numbers: truths -->\nold\n<!-- end -->\nafter\n", encoding="utf-8")
     fill(tmp_path / "out", docs)
-    shown = (docs / PAGE).read_text(encoding="utf-8").splitlines()
+    shown = (docs / PAGES[0]).read_text(encoding="utf-8").splitlines()
     assert (shown[0], shown[-1]) == ("before", "after")
     (line,) = [line for line in shown if "pads" in line]
     assert line == "| pads, contact, 6 × 6 | 1 / 1 / 1 | 1.23 / 2 / 3 | 70 / 95 |"

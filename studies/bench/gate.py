@@ -1,0 +1,224 @@
+"""``python -m studies.bench.gate``: TriPillar, NGSolve and CalculiX as programs of their own, to the same true errors.
+
+Processor seconds of the whole process, imports and all, and of the solve alone, on one thread; the programs take turns.
+TriPillar is asked for each error; of NGSolve and CalculiX the cheapest of the settings in `gate.json` whose true error
+meets it is run, chosen by hand for each scene (``--tune`` measures them anew). They state no error. `gate.json` holds
+scenes and truths, too: answers of TriPillar at 1e-4 or tighter, and how far the finest NGSolve is from them.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from cyclopts import Parameter
+
+from common.storage.files import write_text
+from fem.scene.scene_file import scene_from_dict
+from fem.scene.solution import largest_error
+from studies.bench.peers import calculix, ngsolve_peer
+from studies.bench.reference import laid_out
+from studies.program import run_alone
+from studies.tables import Row, measured_on, report, shown
+from tripillar.terminal.entry import say
+
+GATE = Path(__file__).with_name("gate.json")
+LEVELS = (5e-2, 1e-2, 3e-3, 1e-3)  #: true errors that are asked for
+IMPORTS = "import numpy, scipy.sparse, skfem"  #: what any program on scikit-fem loads
+BY_HAND = Path(ngsolve_peer.__file__).with_name("ngsolve_by_hand.py")
+SLOW_S = 5.0  #: a run that takes longer is not repeated
+PATIENCE_S = 120.0
+#: a scene solved once, what it imports left out
+ALONE = """
+import sys, time
+from dataclasses import replace
+from pathlib import Path
+from fem.methods.solving import solve_scene
+from fem.scene.scene_file import read_scene
+scene = replace(read_scene(Path(sys.argv[1])), tolerance=float(sys.argv[2]))
+start = time.process_time()
+solve_scene(scene)
+print(time.process_time() - start)
+"""
+
+
+class Ran(NamedTuple):
+    """What a program gave and took; a run without an estimate states 0."""
+
+    whole_s: float
+    solve_s: float
+    error: float
+    estimate: float = 0.0
+
+
+class Case(NamedTuple):
+    """A scene of the gate."""
+
+    table: dict[str, Any]  #: of its scene file
+    truth: dict[str, list[float]]  #: displacement of each probe [mm]
+    uncertain: dict[str, float]  #: what TriPillar states of the truth, and NGSolve's distance from it
+    settings: dict[str, dict[str, list[float]]]  #: by program and setting, its true error and seconds of the solve
+
+    def error(self, probes: dict[str, Any]) -> float:
+        """The largest of the probes' true errors."""
+        found, truth = ({name: np.array(u) for name, u in each.items()} for each in (probes, self.truth))
+        return largest_error(found, truth)
+
+    def cheapest(self, program: str, level: float) -> str | None:
+        """The setting of a program that meets an error at the least cost."""
+        good = {setting: cost for setting, (error, cost) in self.settings.get(program, {}).items() if error <= level}
+        return min(good, key=good.__getitem__, default=None)
+
+
+def timed(*command: str | Path) -> tuple[str, float]:
+    """What a program prints, and its processor seconds, on one thread and with an empty cache."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    with tempfile.TemporaryDirectory() as cache:
+        env, before = os.environ | threads | {"TRIPILLAR_CACHE": cache}, os.times()
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S, env=env)
+        after = os.times()
+    return done.stdout, sum(after[2:4]) - sum(before[2:4])
+
+
+def by_tripillar(case: Case, scene: Path, level: float) -> Ran:
+    """`tripillar solve` at a tolerance, and the solve alone in a second process."""
+    said, whole_s = timed(sys.executable, "-m", "tripillar", "solve", scene, "--json", "--tolerance", str(level))
+    alone, _ = timed(sys.executable, "-c", ALONE, scene, str(level))
+    found = json.loads(said)
+    return Ran(whole_s, float(alone), case.error(found["probes"]), found["error_estimate"])
+
+
+def by_ngsolve(case: Case, scene: Path, setting: str) -> Ran:
+    """NGSolve's program at its flags."""
+    said, whole_s = timed(sys.executable, BY_HAND, scene, *setting.split())
+    found = json.loads(said)
+    return Ran(whole_s, found["seconds"], case.error(found["probes"]))
+
+
+def by_calculix(case: Case, scene: Path, setting: str) -> Ran:
+    """CalculiX's program on a grid of a fineness."""
+    probes, seconds = calculix.solve_by_calculix(scene_from_dict(case.table), int(setting))
+    return Ran(seconds, seconds, case.error(probes))
+
+
+PEERS: dict[str, tuple[Callable[[], str], Callable[[Case, Path, str], Ran]]] = {
+    "NGSolve": (ngsolve_peer.missing, by_ngsolve),
+    "CalculiX": (calculix.missing, by_calculix),
+}
+
+
+def write_scene(table: dict[str, Any], path: Path) -> Path:
+    """Tables of a scene as a scene file."""
+    lines = []
+    for name, entries in table.items():
+        many = isinstance(entries, list)
+        for entry in entries if many else [entries]:
+            lines += [f"[[{name}]]" if many else f"[{name}]", *(f"{k} = {json.dumps(v)}" for k, v in entry.items())]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def alternated(runs: dict[str, Callable[[], Ran]], times: int) -> dict[str, Ran | None]:
+    """Medians of programs that take turns; None where one failed or took too long."""
+    found: dict[str, list[Ran]] = {name: [] for name in runs}
+    failed = set()
+    for _ in range(times):
+        for name, run in runs.items():
+            if name in failed or any(one.whole_s > SLOW_S for one in found[name]):
+                continue
+            try:
+                found[name].append(run())
+            except (subprocess.SubprocessError, ValueError) as error:
+                say(f"{name}: {error}")
+                failed.add(name)
+    return {
+        name: None if name in failed else Ran(*(median(column) for column in zip(*each, strict=True)))
+        for name, each in found.items()
+    }
+
+
+def raced(name: str, case: Case, folder: Path, peers: list[str], times: int) -> list[Row]:
+    """Rows of a scene: each program to each error."""
+    rows: list[Row] = []
+    scene = write_scene(case.table, folder / f"{name}.toml")
+    for level in LEVELS:
+        settings = {peer: chosen for peer in peers if (chosen := case.cheapest(peer, level))}
+        runs: dict[str, Callable[[], Ran]] = {"TriPillar": partial(by_tripillar, case, scene, level)}
+        runs |= {peer: partial(PEERS[peer][1], case, scene, setting) for peer, setting in settings.items()}
+        row: dict[str, Any] = {"scene": name, "asked": level}
+        for program, ran in alternated(runs, times).items():
+            if ran:
+                row[f"{program} whole / solve [s]"] = [ran.whole_s, ran.solve_s]
+                row[f"{program} error" + " / estimate" * bool(ran.estimate)] = [
+                    ran.error,
+                    *filter(None, [ran.estimate]),
+                ]
+        say(", ".join(f"{key} {shown(value)}" for key, value in row.items()))
+        rows.append(row)
+    return rows
+
+
+def tuned(name: str, case: Case, folder: Path, peers: list[str]) -> Case:
+    """A scene whose peers' settings are all measured anew."""
+    scene = write_scene(case.table, folder / f"{name}.toml")
+    settings = dict(case.settings)
+    for peer in peers:
+        for setting in case.settings.get(peer, {}):
+            ran = alternated({f"{name}, {peer} at {setting}": partial(PEERS[peer][1], case, scene, setting)}, 1)
+            (one,) = ran.values()
+            measured = [float(f"{one.error:.2g}"), round(one.solve_s, 3)] if one else [np.inf, np.inf]
+            settings[peer] = settings[peer] | {setting: measured}
+    return case._replace(settings=settings)
+
+
+def cases() -> dict[str, Case]:
+    """The scenes of the gate."""
+    return {name: Case(**case) for name, case in json.loads(GATE.read_text(encoding="utf-8")).items()}
+
+
+def stored(found: dict[str, Case]) -> str:
+    """The text of `gate.json`."""
+    return laid_out({name: case._asdict() for name, case in found.items()})
+
+
+def gate(
+    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/gate.json"),
+    scene: Annotated[list[str] | None, Parameter(help="Scene to run; may be given again.")] = None,
+    times: Annotated[int, Parameter(help="Runs of each program, of which the median counts.")] = 3,
+    tune: Annotated[bool, Parameter(name="--tune", help="Measure the peers' settings anew and store them.")] = False,
+) -> None:
+    """Race TriPillar, NGSolve and CalculiX on the scenes of the gate; a program that is missing is skipped."""
+    peers = []
+    for peer, (missing, _) in PEERS.items():
+        if missing():
+            say(f"{peer}: skipped, {missing()}")
+        else:
+            peers.append(peer)
+    every = cases()
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in scene or every:
+            if tune:
+                every[name] = tuned(name, every[name], Path(folder), peers)
+                write_text(stored(every), GATE)
+            else:
+                rows += raced(name, every[name], Path(folder), peers, times)
+    if rows:
+        imports = [timed(sys.executable, "-c", IMPORTS)[1] for _ in range(times)]
+        about = measured_on(("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve")) | {"times": times}
+        tables: dict[str, list[Row]] = {
+            "Processor seconds to true errors": rows,
+            IMPORTS: [{"whole [s]": median(imports)}],
+        }
+        report(tables, out, about)
+
+
+if __name__ == "__main__":
+    run_alone(gate)

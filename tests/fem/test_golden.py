@@ -1,0 +1,117 @@
+"""Answers frozen at tight tolerances: those of today differ from them by no more than both state.
+
+`golden.json` holds answers of the solver of commit 7275990c, before scikit-fem's elements: of scenes (tables of scene
+files, or their paths), of the random scenes and of responses and samples, each with what it stated of its error. Scenes
+of the benchmark and of the gate are held to the references stored there.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from common.errors import TriPillarError
+from fem.array.solving import ResponseSettings, solve_response
+from fem.finite.samples import SampleSolver
+from fem.methods.solving import solve_scene
+from fem.scene.scene import Scene
+from fem.scene.scene_file import read_scene, scene_from_dict
+from fem.scene.solution import largest_error
+from geometry.design_file import design_from_dict
+from studies.bench.gate import cases
+from studies.bench.reference import stored_references
+from studies.bench.scenes import all_scenes
+from studies.edge_cases.random_scenes import random_tables
+
+GOLDEN: dict[str, Any] = json.loads(Path(__file__).with_name("golden.json").read_text(encoding="utf-8"))
+ROOT = Path(__file__).parents[2]
+USUAL = 1e-2  #: tolerance at which scenes of the benchmark, of the gate and random ones are solved
+QUICK = 0.5  #: processor seconds, in which those that are not `long` were solved
+ROUNDED = 1e-9  #: relative, where both state less
+
+
+def table(entries: Mapping[str, Any], is_quick: Callable[[str], bool]) -> Iterable[Any]:
+    """Names as parameters, those that take their time as long tests."""
+    return [pytest.param(name, marks=() if is_quick(name) else pytest.mark.long) for name in entries]
+
+
+def agree(scene: Scene, truth: Mapping[str, Any], stated: float) -> None:
+    """Today's answer and the truth, relative to the truth, within what both state."""
+    found, _ = solve_scene(scene)
+    assert (
+        largest_error(found.probes, {name: np.array(u) for name, u in truth.items()})
+        <= found.error_estimate + stated + ROUNDED
+    )
+
+
+@pytest.mark.parametrize("name", table(GOLDEN["scenes"], lambda name: GOLDEN["scenes"][name]["seconds"] < QUICK))
+def test_scenes_are_where_they_were_or_refused(name):
+    given = GOLDEN["scenes"][name]
+    is_path = isinstance(given["scene"], str)
+    scene = read_scene(ROOT / given["scene"]) if is_path else scene_from_dict(given["scene"])
+    scene = replace(scene, tolerance=given["run"])
+    if "probes" in given:
+        agree(scene, given["probes"], given["stated"])
+    else:
+        with pytest.raises(TriPillarError):
+            solve_scene(scene)
+
+
+@pytest.mark.parametrize("name", table(GOLDEN["random"], lambda name: name.endswith("-3")))
+def test_random_scenes_are_where_they_were(name):
+    scene = replace(scene_from_dict(random_tables()[name]), tolerance=USUAL)
+    agree(scene, GOLDEN["random"][name]["probes"], GOLDEN["random"][name]["stated"])
+
+
+@pytest.mark.parametrize("name", table(cases(), lambda name: name.startswith(("block", "pillar"))))
+def test_scenes_of_the_gate_are_where_ngsolve_finds_them(name):
+    case = cases()[name]
+    agree(replace(scene_from_dict(case.table), tolerance=USUAL), case.truth, case.uncertain["stated"])
+
+
+@pytest.mark.parametrize("name", table(stored_references(), lambda name: name.startswith("pillar")))
+def test_scenes_of_the_benchmark_are_where_ngsolve_finds_them(name):
+    entry = stored_references()[name]
+    found, _ = solve_scene(replace(all_scenes()[name], tolerance=USUAL))
+    for group in [list(entry["probes"])] if name.startswith("response") else [[probe] for probe in entry["probes"]]:
+        u, truth = (np.array([each[probe] for probe in group]) for each in (found.probes, entry["probes"]))
+        # an array states the error of all electrodes as one, in which those of the loaded unit count
+        largest = max(np.linalg.norm(each) for each in entry["probes"].values())
+        uncertain = [
+            entry["uncertainties"][probe] * max(np.linalg.norm(entry["probes"][probe]), 0.01 * largest)
+            for probe in group
+        ]
+        size = max(np.linalg.norm(truth), 0.01 * largest)
+        assert np.linalg.norm(u - truth) <= found.error_estimate * size + np.linalg.norm(uncertain), group
+
+
+@pytest.mark.parametrize("name", table(GOLDEN["responses"], lambda name: name == "paper"))
+def test_responses_are_what_they_were(name):
+    """Blocks of pads, relative to the loaded pad's own."""
+    given = GOLDEN["responses"][name]
+    found = solve_response(design_from_dict(given["design"]), ResponseSettings(tolerance=given["run"]))
+    allowed, B = found.error_estimate + given["stated"], found.influence_mm_per_n
+    for key, block in given["blocks"].items():
+        i, j, k, m = map(int, key.replace(" ", ""))
+        own = np.linalg.norm(B[k, m, :, :, k, m])
+        assert np.linalg.norm(B[i, j, :, :, k, m] - block) <= allowed * own, key
+    assert np.linalg.norm(B) == pytest.approx(given["norm"], rel=allowed)
+
+
+@pytest.mark.long
+def test_samples_at_finite_strain_are_what_they_were():
+    """Five of the electrodes' components in each of twenty samples, relative to all of the sample's."""
+    for given in GOLDEN["samples"].values():
+        design = design_from_dict(given["design"])
+        response = solve_response(design, ResponseSettings(tolerance=1e-3))
+        force_n = np.random.default_rng(given["seed"]).uniform((-40, -40, -300), (40, 40, -20), (20, 4, 3))
+        found = SampleSolver(design, response.influence_mm_per_n.reshape(4, 2, 3, 4, 3)).displacements(force_n)
+        u = found.displacement_mm
+        five = np.stack([*u[:, 0, 0].T, u[:, 3, 1, 0], u[:, 3, 1, 2]], axis=1)
+        apart = np.linalg.norm(five - given["values"], axis=1) / given["norm"]
+        assert found.settled.all()
+        assert (apart <= found.error_estimate + given["stated"] + response.error_estimate).all()
