@@ -68,15 +68,14 @@ def reduced_conduction(
     mesh, at_rest = conductor.mesh, conductor.at_rest
     pillar = pillars_of(unit, mesh.points_mm)
     conductivities = [np.broadcast_to(np.eye(3), (len(pillar), 3, 3))]
-    changes, potentials = [], [at_rest.potentials]
+    potentials = [at_rest.unknowns]
     for F in deformations(mesh.points_mm, pillar, mesh.weight_mm3):
         conductivities.append(pulled_back(F, piezoresistivity))
-        potentials.append(conductor.potentials(conductor.stiffness(conductivities[-1])))
-        changes.append((potentials[-1] - at_rest.potentials)[:, :-1])
-    snapshots = np.hstack(changes)
+        potentials.append(conductor.potentials(conductivities[-1]).unknowns)
+    snapshots = np.hstack([(phi - potentials[0])[:, :-1] for phi in potentials[1:]])
     energies, modes = np.linalg.eigh(snapshots.T @ (at_rest.stiffness @ snapshots))
     kept = np.cumsum(energies) > DROPPED * energies.sum()
-    basis = np.hstack([at_rest.potentials[:, :-1], snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])
+    basis = np.hstack([potentials[0][:, :-1], snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])
     slopes = conductor.gradients(basis)
     generator = np.random.default_rng(0)
     candidates = np.sort(generator.permutation(len(pillar))[:CANDIDATES])
