@@ -35,19 +35,19 @@ AXES_AGREE = 1e-9  #: of the body's size: how far apart elements that meet may s
 
 
 class Hexahedra(Scalar):
-    """A body that conducts between terminals; the values of some nodes follow from those of others."""
+    """A body that conducts between terminals, each of some nodes; `pairs` of terminals are at the ends of pillars."""
 
     def __init__(
         self,
         basis: Basis,
         terminals: Sequence[IntArray],
-        constraint: sp.csr_matrix,
-        pairs: tuple[tuple[int, int], ...] = ((0, 1),),
+        pairs: Sequence[tuple[int, int]] = ((0, 1),),
+        constraint: sp.csr_matrix | None = None,
     ) -> None:
-        super().__init__(basis)
-        self.terminals = terminals  #: nodes on each
-        self.constraint = constraint  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
-        self.pairs = pairs  #: terminals at both ends of each pillar
+        super().__init__(basis, constraint)
+        self.pairs = pairs
+        #: unknowns on each terminal, (n_unknowns, n_terminals)
+        self.on_terminals = np.stack([np.ravel(self.constraint[own].sum(axis=0)) > 0.5 for own in terminals], axis=1)
 
 
 def joined(parts: Sequence[FloatArray], order: int) -> Basis:
@@ -77,8 +77,7 @@ class Joint:
     run_mm: float  #: by which the oblique one leans in all; 0 where there is none
     axes: FloatArray  #: X, Y and t as rows, (3, 3)
     width_mm: float  #: of both
-    is_round: bool  #: both
-    polygon: float  #: corners of the polygon that is meshed, in terms of the radius
+    polygon: float  #: of round ones, corners of the polygon that is meshed, in terms of the radius; 1 of square ones
 
 
 def unit_hexahedra(
@@ -114,7 +113,7 @@ def unit_hexahedra(
     terminals = [within([k], at, e, joint)[0] for k, (at, joint) in enumerate(zip(centres, joints, strict=True))]
     cuts = zip(layout.pillar_terminals, pillar_ends(unit).mean(axis=1), pillar_sections(unit) / 2, strict=True)
     constraint = _constraint(basis, [within(own, at, half, joints[own[0]]) for own, at, half in cuts])
-    return Hexahedra(basis, terminals, constraint, layout.pillar_terminals)
+    return Hexahedra(basis, terminals, layout.pillar_terminals, constraint)
 
 
 def _constraint(basis: Basis, cuts: list[tuple[IntArray, FloatArray]]) -> sp.csr_matrix:
@@ -176,7 +175,6 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
                 run_mm=float(np.abs(lean).max()),
                 axes=axes,
                 width_mm=width,
-                is_round=is_round,
                 polygon=_corner_ratio(round_across) if is_round else 1.0,
             )
         )
@@ -202,7 +200,7 @@ def _corner_ratio(across: int) -> float:
 def _swept(unit: Unit, joint: Joint, levels: int, strained: bool, round_across: int) -> FloatArray:
     """A joint's figure swept across: corners by X, Y and t, (n, 2, 2, 2, 3)."""
     half, e = joint.polygon * joint.width_mm / 2, joint.polygon * unit.electrode_mm / 2
-    if joint.is_round:
+    if joint.polygon > 1:
         across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, round_across + 1))
     else:
         across = _across(half, e, max(levels - 2, 0), strained)
@@ -215,27 +213,25 @@ def _swept(unit: Unit, joint: Joint, levels: int, strained: bool, round_across: 
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    if joint.is_round:
-        corners = _rounded(corners, unit, joint.upright, joint.run_mm, half)
+    if joint.polygon > 1:
+        corners = _rounded(corners, unit, joint, half)
     return corners.reshape(-1, 2, 2, 2, 3)
 
 
-def _rounded(corners: FloatArray, unit: Unit, upright: bool, run: float, half: float) -> FloatArray:
-    """Corners (n, ..., 3) of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
+def _rounded(corners: FloatArray, unit: Unit, joint: Joint, half: float) -> FloatArray:
+    """The same corners of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
     X, Y, t = np.moveaxis(corners, -1, 0)
     size = np.sqrt(np.maximum(1 - (Y / half) ** 2, 0.0))
-    lean, depth, moved = run / unit.height_mm, t, size * X
-    is_oblique = np.full(X.shape, bool(run))
-    if upright and run:
-        crotch = half * (1 + math.hypot(run, unit.height_mm) / unit.height_mm) / lean
-        end = unit.height_mm / 2
-        depth = np.where(t <= crotch, size * t, end - (end - t) * (end - size * crotch) / (end - crotch))
-        middles = (
-            X.mean(axis=tuple(range(1, X.ndim)), keepdims=True),
-            t.mean(axis=tuple(range(1, t.ndim)), keepdims=True),
-        )
-        is_oblique &= (middles[0] > half) & (middles[1] > crotch)
-    moved = np.where(is_oblique, lean * depth + size * (X - lean * t), moved)
+    run, h, depth, moved = joint.run_mm, unit.height_mm, t, size * X
+    if run:
+        is_oblique = np.ones(len(corners), dtype=bool)
+        if joint.upright:
+            crotch, end = half * (h + math.hypot(run, h)) / run, h / 2
+            depth = np.where(t <= crotch, size * t, end - (end - t) * (end - size * crotch) / (end - crotch))
+            middle = corners.mean(axis=(1, 2, 3, 4))
+            is_oblique = (middle[:, 0] > half) & (middle[:, 2] > crotch)
+        leaning = run / h * depth + size * (X - run / h * t)
+        moved = np.where(is_oblique[:, None, None, None, None], leaning, moved)
     return np.stack([moved, Y, depth], axis=-1)
 
 

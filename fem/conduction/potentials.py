@@ -4,7 +4,7 @@ div(σ grad φ) = 0 with φ = 1 on one terminal and 0 on the others, insulating 
 mesh nor the equation: σ is pulled back to the shape at rest.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -111,17 +111,12 @@ class Conductor:
 
     def potentials(self, conductivity: FloatArray) -> Potentials:
         """Those of σ (n_points, 3, 3) at the mesh's points."""
-        T = self.mesh.constraint
-        stiffness = T.T.tocsr() @ (self.mesh.stiffness(conductivity) @ T)
-        nodal = np.zeros((T.shape[0], len(self.mesh.terminals)))
-        for column, nodes in enumerate(self.mesh.terminals):
-            nodal[nodes, column] = 1.0
-        phi = np.asarray(T.T @ nodal > 0.5, dtype=np.float64)
+        stiffness, phi = self.mesh.stiffness(conductivity), self.mesh.on_terminals.astype(np.float64)
         free = np.flatnonzero(~phi.any(axis=1))
         rows = stiffness[free]
         phi[free, :-1], _ = checked_solve(Factor(rows[:, free].tocsr(), definite=True), -(rows @ phi[:, :-1]))
         phi[free, -1] = 1 - phi[free, :-1].sum(axis=1)
-        return Potentials(stiffness=stiffness, unknowns=phi, gradients=self.gradients(phi))
+        return Potentials(stiffness=stiffness, unknowns=phi, gradients=self.mesh.gradients(phi))
 
     def conductances(
         self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
@@ -136,10 +131,6 @@ class Conductor:
         """The potentials without deformation."""
         return self.potentials(np.broadcast_to(np.eye(3), (len(self.mesh.points_mm), 3, 3)))
 
-    def gradients(self, unknowns: FloatArray) -> FloatArray:
-        """∇φ at the mesh's points of unknowns (n_unknowns, k), shape (n_points, 3, k) [1/mm]."""
-        return self.mesh.gradients(self.mesh.constraint @ unknowns)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Conductances:
@@ -147,7 +138,7 @@ class Conductances:
 
     matrix_mm: FloatArray  #: (n, n): currents into the electrodes by their potentials; symmetric, rows sum to 0
     error_estimate: FloatArray  #: relative, of the resistances of the pillars, (n_pillars,)
-    pairs: tuple[tuple[int, int], ...]  #: electrodes at both ends of each pillar
+    pairs: Sequence[tuple[int, int]]  #: electrodes at both ends of each pillar
 
     @property
     def pillars_per_mm(self) -> FloatArray:
@@ -158,7 +149,7 @@ class Conductances:
         return pillars_per_mm(self.matrix_mm, self.pairs)
 
 
-def pillars_per_mm(matrix_mm: FloatArray, pairs: tuple[tuple[int, int], ...]) -> FloatArray:
+def pillars_per_mm(matrix_mm: FloatArray, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Resistances of pillars over the resistivity, (..., n_pillars), from conductances (..., n, n)."""
     one, other = np.array(pairs).T
     return np.asarray(-1 / matrix_mm[..., one, other])
@@ -235,18 +226,12 @@ def second_derivatives(
     p = 1 + difference / 2
     mesh, m = conductor.mesh, gradient.shape[3]
     rest = conductor.at_rest
-    phi, slopes, weight = rest.unknowns, rest.gradients, mesh.weight_mm3
-    free = np.flatnonzero(~((phi == 0) | (phi == 1)).all(axis=1))
+    slopes, weight, free = rest.gradients, mesh.weight_mm3, np.flatnonzero(~mesh.on_terminals.any(axis=1))
     S, tau = gradient + gradient.swapaxes(1, 2), np.trace(gradient, axis1=1, axis2=2)  # (n, 3, 3, m), (n, m)
     stretched = [np.einsum("nabm,nb->nam", S, slope) for slope in np.moveaxis(slopes, -1, 0)]
     turned = [np.einsum("nabm,nb->nam", gradient, slope) for slope in np.moveaxis(slopes, -1, 0)]
-    gather = mesh.constraint.T[free]
-
-    def residual(t: int) -> FloatArray:
-        flux = (1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t]
-        return np.asarray(gather @ mesh.divergence(flux))
-
-    residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
+    fluxes = ((1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t] for t in range(slopes.shape[2]))
+    residuals, n_first = [mesh.divergence(flux)[free] for flux in fluxes], 1 + max(i for i, _ in mesh.pairs)
     inner = rest.stiffness[free][:, free].tocsr()
     solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
     answers = np.hsplit(solved, n_first)  # of the pillars' first ends
