@@ -18,10 +18,10 @@ from fem.array.substructured import MAX_TESTED, expanded, influence_range, reduc
 from fem.conduction.potentials import (
     Conductor,
     Piezoresistivity,
-    extrapolation,
     pillars_per_mm,
     second_derivatives,
     strain_derivatives,
+    unit_accuracy,
     unit_conductances,
     unit_conductors,
 )
@@ -92,7 +92,7 @@ def conducted_by_loads(
     conductors = unit_conductors(design.unit)
     at_rest = unit_conductances(design.unit)
     amplitudes, parts = _modes(interior, conductors[0], design, usual)
-    first = _first_derivatives(interior, conductors, piezo, extrapolation(design.unit)[0], m)
+    first = _first_derivatives(interior, conductors, piezo, unit_accuracy(design.unit).beyond, m)
     gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, amplitudes)
     second = second_derivatives(conductors[0], gradients, piezo)
     n_modes = second.shape[1]

@@ -7,18 +7,22 @@ every plane along their leans, smaller toward their sides; of their square ends 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
-from itertools import combinations, pairwise, product
+from functools import partial
+from itertools import combinations, pairwise
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
+from numpy.polynomial import legendre
+from skfem import MeshHex
+from skfem.refdom import RefHex
 
 from common.errors import DesignError
-from fem.boxes.boxes import cube_functions, cube_slopes, gauss_points, lobatto_points, shape_functions
-from fem.field import IntArray, same_places
+from fem.kernel.elements import Basis, hexahedra
+from fem.kernel.field import same_places
+from fem.kernel.reference import IntArray
+from fem.kernel.scalar import Scalar
 from geometry.design import Unit
 from geometry.layout import FloatArray, electrode_centres, leans_both_ways, pillar_ends, pillar_sections, pillar_widths
 from geometry.prism import unit_prisms
@@ -27,88 +31,53 @@ RATIO = 0.15  #: of the sizes of neighbouring elements toward a singular edge
 INNER = 0.7  #: of a strained pillar's width, its inner element
 ROUND_ACROSS = 6  #: elements across a round pillar: halves of a polygon, enlarged to the circle's area
 LONGEST = 1.0  #: of an element along a pillar, in widths of the pillar
+AXES_AGREE = 1e-9  #: of the body's size: how far apart elements that meet may see a node they share
 
-Where = Callable[[FloatArray], NDArray[np.bool_]]  #: points (n, 3) to booleans
-Tie = list[tuple[IntArray, FloatArray]]  #: nodes (n,) on either side of a cut, and their places (n, 2) in the section
+
+class Hexahedra(Scalar):
+    """A body that conducts between terminals, each of some nodes; `pairs` of terminals are at the ends of pillars."""
+
+    def __init__(
+        self,
+        basis: Basis,
+        terminals: Sequence[IntArray],
+        pairs: Sequence[tuple[int, int]] = ((0, 1),),
+        constraint: sp.csr_matrix | None = None,
+    ) -> None:
+        super().__init__(basis, constraint)
+        self.pairs = pairs
+        #: unknowns on each terminal, (n_unknowns, n_terminals)
+        self.on_terminals = np.stack([np.ravel(self.constraint[own].sum(axis=0)) > 0.5 for own in terminals], axis=1)
+
+
+def joined(parts: Sequence[FloatArray], order: int) -> Basis:
+    """Hexahedra of corners (m, 2, 2, 2, 3), of either orientation; those of one part share common faces.
+
+    A `ValueError` says that axes of elements that meet differ: from order 3 on their edges' nodes would not.
+    """
+    points: list[FloatArray] = []
+    corners: list[IntArray] = []
+    for part in parts:
+        places = part[:, *RefHex.p.astype(int)].reshape(-1, 3)
+        first, number = same_places(places)
+        corners.append(number.reshape(-1, 8).T + sum(each.shape[1] for each in points))
+        points.append(places[first].T)
+    basis = Basis(MeshHex(*(np.ascontiguousarray(np.hstack(each)) for each in (points, corners))), hexahedra(order)[0])
+    seen = basis.mapping.F(basis.elem.doflocs.T) - basis.doflocs[:, basis.element_dofs.T]
+    if np.abs(seen).max() > AXES_AGREE * np.ptp(basis.doflocs):
+        raise ValueError("elements that meet differ in their axes: state the corners of all of them in one order")
+    return basis
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Hexahedra:
-    """Trilinear hexahedra with Lagrange functions of an order along each edge; corners and nodes run z fastest."""
-
-    order: int
-    corners_mm: FloatArray  #: (n_elements, 8, 3)
-    nodes_mm: FloatArray  #: (n_nodes, 3)
-    elements: IntArray  #: (n_elements, (order + 1)³): nodes of each
-    terminals: tuple[IntArray, ...]  #: nodes on each terminal
-    constraint: sp.csr_matrix  #: (n_nodes, n_unknowns): values of the nodes from the unknowns
-    pairs: tuple[tuple[int, int], ...] = ((0, 1),)  #: terminals at both ends of each pillar
-
-    @cached_property
-    def _gauss(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x, w = gauss_points(self.order + 1)
-        points = np.array(list(product(x, x, x)))
-        jacobian = np.einsum("dqn,enx->eqxd", cube_slopes(1, points), self.corners_mm)  # ∂x/∂ξ
-        gradient = np.linalg.inv(jacobian).swapaxes(-1, -2) @ cube_slopes(self.order, points).swapaxes(0, 1)
-        weights = np.einsum("a,b,c->abc", w, w, w).ravel() * np.abs(np.linalg.det(jacobian))
-        places = cube_functions(1, points) @ self.corners_mm
-        return places.reshape(-1, 3), weights.ravel(), gradient.reshape(-1, *gradient.shape[-2:])
-
-    @property
-    def points_mm(self) -> FloatArray:
-        """Gauss points of all elements, one after the other, (n_points, 3)."""
-        return self._gauss[0]
-
-    @property
-    def weight_mm3(self) -> FloatArray:
-        """Volume of each of `points_mm`, (n_points,)."""
-        return self._gauss[1]
-
-    @property
-    def gradient(self) -> FloatArray:
-        """Gradients of the element's functions at `points_mm`, (n_points, 3, (order + 1)³) [1/mm]."""
-        return self._gauss[2]
-
-
-def joined(corners_mm: FloatArray, order: int, on_terminals: Sequence[Where]) -> Hexahedra:
-    """Hexahedra of corners (n_elements, 8, 3), conforming, either orientation, that share the nodes of common faces.
-
-    `on_terminals` takes points (n, 3) to booleans: those on each terminal.
-    """
-    x = lobatto_points(order)
-    places = (cube_functions(1, np.array(list(product(x, x, x)))) @ corners_mm).reshape(-1, 3)
-    first, numbers = same_places(places)
-    nodes = places[first]
-    return Hexahedra(
-        order=order,
-        corners_mm=corners_mm,
-        nodes_mm=nodes,
-        elements=numbers.reshape(len(corners_mm), -1),
-        terminals=tuple(np.flatnonzero(on(nodes)) for on in on_terminals),
-        constraint=sp.eye(len(nodes), format="csr"),
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Joint:
     """Pillars that meet at an electrode. X runs along the oblique one's lean, Y across, t away from the electrode."""
 
-    upright: int | None  #: numbers of the pillars
-    oblique: int | None
-    axis: int = 0  #: along which the oblique one leans
-    sign: float = 1.0  #: its lean away from the electrode
-    width_mm: float = 2.0  #: of both
-    is_round: bool = False  #: both
-    polygon: float = 1.0  #: corners of the polygon that is meshed, in terms of the radius
-
-    @property
-    def half_mm(self) -> float:
-        """Half of the width across, as meshed."""
-        return self.width_mm / 2 * self.polygon
-
-    def turned(self, local: FloatArray) -> FloatArray:
-        """Values (..., 2) along X and Y along x and y."""
-        return np.stack([self.sign * local[..., 0], local[..., 1]][:: 1 - 2 * self.axis], axis=-1)
+    upright: bool  #: whether there is an upright one
+    run_mm: float  #: by which the oblique one leans in all; 0 where there is none
+    axes: FloatArray  #: X, Y and t as rows, (3, 3)
+    width_mm: float  #: of both
+    polygon: float  #: of round ones, corners of the polygon that is meshed, in terms of the radius; 1 of square ones
 
 
 def unit_hexahedra(
@@ -123,41 +92,52 @@ def unit_hexahedra(
     Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
     the elements' order, which suits both.
     """
-    h, layout = unit.height_mm, unit.layout
-    corners: list[FloatArray] = []
-    nodes: list[FloatArray] = []
-    elements, terminals, n = [], [], 0
-    ties: dict[int, Tie] = {}
-    # X runs toward the oblique pillar's other end
-    swept = cache(partial(_swept, unit, order, levels, strained, round_across))
-    for number, (at, joint) in enumerate(zip(electrode_centres(unit), _joints(unit, round_across), strict=True)):
-        run = 0.0 if joint.oblique is None else float(np.ptp(pillar_ends(unit)[joint.oblique, :, joint.axis]))
-        half, slack = joint.half_mm, 1e-6 * joint.width_mm
-        part = swept(joint.upright is not None, run, joint.width_mm, joint.is_round)
-        X, Y, t = part.nodes_mm.T
-        up = 1.0 if number >= len(layout.upper) else -1.0
-        for local, placed in ((part.corners_mm, corners), (part.nodes_mm, nodes)):
-            placed.append(at + np.concatenate([joint.turned(local[..., :2]), up * local[..., 2:]], axis=-1))
-        elements.append(part.elements + n)
-        terminals.append(part.terminals[0] + n)
-        halves = {} if joint.upright is None else {joint.upright: (0.0, half)}
-        if joint.oblique is not None:
-            along = pillar_sections(unit)[joint.oblique, joint.axis] / joint.width_mm  # of its width
-            halves[joint.oblique] = (run / 2, along * half)
-        for pillar, (middle, width) in halves.items():
-            cut = np.flatnonzero((np.abs(t - h / 2) < slack) & (np.abs(X - middle) <= width + slack))
-            place = joint.turned(np.column_stack([(X[cut] - middle) / width, Y[cut] / half]))
-            ties.setdefault(pillar, []).append((cut + n, place))
-        n += len(part.nodes_mm)
-    return Hexahedra(
-        order=order,
-        corners_mm=np.concatenate(corners),
-        nodes_mm=np.concatenate(nodes),
-        elements=np.concatenate(elements),
-        terminals=tuple(terminals),
-        pairs=layout.pillar_terminals,
-        constraint=_constraint(order, list(ties.values()), n),
-    )
+    layout, centres, joints = unit.layout, electrode_centres(unit), _joints(unit, round_across)
+    parts = [
+        at + _swept(unit, joint, levels, strained, round_across) @ joint.axes
+        for at, joint in zip(centres, joints, strict=True)
+    ]
+    basis = joined(parts, order)
+    nodes, part = basis.doflocs.T, np.empty(basis.N, dtype=np.int64)
+    part[basis.element_dofs] = np.repeat(np.arange(len(parts)), [len(each) for each in parts])
+
+    def within(
+        own: Sequence[int], middle: FloatArray, half_mm: FloatArray, joint: Joint
+    ) -> tuple[IntArray, FloatArray]:
+        """Nodes of some parts in a horizontal rectangle, and where in it, −1..1 along x and y."""
+        reach = joint.polygon * np.append(half_mm, 0.0) + 1e-6 * joint.width_mm
+        found = np.flatnonzero(np.isin(part, own) & (np.abs(nodes - middle) <= reach).all(axis=1))
+        return found, np.clip((nodes[found] - middle)[:, :2] / (joint.polygon * half_mm), -1.0, 1.0)
+
+    e = np.full(2, unit.electrode_mm / 2)
+    terminals = [within([k], at, e, joint)[0] for k, (at, joint) in enumerate(zip(centres, joints, strict=True))]
+    cuts = zip(layout.pillar_terminals, pillar_ends(unit).mean(axis=1), pillar_sections(unit) / 2, strict=True)
+    constraint = _constraint(basis, [within(own, at, half, joints[own[0]]) for own, at, half in cuts])
+    return Hexahedra(basis, terminals, layout.pillar_terminals, constraint)
+
+
+def _constraint(basis: Basis, cuts: list[tuple[IntArray, FloatArray]]) -> sp.csr_matrix:
+    """Nodes (n,) on every cut, at places (n, 2), take one polynomial of (order + 1)² values; all others are free.
+
+    Where round pillars have shrunk to a line the nodes that it takes in are one.
+    """
+    n, elem, nodes_mm = basis.N, basis.elem, basis.doflocs.T
+    one = np.arange(n)
+    shrunk = np.unique(basis.element_dofs[:, (np.diff(np.sort(basis.mesh.t, axis=0), axis=0) == 0).any(axis=0)])
+    if len(shrunk):
+        first, number = same_places(nodes_mm[shrunk])
+        one[shrunk] = shrunk[first[number]]
+    free = np.setdiff1d(np.arange(n), np.concatenate([nodes for nodes, _ in cuts]))
+    unknown, column = np.unique(one[free], return_inverse=True)
+    columns = [sp.csr_matrix((np.ones(len(free)), (free, column)), shape=(n, len(unknown)))]
+    for nodes, places in cuts:
+        along = legendre.legvander(places, elem.maxdeg) @ elem.to_legendre  # (n, 2, order + 1)
+        along[np.abs(along) < 1e-12] = 0.0
+        values = np.einsum("ni,nj->nij", along[:, 0], along[:, 1]).reshape(len(nodes), -1)
+        row, column = np.indices(values.shape)
+        entries = values.ravel(), (nodes[row.ravel()], column.ravel())
+        columns.append(sp.csr_matrix(entries, shape=(n, values.shape[1])))
+    return sp.hstack(columns, format="csr")
 
 
 def _joints(unit: Unit, round_across: int) -> list[Joint]:
@@ -185,23 +165,22 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
                 f"conduction takes round pillars on electrodes at least as wide: raise electrode_mm from "
                 f"{unit.electrode_mm:g} to {width:g}, or take eq. 1."
             )
-        made = partial(
-            Joint,
-            upright=uprights[0] if uprights else None,
-            width_mm=width,
-            is_round=is_round,
-            polygon=_corner_ratio(round_across) if is_round else 1.0,
+        away = -1.0 if number < len(layout.upper) else 1.0  # along z; upper electrodes come first
+        lean = away * leans[obliques].sum(axis=0)
+        axes = np.zeros((3, 3))
+        axes[:, [int(lean[1] != 0), int(lean[1] == 0), 2]] = np.diag([-1.0 if lean.sum() < 0 else 1.0, 1.0, away])
+        joints.append(
+            Joint(
+                upright=bool(uprights),
+                run_mm=float(np.abs(lean).max()),
+                axes=axes,
+                width_mm=width,
+                polygon=_corner_ratio(round_across) if is_round else 1.0,
+            )
         )
-        if not obliques:
-            joints.append(made(oblique=None))
-            continue
-        lean = leans[obliques[0]] * (-1 if number == pairs[obliques[0]][0] else 1)
-        axis = int(lean[1] != 0)
-        joints.append(made(oblique=obliques[0], axis=axis, sign=float(np.sign(lean[axis]))))
     # an oblique pillar must part from an upright one above the middle of its height, and touch no other
     least_mm, prisms = max(widths) + float(pillar_sections(unit).max()), unit_prisms(unit)
-    both = [np.abs(leans[one.oblique]).max() for one in joints if None not in (one.upright, one.oblique)]
-    close = min(both, default=np.inf) <= least_mm
+    close = min((one.run_mm for one in joints if one.upright and one.run_mm), default=np.inf) <= least_mm
     for (one, a), (two, b) in combinations(zip(prisms, pairs, strict=True), 2):
         close |= not {*a} & {*b} and one.cuts(two, 0.0)
     if close:
@@ -218,75 +197,42 @@ def _corner_ratio(across: int) -> float:
     return math.sqrt(math.pi / (across * math.sin(math.pi / across)))
 
 
-def _swept(
-    unit: Unit,
-    order: int,
-    levels: int,
-    strained: bool,
-    round_across: int,
-    upright: bool,
-    run: float,
-    width_mm: float,
-    is_round: bool,
-) -> Hexahedra:
-    """A joint's figure swept across, in X, Y and t; the terminal is its electrode."""
-    h, half, e = unit.height_mm, width_mm / 2, unit.electrode_mm / 2
-    if is_round:
-        half, e = (_corner_ratio(round_across) * one for one in (half, e))
+def _swept(unit: Unit, joint: Joint, levels: int, strained: bool, round_across: int) -> FloatArray:
+    """A joint's figure swept across: corners by X, Y and t, (n, 2, 2, 2, 3)."""
+    half, e = joint.polygon * joint.width_mm / 2, joint.polygon * unit.electrode_mm / 2
+    if joint.polygon > 1:
         across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, round_across + 1))
     else:
         across = _across(half, e, max(levels - 2, 0), strained)
-    if not run:
-        columns = _across(half, e, levels, strained)
-        depth = _between(0.0, h / 2, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
+    if not joint.run_mm:
+        columns, end = _across(half, e, levels, strained), unit.height_mm / 2
+        depth = _between(0.0, end, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
         quads = _cells(np.broadcast_to(columns, (len(depth), len(columns))), depth)
     else:
-        quads = _figure(unit, levels, upright, run, half, e)
-    corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))  # of X, Y, t
+        quads = _figure(unit, levels, joint.upright, joint.run_mm, half, e)
+    corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
-    if is_round:
-        corners = _rounded(corners, unit, upright, run, half)
-    reach = np.array([e, e, 0.0]) + 2e-6 * half
-
-    def on_electrode(points: FloatArray) -> NDArray[np.bool_]:
-        return np.asarray((np.abs(points) <= reach).all(axis=1))
-
-    return joined(corners.reshape(-1, 8, 3), order, [on_electrode])
+    if joint.polygon > 1:
+        corners = _rounded(corners, unit, joint, half)
+    return corners.reshape(-1, 2, 2, 2, 3)
 
 
-def _rounded(corners: FloatArray, unit: Unit, upright: bool, run: float, half: float) -> FloatArray:
-    """Corners (n, ..., 3) of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
+def _rounded(corners: FloatArray, unit: Unit, joint: Joint, half: float) -> FloatArray:
+    """The same corners of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
     X, Y, t = np.moveaxis(corners, -1, 0)
     size = np.sqrt(np.maximum(1 - (Y / half) ** 2, 0.0))
-    lean, depth, moved = run / unit.height_mm, t, size * X
-    is_oblique = np.full(X.shape, bool(run))
-    if upright and run:
-        crotch = half * (1 + math.hypot(run, unit.height_mm) / unit.height_mm) / lean
-        end = unit.height_mm / 2
-        depth = np.where(t <= crotch, size * t, end - (end - t) * (end - size * crotch) / (end - crotch))
-        middles = (
-            X.mean(axis=tuple(range(1, X.ndim)), keepdims=True),
-            t.mean(axis=tuple(range(1, t.ndim)), keepdims=True),
-        )
-        is_oblique &= (middles[0] > half) & (middles[1] > crotch)
-    moved = np.where(is_oblique, lean * depth + size * (X - lean * t), moved)
+    run, h, depth, moved = joint.run_mm, unit.height_mm, t, size * X
+    if run:
+        is_oblique = np.ones(len(corners), dtype=bool)
+        if joint.upright:
+            crotch, end = half * (h + math.hypot(run, h)) / run, h / 2
+            depth = np.where(t <= crotch, size * t, end - (end - t) * (end - size * crotch) / (end - crotch))
+            middle = corners.mean(axis=(1, 2, 3, 4))
+            is_oblique = (middle[:, 0] > half) & (middle[:, 2] > crotch)
+        leaning = run / h * depth + size * (X - run / h * t)
+        moved = np.where(is_oblique[:, None, None, None, None], leaning, moved)
     return np.stack([moved, Y, depth], axis=-1)
-
-
-def _constraint(order: int, ties: list[Tie], n: int) -> sp.csr_matrix:
-    """Both sides' values on every cut from one polynomial of (order + 1)² values; all other nodes are free."""
-    free = np.setdiff1d(np.arange(n), [node for tie in ties for nodes, _ in tie for node in nodes])
-    columns = [sp.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))]
-    for tie in ties:
-        nodes, places = np.concatenate([nodes for nodes, _ in tie]), np.concatenate([place for _, place in tie])
-        along = shape_functions(order, np.clip(places, -1.0, 1.0))[0]  # (n, 2, order + 1)
-        along[np.abs(along) < 1e-12] = 0.0
-        values = np.einsum("ni,nj->nij", along[:, 0], along[:, 1]).reshape(len(nodes), -1)
-        row, column = np.indices(values.shape)
-        entries = values.ravel(), (nodes[row.ravel()], column.ravel())
-        columns.append(sp.csr_matrix(entries, shape=(n, values.shape[1])))
-    return sp.hstack(columns, format="csr")
 
 
 def _across(half: float, electrode: float, levels: int, strained: bool) -> FloatArray:

@@ -4,9 +4,10 @@ div(σ grad φ) = 0 with φ = 1 on one terminal and 0 on the others, insulating 
 mesh nor the equation: σ is pulled back to the shape at rest.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,16 +21,22 @@ from geometry.layout import FloatArray, pillar_widths
 #: points (n, 3) [mm] at rest, in the unit's frame, to deformation gradients ∂x/∂X (n, 3, 3)
 Deformation = Callable[[FloatArray], FloatArray]
 
-MESHES = ((2, 2), (3, 3))  #: order and levels of the coarser and of the finer mesh of a unit at rest
-#: the same where strain varies across the pillars, or electrodes are narrower than these and have edges on all sides
-MESHES_ACROSS = ((2, 1), (3, 2))
-MESHES_ROUND = ((2, 1, False, 6), (2, 2, False, 12))  #: the same of round pillars, and elements across
-#: of the difference of both, what is added to the finer one's and what is taken for the error that this leaves: at rest
-#: the limit by meshes of order 4 and 5 lies 0.13 to 0.19 beyond the finer one; 0.10 to 0.15 for `MESHES_ACROSS`
-EXTRAPOLATED = (0.16, 0.16)
-#: the same of round pillars, whose electrodes' edges run through elements: not smooth, so the whole change is the error
-ROUND = (0.0, 1.0)
-NARROW = (0.5, 0.2)  #: the same of electrodes narrower than pillars: it lies 0.32 to 0.68 beyond
+
+class Accuracy(NamedTuple):
+    """Two meshes of a unit, as `unit_hexahedra` takes them, and what the difference of their answers says."""
+
+    coarse: tuple[int, int, bool, int]
+    fine: tuple[int, int, bool, int]
+    beyond: float  #: of the difference, what is added to the finer one's answer
+    left: float  #: and what is taken for the error that this leaves
+
+
+#: the limit by meshes of order 4 and 5 lies 0.13 to 0.19 beyond the finer one at rest, 0.10 to 0.15 where strained
+AT_REST = Accuracy((2, 2, False, 0), (3, 3, False, 0), 0.16, 0.16)
+STRAINED = Accuracy((2, 1, True, 0), (3, 2, True, 0), 0.16, 0.16)  #: strain varies across the pillars
+NARROW = Accuracy((2, 1, False, 0), (3, 2, False, 0), 0.5, 0.2)  #: electrodes narrower than pillars: 0.32 to 0.68
+#: electrodes' edges run through elements of round pillars: not smooth, so the whole change is the error
+ROUND = Accuracy((2, 1, False, 6), (2, 2, False, 12), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,13 +90,17 @@ def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity | None = None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AtRest:
-    """A conductor without deformation, the potentials in it for 1 on each of n terminals and 0 on the others."""
+class Potentials:
+    """Potentials in a conductor for 1 on each of n terminals and 0 on the others."""
 
     stiffness: sp.csr_matrix  #: of the unknowns
-    potentials: FloatArray  #: (n_unknowns, n)
+    unknowns: FloatArray  #: (n_unknowns, n)
     gradients: FloatArray  #: at the mesh's points, (n_points, 3, n) [1/mm]
-    matrix: FloatArray  #: conductances times the resistivity, (n, n) [mm]
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """Conductances between the terminals times the resistivity at rest, (n, n) [mm]; see `Conductances`."""
+        return np.asarray(self.unknowns.T @ (self.stiffness @ self.unknowns))
 
 
 class Conductor:
@@ -97,62 +108,28 @@ class Conductor:
 
     def __init__(self, mesh: Hexahedra) -> None:
         self.mesh = mesh
-        n = mesh.elements.shape[1]
-        self._rows, self._cols = np.repeat(mesh.elements, n, axis=1).ravel(), np.tile(mesh.elements, (1, n)).ravel()
 
-    def stiffness(self, conductivity: FloatArray) -> sp.csr_matrix:
-        """∫ ∇φₐ·σ∇φ_b dV of the unknowns, from σ (n_points, 3, 3) at the mesh's points."""
-        weighted = conductivity * self.mesh.weight_mm3[:, None, None]
-        n_elements, n = self.mesh.elements.shape
-        K = np.empty((n_elements, n, n))
-        gradients = self.mesh.gradient.reshape(n_elements, -1, 3, n)
-        for number, (S, B) in enumerate(zip(weighted.reshape(n_elements, -1, 3, 3), gradients, strict=True)):
-            SB = S[:, :, 0, None] * B[:, None, 0] + S[:, :, 1, None] * B[:, None, 1] + S[:, :, 2, None] * B[:, None, 2]
-            K[number] = B.reshape(-1, n).T @ SB.reshape(-1, n)
-        nodes, T = len(self.mesh.nodes_mm), self.mesh.constraint
-        return (T.T @ sp.csr_matrix((K.ravel(), (self._rows, self._cols)), shape=(nodes, nodes)) @ T).tocsr()
-
-    @cached_property
-    def _on_terminals(self) -> FloatArray:
-        """Unknowns on each terminal as columns of 0 and 1, (n_unknowns, n_terminals)."""
-        one = np.zeros((len(self.mesh.nodes_mm), len(self.mesh.terminals)))
-        for column, nodes in enumerate(self.mesh.terminals):
-            one[nodes, column] = 1.0
-        return np.asarray(self.mesh.constraint.T @ one > 0.5, dtype=np.float64)
-
-    def potentials(self, stiffness: sp.csr_matrix) -> FloatArray:
-        """Unknowns (n_unknowns, n_terminals) of potential 1 on each terminal and 0 on the others."""
-        phi = self._on_terminals.copy()
+    def potentials(self, conductivity: FloatArray) -> Potentials:
+        """Those of σ (n_points, 3, 3) at the mesh's points."""
+        stiffness, phi = self.mesh.stiffness(conductivity), self.mesh.on_terminals.astype(np.float64)
         free = np.flatnonzero(~phi.any(axis=1))
         rows = stiffness[free]
-        K = rows[:, free].tocsr()
-        phi[free, :-1], _ = checked_solve(Factor(K, definite=True), -(rows @ phi[:, :-1]))
+        phi[free, :-1], _ = checked_solve(Factor(rows[:, free].tocsr(), definite=True), -(rows @ phi[:, :-1]))
         phi[free, -1] = 1 - phi[free, :-1].sum(axis=1)
-        return phi
+        return Potentials(stiffness=stiffness, unknowns=phi, gradients=self.mesh.gradients(phi))
 
     def conductances(
         self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
     ) -> FloatArray:
-        """Conductances between the terminals times the resistivity at rest, shape (n, n) [mm]; see `Conductances`."""
+        """`Potentials.matrix` at rest or deformed."""
         if deformation is None:
             return self.at_rest.matrix
-        K = self.stiffness(pulled_back(deformation(self.mesh.points_mm), piezoresistivity))
-        phi = self.potentials(K)
-        return np.asarray(phi.T @ (K @ phi))
+        return self.potentials(pulled_back(deformation(self.mesh.points_mm), piezoresistivity)).matrix
 
     @cached_property
-    def at_rest(self) -> "AtRest":
-        """The conductor without deformation."""
-        K = self.stiffness(np.broadcast_to(np.eye(3), (len(self.mesh.points_mm), 3, 3)))
-        phi = self.potentials(K)
-        return AtRest(stiffness=K, potentials=phi, gradients=self.gradients(phi), matrix=phi.T @ (K @ phi))
-
-    def gradients(self, potentials: FloatArray) -> FloatArray:
-        """∇φ at the mesh's points of potentials (n_unknowns, k), shape (n_points, 3, k) [1/mm]."""
-        n_elements, n = self.mesh.elements.shape
-        nodal = (self.mesh.constraint @ potentials)[self.mesh.elements]  # (n_elements, n, k)
-        found = self.mesh.gradient.reshape(n_elements, -1, n) @ nodal
-        return np.asarray(found.reshape(len(self.mesh.points_mm), 3, -1))
+    def at_rest(self) -> Potentials:
+        """The potentials without deformation."""
+        return self.potentials(np.broadcast_to(np.eye(3), (len(self.mesh.points_mm), 3, 3)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -161,7 +138,7 @@ class Conductances:
 
     matrix_mm: FloatArray  #: (n, n): currents into the electrodes by their potentials; symmetric, rows sum to 0
     error_estimate: FloatArray  #: relative, of the resistances of the pillars, (n_pillars,)
-    pairs: tuple[tuple[int, int], ...]  #: electrodes at both ends of each pillar
+    pairs: Sequence[tuple[int, int]]  #: electrodes at both ends of each pillar
 
     @property
     def pillars_per_mm(self) -> FloatArray:
@@ -172,7 +149,7 @@ class Conductances:
         return pillars_per_mm(self.matrix_mm, self.pairs)
 
 
-def pillars_per_mm(matrix_mm: FloatArray, pairs: tuple[tuple[int, int], ...]) -> FloatArray:
+def pillars_per_mm(matrix_mm: FloatArray, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Resistances of pillars over the resistivity, (..., n_pillars), from conductances (..., n, n)."""
     one, other = np.array(pairs).T
     return np.asarray(-1 / matrix_mm[..., one, other])
@@ -189,27 +166,27 @@ def unit_conductances(
     unit = unit.body
     conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
     coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
-    beyond, left = extrapolation(unit)
+    accuracy = unit_accuracy(unit)
     change = np.abs(pillars_per_mm(coarse, pairs) / pillars_per_mm(fine, pairs) - 1)
-    return Conductances(matrix_mm=fine + beyond * (fine - coarse), error_estimate=left * change, pairs=pairs)
+    return Conductances(
+        matrix_mm=fine + accuracy.beyond * (fine - coarse), error_estimate=accuracy.left * change, pairs=pairs
+    )
 
 
-def extrapolation(unit: Unit) -> tuple[float, float]:
-    """Of the difference of a unit's meshes: what is added to the finer one's answer, and its error after that."""
+def unit_accuracy(unit: Unit, strained: bool = False) -> Accuracy:
+    """What a unit's pillars need."""
     if any(one.is_round for one in unit.layout.pillars):
         return ROUND
-    return NARROW if unit.electrode_mm < max(pillar_widths(unit)) else EXTRAPOLATED
+    if unit.electrode_mm < max(pillar_widths(unit)):
+        return NARROW
+    return STRAINED if strained else AT_REST
 
 
 @cache
 def unit_conductors(unit: Unit, strained: bool = False) -> tuple[Conductor, Conductor]:
     """The pillars of a unit on the coarser and on the finer mesh."""
-    if any(one.is_round for one in unit.layout.pillars):
-        rounded = [Conductor(unit_hexahedra(unit, *mesh)) for mesh in MESHES_ROUND]
-        return rounded[0], rounded[1]
-    meshes = MESHES_ACROSS if strained or unit.electrode_mm < max(pillar_widths(unit)) else MESHES
-    coarse, fine = (Conductor(unit_hexahedra(unit, order, levels, strained)) for order, levels in meshes)
-    return coarse, fine
+    accuracy = unit_accuracy(unit, strained)
+    return Conductor(unit_hexahedra(unit, *accuracy.coarse)), Conductor(unit_hexahedra(unit, *accuracy.fine))
 
 
 def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
@@ -249,21 +226,12 @@ def second_derivatives(
     p = 1 + difference / 2
     mesh, m = conductor.mesh, gradient.shape[3]
     rest = conductor.at_rest
-    phi, slopes, weight = rest.potentials, rest.gradients, mesh.weight_mm3
-    free = np.flatnonzero(~((phi == 0) | (phi == 1)).all(axis=1))
+    slopes, weight, free = rest.gradients, mesh.weight_mm3, np.flatnonzero(~mesh.on_terminals.any(axis=1))
     S, tau = gradient + gradient.swapaxes(1, 2), np.trace(gradient, axis1=1, axis2=2)  # (n, 3, 3, m), (n, m)
     stretched = [np.einsum("nabm,nb->nam", S, slope) for slope in np.moveaxis(slopes, -1, 0)]
     turned = [np.einsum("nabm,nb->nam", gradient, slope) for slope in np.moveaxis(slopes, -1, 0)]
-    n_elements, n = mesh.elements.shape
-    gather = sp.csr_matrix((np.ones(mesh.elements.size), (mesh.elements.ravel(), np.arange(mesh.elements.size))))
-    gather = (mesh.constraint.T @ gather)[free]
-    by_element = mesh.gradient.reshape(n_elements, -1, n).swapaxes(1, 2)
-
-    def residual(t: int) -> FloatArray:
-        flux = weight[:, None, None] * ((1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t])
-        return np.asarray(gather @ (by_element @ flux.reshape(n_elements, -1, m)).reshape(-1, m))
-
-    residuals, n_first = [residual(t) for t in range(slopes.shape[2])], 1 + max(i for i, _ in mesh.pairs)
+    fluxes = ((1 - q) * tau[:, None] * slopes[..., t, None] - p * stretched[t] for t in range(slopes.shape[2]))
+    residuals, n_first = [mesh.divergence(flux)[free] for flux in fluxes], 1 + max(i for i, _ in mesh.pairs)
     inner = rest.stiffness[free][:, free].tocsr()
     solved, _ = checked_solve(Factor(inner, definite=True), np.hstack(residuals[:n_first]))
     answers = np.hsplit(solved, n_first)  # of the pillars' first ends

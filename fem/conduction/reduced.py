@@ -14,7 +14,7 @@ import numpy as np
 
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
-from fem.field import IntArray
+from fem.kernel.reference import IntArray
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_widths
 from geometry.prism import unit_prisms
@@ -68,16 +68,15 @@ def reduced_conduction(
     mesh, at_rest = conductor.mesh, conductor.at_rest
     pillar = pillars_of(unit, mesh.points_mm)
     conductivities = [np.broadcast_to(np.eye(3), (len(pillar), 3, 3))]
-    changes, potentials = [], [at_rest.potentials]
+    potentials = [at_rest.unknowns]
     for F in deformations(mesh.points_mm, pillar, mesh.weight_mm3):
         conductivities.append(pulled_back(F, piezoresistivity))
-        potentials.append(conductor.potentials(conductor.stiffness(conductivities[-1])))
-        changes.append((potentials[-1] - at_rest.potentials)[:, :-1])
-    snapshots = np.hstack(changes)
+        potentials.append(conductor.potentials(conductivities[-1]).unknowns)
+    snapshots = np.hstack([(phi - potentials[0])[:, :-1] for phi in potentials[1:]])
     energies, modes = np.linalg.eigh(snapshots.T @ (at_rest.stiffness @ snapshots))
     kept = np.cumsum(energies) > DROPPED * energies.sum()
-    basis = np.hstack([at_rest.potentials[:, :-1], snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])
-    slopes = conductor.gradients(basis)
+    basis = np.hstack([potentials[0][:, :-1], snapshots @ (modes[:, kept] / np.sqrt(energies[kept]))])
+    slopes = conductor.mesh.gradients(basis)
     generator = np.random.default_rng(0)
     candidates = np.sort(generator.permutation(len(pillar))[:CANDIDATES])
     rows, wanted = [], []
@@ -109,7 +108,7 @@ def _integrands(
     """Values at the mesh's points (n_rows, n_points) of what a cubature must integrate, for one deformation."""
     # conductances by its own potentials, and by those at rest, which give their first derivatives; then random sums of
     # the residuals of all potentials
-    own, rest = conductor.gradients(potentials), conductor.at_rest.gradients
+    own, rest = conductor.mesh.gradients(potentials), conductor.at_rest.gradients
     rows = []
     for phi in (own, rest):
         dots = np.einsum("nai,naj->ijn", phi, conductivity @ phi)

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from skfem import BilinearForm
 
 from common.errors import DesignError
 from fem.conduction.meshes import Hexahedra, joined, unit_hexahedra
@@ -18,6 +19,8 @@ from fem.conduction.potentials import (
     unit_conductors,
 )
 from fem.conduction.reduced import reduced_conduction
+from fem.kernel.elements import Basis, hexahedra
+from fem.meshes.grid import Grid
 from geometry.design import Unit
 from geometry.layout import LAYOUTS, Electrode, Layout, pillar_volumes, rest_lengths
 from geometry.shares import pillar_shares
@@ -32,11 +35,10 @@ def graded(start, end, *singular):
 
 def box(x, y, z, order, half=np.inf) -> Hexahedra:
     """Hexahedra between lines; the terminals are the faces z = first, to a half width along x, and z = last."""
-    grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
-    ends = [slice(None, -1), slice(1, None)]
-    corners = np.stack([grid[a, b, c] for a in ends for b in ends for c in ends], axis=3).reshape(-1, 8, 3)
-    faces = [lambda at: (at[:, 2] < z[0] + 1e-9) & (np.abs(at[:, 0]) < half + 1e-9), lambda at: at[:, 2] > z[-1] - 1e-9]
-    return joined(corners, order, faces)
+    basis = Basis(Grid([np.array(line) for line in (x, y, z)]).mesh, hexahedra(order)[0])
+    X, _, Z = basis.doflocs
+    faces = np.flatnonzero((z[0] + 1e-9 > Z) & (np.abs(X) < half + 1e-9)), np.flatnonzero(z[-1] - 1e-9 < Z)
+    return Hexahedra(basis, faces)
 
 
 def resistance(mesh, F, piezo=None):
@@ -52,6 +54,31 @@ def test_bar_under_uniform_strain_follows_its_length_section_and_resistivity():
         resistivity = 1 + across * np.trace(E) + (along - across) * E[2, 2]
         expected = resistivity * 5.0 * 0.8 / (3.0 * np.linalg.det(F[:2, :2]))
         assert resistance(bar, F, Piezoresistivity(along=along, across=across)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_elements_that_meet_share_their_nodes_only_with_axes_in_one_order():
+    """Of two cubes of order 3 with a common face; `joined` has checked those of every unit."""
+    cube = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
+    beside = cube + np.array([1.0, 0.0, 0.0])
+    assert joined([np.stack([cube, beside])], 3).N == 7 * 4 * 4
+    assert joined([cube[None], beside[None]], 3).N == 2 * 4**3  # parts apart
+    with pytest.raises(ValueError, match="differ in their axes"):
+        joined([np.stack([cube, beside.swapaxes(1, 2)[:, ::-1]])], 3)
+
+
+def test_conduction_assembles_as_scikit_fem_does_on_the_same_basis():
+    """∫ ∇φₐ·σ∇φ_b of a conductivity that varies, on crooked hexahedra, and flux as its product."""
+    mesh = unit_hexahedra(Unit(), 2, 1)
+    shape, generator = (3, 3, *mesh.basis.dx.shape), np.random.default_rng(0)
+    root = np.eye(3)[..., None, None] + 0.2 * generator.standard_normal(shape)
+    sigma = np.einsum("ij...,kj...->ik...", root, root)
+    form = BilinearForm(lambda u, v, w: np.einsum("ij...,i...,j...", w.sigma, u.grad, v.grad))
+    whole = form.assemble(mesh.basis, sigma=sigma)
+    at_points = sigma.transpose(2, 3, 0, 1).reshape(-1, 3, 3)
+    K, T = mesh.stiffness(at_points), mesh.constraint
+    assert np.abs((K - T.T @ whole @ T).data).max() < 1e-12 * np.abs(whole.data).max()
+    phi = generator.standard_normal((K.shape[0], 2))
+    assert mesh.divergence(at_points @ mesh.gradients(phi)) == pytest.approx(K @ phi, abs=1e-10)
 
 
 def test_strip_electrode_on_a_wide_end_adds_its_constriction():
