@@ -69,11 +69,6 @@ class Field:
         values, _ = tabulated(self.body.basis.mesh.elem(), local)
         return np.einsum("ap,pa...->p...", values, self.corner_stress[self.corners[element]], optimize=True)
 
-    def nodal_stress(self, elements: NDArray[np.bool_]) -> FloatArray:
-        """Stress at the nodes of some elements, in the order of the body's, shape (m, n, 6) [MPa]."""
-        values, _ = tabulated(self.body.basis.mesh.elem(), self.body.basis.elem.doflocs.T)
-        return np.einsum("vn,ev...->en...", values, self.corner_stress[self.corners[elements]], optimize=True)
-
     @cached_property
     def corners(self) -> IntArray:
         """Number of each element's corners, (m, 4 or 8): elements of one region share it at a point.
