@@ -13,12 +13,11 @@ from common.errors import SceneError
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.kernel.factor import SolverError
+from fem.kernel.top import PatchError
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene
 from fem.scene.solution import Solution
-from fem.tetrahedra.mixed import TaylorHood, taylor_hood
-from fem.tetrahedra.patch import PatchError, patch_integrals, patch_means
 
 __all__ = [
     "ArrayResponse",
@@ -28,14 +27,10 @@ __all__ = [
     "SceneError",
     "Solution",
     "SolverError",
-    "TaylorHood",
     "array_response",
-    "patch_integrals",
-    "patch_means",
     "read_response",
     "read_scene",
     "solve_response",
     "solve_scene",
-    "taylor_hood",
     "write_response",
 ]

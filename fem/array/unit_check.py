@@ -10,6 +10,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+import scipy.sparse as sp
 from skfem import MeshTet
 
 from common.storage.cache import kept
@@ -17,10 +18,10 @@ from common.storage.files import digest
 from fem.array.meshed import lone_unit, plate_on
 from fem.array.response import ArrayResponse, read_response, write_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
+from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import Factor, checked_solve
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.patch import patch_means
-from fem.tetrahedra.system import TetrahedralSystem
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
 from geometry.design import SensorDesign, bent
 from geometry.layout import electrode_squares, pad_squares
 from geometry.mesh import TetMesh, sensor_mesh, suited_settings
@@ -72,17 +73,20 @@ def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
     """Response of a meshed sensor by Taylor-Hood elements, of one unit or of as many as have been meshed."""
     start = perf_counter()
     tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
-    pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
+    body = Rubber.of(tets, taylor_hood(), [design.matrix_material, design.pillar_material], mesh.region)
     plates = [plate for square in pad_squares(design) for plate in plate_on(square)]
-    system = TetrahedralSystem(body, plates if design.pad.kind == "stiff" else [])
-    loads = system.rest_loads(pads.toarray().reshape(pads.shape[0], -1, 3))
-    x, residual = checked_solve(Factor(system.matrix(system.rest_tangent()), upper=True), loads)
-    moved = system.displaced(x).reshape(pads.shape[0], -1)
+    system = System(body, plates if design.pad.kind == "stiff" else [])
+    pads, electrodes = (
+        sp.diags_array(1 / (some[:, 2:] - some[:, :2]).prod(axis=1)) @ system.integrals(some)
+        for some in (pad_squares(design), electrode_squares(design))
+    )
+    forces = np.einsum("kn,ij->kinj", pads.toarray(), np.eye(3)).reshape(-1, body.n_nodes, 3)
+    x, residual = checked_solve(Factor(system.rest_matrix(), upper=True), system.rest_loads(forces))
+    moved = np.stack([electrodes @ u for u in system.displaced(x)], axis=-1)  # (electrodes, 3, loads)
     rows, cols = design.array.rows, design.array.cols
     return ArrayResponse(
         design=design,
-        influence_mm_per_n=(electrodes @ moved.T).reshape(rows, cols, -1, 3, rows, cols, 3),
+        influence_mm_per_n=moved.reshape(rows, cols, -1, 3, rows, cols, 3),
         residual=residual,
         unknowns=system.n_unknowns,
         mesh_hash=mesh.content_hash,
