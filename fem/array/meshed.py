@@ -201,7 +201,7 @@ class DesignCell:
         """Error of the finer of two levels over their change."""
         if self.is_grid:
             return richardson_factor(coarse, fine, GRID_RATE)
-        one, other = (3 * body.n_nodes + body.pressures_shape[0] for body in map(self.tetrahedra, (coarse, fine)))
+        one, other = (System(self._bodies[level]).n_unknowns for level in (coarse, fine))
         return richardson_factor(one, other, MESH_RATE[self.design.pad.kind])
 
 
