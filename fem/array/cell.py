@@ -78,7 +78,7 @@ class PortModes:
         """Every mode at points (n, 3) of the side faces, shape (n, n_modes)."""
         t = 2 * (points_mm[:, 2] / self.height_mm) ** CLAMPED - 1
         upward = np.column_stack([_hat(t, 1), _bubbles(self.degree, t)])
-        return np.einsum("nb,nu->nbu", self.along(points_mm[:, :2]), upward).reshape(len(points_mm), -1)
+        return np.einsum("nb,nu->nbu", self.along(points_mm[:, :2]), upward).reshape(-1, self.n_modes)
 
     def image(self, way: FloatArray) -> sp.csr_matrix:
         """G, that takes port displacements to those of the cell in a mirror (3, 3) of the square, found by values."""
