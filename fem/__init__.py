@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse, read_response, write_response
     from fem.array.solving import ResponseSettings, array_response, solve_response
     from fem.kernel.factor import SolverError
+    from fem.kernel.top import PatchError
     from fem.methods.solving import solve_scene
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArrayResponse",
+    "PatchError",
     "ResponseSettings",
     "Scene",
     "SceneError",

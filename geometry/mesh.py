@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
-METHOD = 2  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
+METHOD = 3  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 
@@ -199,7 +199,13 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     faces, sides = faces_between(cells)
     region = np.where(prism <= task.outlined, -prism, task.region[prism])[sides]
     faces, sides = (each[(sides[:, 1] >= 0) & (region[:, 0] != region[:, 1])] for each in (faces, sides))
-    own = [faces[(prism[sides] == number).any(axis=1)] for number in range(1, len(task.prisms) + 1)]
+    own = [
+        faces[
+            (prism[sides] == number).any(axis=1)
+            | ((number <= task.outlined) & (each.distance(points[faces].mean(axis=1)) <= 2 * envelope_mm))
+        ]  # a part that ends where an outlined one does has faces of its own there
+        for number, each in enumerate(task.prisms, start=1)
+    ]
     for each, along in zip(task.prisms, own, strict=True):
         points = snap_to_prism(points, along, each, 2 * envelope_mm)
         if each.is_round:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
@@ -25,6 +26,7 @@ from fem.conduction.potentials import (
     unit_conductances,
     unit_conductors,
 )
+from fem.kernel.field import slopes_at
 from geometry.design import SensorDesign, Unit
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, rest_lengths
 
@@ -42,8 +44,14 @@ def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplit
     `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
     """
     moved = interior.field.displacement_mm[:, :, : len(amplitudes)] @ amplitudes
-    along = [matrix @ moved.reshape(len(moved), -1) for matrix in interior.field.slopes(points_mm)]
-    return np.stack(along, axis=1).reshape(len(points_mm), 3, 3, -1).swapaxes(1, 2)
+    slopes = _slopes(interior, points_mm) @ moved.reshape(len(moved), -1)
+    return np.asarray(slopes).reshape(3, len(points_mm), 3, -1).transpose(1, 2, 0, 3)
+
+
+def _slopes(interior: CellInterior, points_mm: FloatArray) -> sp.csr_matrix:
+    """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
+    field = interior.field
+    return slopes_at(field.body, *field.places.located(points_mm))
 
 
 def conducted_pillars(
@@ -219,8 +227,8 @@ def _first_derivatives(
     for conductor in conductors:
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
-        slopes = interior.field.slopes(conductor.mesh.points_mm)
-        nodal = [sum(slopes[b].T @ weight[:, :, b] for b in range(3)) for weight in weights]  # (n_nodes, 3) each
+        slopes = _slopes(interior, conductor.mesh.points_mm)
+        nodal = [slopes.T @ np.concatenate(np.moveaxis(weight, 2, 0)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
     coarse, fine = found
     return fine + beyond * (fine - coarse)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.cell import EDGES, FACES, CondensedCell, Free, PortModes
+from fem.array.cell import CondensedCell, Free
 from fem.kernel.factor import Factor, checked_solve
 from geometry.layout import FloatArray
 
@@ -47,10 +47,17 @@ class CoupledArray:
         at = [free if (free := free_sides(i, j, rows, cols)) in kinds else () for i, j in np.ndindex(rows, cols)]
         for free in dict.fromkeys(at):
             self._kinds.append((kinds[free], np.array([k for k, place in enumerate(at) if place == free])))
-        self.ports = self._kinds[0][0].ports
-        self._dofs, self._n = port_dofs(self.ports, rows, cols)
-        number = np.arange(self._dofs.size)
-        self._gather = sp.csr_matrix((np.ones(len(number)), (self._dofs.ravel(), number)), shape=(self._n, len(number)))
+        ports = self._kinds[0][0].ports
+        i, j = (index.reshape(-1, 1) for index in np.indices((rows, cols)))
+        y, x, bubble = ports.blocks.T  # on a lattice of twice as many places: vertical edges are odd ones of both axes
+        places = np.stack(np.broadcast_arrays(2 * i + y, 2 * j + x, bubble), axis=-1)
+        #: number of every cell's blocks, (n_cells, 4·degree), each of upward functions along three axes
+        different, number = np.unique(places.reshape(-1, 3), axis=0, return_inverse=True)
+        self._blocks: NDArray[np.int64] = number.reshape(places.shape[:2])
+        self._size, self._n_blocks = 3 * ports.degree, len(different)
+        self._dofs = (self._blocks[..., None] * self._size + np.arange(self._size)).reshape(rows * cols, -1)
+        every, n = np.arange(self._dofs.size), self._n_blocks * self._size
+        self._gather = sp.csr_matrix((np.ones(len(every)), (self._dofs.ravel(), every)), shape=(n, len(every)))
         self._matrix = self._assembled()
         self._factor = Factor(self._matrix, definite=True)
 
@@ -83,12 +90,8 @@ class CoupledArray:
 
         Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
         """
-        found = np.empty((self.n_cells, len(observed), self.n_cells, len(loads)))
-        residual = 0.0
-        for loaded, forces in self._unit_loads(loads):
-            moved, misfit = self.moved(forces)
-            found[:, :, loaded] = moved[:, observed].reshape(self.n_cells, len(observed), len(loaded), len(loads))
-            residual = max(residual, misfit)
+        rows = [np.hstack([c.transfer[:, observed].T, c.compliance[observed][:, loads]]) for c, _ in self._kinds]
+        found, residual = self._seen(rows, loads)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
     def seen(self, functionals: FloatArray, loads: Sequence[int]) -> tuple[FloatArray, float]:
@@ -97,13 +100,19 @@ class CoupledArray:
         `functionals` (k, n_modes·3 + n_loads) are rows on a cell's port displacements and on the forces of its own
         loads. Shape (n_cells, k, n_cells, n_loads), seen first.
         """
-        n_ports = self._dofs.shape[1]
-        found = np.empty((self.n_cells, len(functionals), self.n_cells, len(loads)))
-        residual = 0.0
+        return self._seen([functionals] * len(self._kinds), loads)
+
+    def _seen(self, functionals: Sequence[FloatArray], loads: Sequence[int]) -> tuple[FloatArray, float]:
+        """The same, each kind of cells by functionals of its own."""
+        n_ports, residual = self._dofs.shape[1], 0.0
+        found = np.empty((self.n_cells, len(functionals[0]), self.n_cells, len(loads)))
         for loaded, forces in self._unit_loads(loads):
             q, misfit = self.port_displacements(forces)
-            own = functionals[:, :n_ports] @ q + functionals[:, n_ports:] @ forces[:, loads]
-            found[:, :, loaded] = own.reshape(self.n_cells, -1, len(loaded), len(loads))
+            for rows, (_, own) in zip(functionals, self._kinds, strict=True):
+                moved = rows[:, :n_ports] @ q[own] + rows[:, n_ports:] @ forces[own][:, loads]
+                found[np.ix_(own, np.arange(found.shape[1]), loaded)] = moved.reshape(
+                    len(own), -1, len(loaded), len(loads)
+                )
             residual = max(residual, misfit)
         return found, residual
 
@@ -163,12 +172,9 @@ class CoupledArray:
         return self._gather @ forces.reshape(self._dofs.size, -1)
 
     def _assembled(self) -> sp.bsr_matrix:
-        """Stiffness of all ports, in the blocks that edges and bubbles share: `up` functions along three axes."""
-        size = self.ports.up * 3
-        count = self._dofs.shape[1] // size
-        numbers = self._dofs[:, ::size] // size
-        n = self._n // size
-        keys, entry = np.unique(numbers[:, :, None] * n + numbers[:, None, :], return_inverse=True)
+        """Stiffness of all ports, by blocks."""
+        n, size, count = self._n_blocks, self._size, self._blocks.shape[1]
+        keys, entry = np.unique(self._blocks[:, :, None] * n + self._blocks[:, None, :], return_inverse=True)
         data = np.zeros((len(keys), size, size))
         entry = entry.reshape(self.n_cells, count, count)
         for cell, own in self._kinds:
@@ -176,23 +182,7 @@ class CoupledArray:
             for number in own:
                 data[entry[number]] += blocks
         indptr = np.searchsorted(keys, np.arange(n + 1) * n)
-        return sp.bsr_matrix((data, keys % n, indptr), shape=(self._n, self._n))
-
-
-def port_dofs(ports: PortModes, rows: int, cols: int) -> tuple[NDArray[np.int64], int]:
-    """Global number of every cell's port degrees of freedom, shape (rows·cols, n_modes·3), and how many there are."""
-    edge_size, face_size = ports.per_edge * 3, ports.per_face * 3
-    edges = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1) * edge_size
-    first = edges.size * edge_size
-    across_x = first + np.arange(rows * (cols + 1)).reshape(rows, cols + 1) * face_size
-    first += across_x.size * face_size
-    across_y = first + np.arange((rows + 1) * cols).reshape(rows + 1, cols) * face_size
-    i, j = np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij")
-    starts = [edges[i + (sy > 0), j + (sx > 0)][..., None] + np.arange(edge_size) for sx, sy in EDGES]
-    for axis, sign in FACES:
-        corner = across_x[i, j + (sign > 0)] if axis == 0 else across_y[i + (sign > 0), j]
-        starts.append(corner[..., None] + np.arange(face_size))
-    return np.concatenate(starts, axis=-1).reshape(rows * cols, -1), first + across_y.size * face_size
+        return sp.bsr_matrix((data, keys % n, indptr), shape=(n * size, n * size))
 
 
 def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
@@ -204,18 +194,15 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
     Bloch's theorem: loads of phase exp(i θ·n) move ports alike, so that each θ is a problem of one cell, whose far
     sides follow its near ones.
     """
-    ports = cell.ports
-    edge, face = 3 * ports.per_edge, 3 * ports.per_face
-    follows = [*np.tile(np.arange(edge), len(EDGES))]
-    far = [(sx > 0, sy > 0) for sx, sy in EDGES for _ in range(edge)]
-    for axis, sign in FACES:
-        follows += [*(edge + axis * face + np.arange(face))]
-        far += [(sign > 0 and axis == 0, sign > 0 and axis == 1)] * face
-    n, far_x, far_y = len(follows), *np.array(far).T
+    y, x, bubble = cell.ports.blocks.T
+    _, near = np.unique(np.stack([-np.abs(y), -np.abs(x), bubble]), axis=1, return_inverse=True)
+    size = 3 * cell.ports.degree
+    n, follows = size * len(near), (size * near.reshape(-1, 1) + np.arange(size)).ravel()
+    far_x, far_y = np.repeat(x > 0, size), np.repeat(y > 0, size)
     spectrum = np.empty((wide, wide // 2 + 1, cell.transfer.shape[1], cell.transfer.shape[1]), dtype=complex)
     for b, a in np.ndindex(*spectrum.shape[:2]):
         phase = np.exp(2j * np.pi / wide * (a * far_x + b * far_y))
-        tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, edge + 2 * face))
+        tied = sp.csr_matrix((phase, (np.arange(n), follows)), shape=(n, follows.max() + 1))
         adjoint = tied.conj().T.tocsr()
         S = (tied.T @ (adjoint @ cell.stiffness).T).T
         L = adjoint @ cell.transfer

@@ -19,7 +19,7 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import CellBody, cell_lines, cell_mirrors, functionals, pad_plate
+from fem.array.meshed import cell_lines, cell_mirrors, functionals, grid_system, pad_plate
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
@@ -139,7 +139,8 @@ def cell_changes(
     different, number = np.unique(asked.reshape(-1, 4), axis=0, return_inverse=True)
     progress("cell")
     cell = _condensed(design, design, different)
-    nominal, *moved = (cell.seeing(own) for own in number.reshape(asked.shape[:2]))
+    every = np.eye(cell.transfer.shape[1]).reshape(-1, len(different), 3)
+    nominal, *moved = (cell.loaded_by(every[:, own].reshape(len(every), -1)) for own in number.reshape(asked.shape[:2]))
     cells = {name: [(moved.pop(0), by) for _, by in sides[name]] for name in on_top}
     for name in sides:
         if name not in cells:
@@ -167,7 +168,7 @@ def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float])
 
 def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray) -> CondensedCell:
     """The cell of a design near another, on the other's grid, its lines moved along with the height and the plate."""
-    ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE, DEGREE)
+    ports = PortModes(design.array.pitch_mm / 2, side.unit.height_mm, DEGREE)
     mirrors = tuple(plane for plane in cell_mirrors(design) if plane in cell_mirrors(side))
     *across, z = cell_lines(design, LEVEL, mirrors)
     lines, half = [], design.array.pitch_mm / 2
@@ -178,5 +179,6 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
     lines.append(z * (side.unit.height_mm / design.unit.height_mm))
     shares = None if side.is_homogeneous else pillar_shares(side.unit, *lines)
     shares = None if shares is None else np.stack([1 - shares, shares])
-    rubbers = [side.matrix_material, side.pillar_material]
-    return condense(CellBody.of(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles)
+    rubbers = [side.matrix_material, side.pillar_material][: 1 if shares is None else 2]
+    is_square = len(mirrors) == 2 and np.array_equal(lines[0], lines[1])
+    return condense(grid_system(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles, is_square)

@@ -17,6 +17,7 @@ from geometry.design import Electrics, SensorDesign, bent
 VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
+    "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
 }
 
@@ -25,8 +26,8 @@ METHODS = {
 class ResponseSettings:
     """Method and tolerance of a response."""
 
-    method: Literal["cells", "layer"] = "cells"  #: see METHODS
-    tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 with other pillars
+    method: Literal["cells", "tetrahedra", "layer"] = "cells"  #: see METHODS
+    tolerance: float | None = None  #: relative error of each pad's own block; default: 1e-3, 1e-2 on tetrahedra
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -36,7 +37,8 @@ class ResponseSettings:
 
     def suited(self, design: SensorDesign) -> "ResponseSettings":
         """The same with the tolerance that the method will use: closed forms have none."""
-        return replace(self, tolerance=(self.tolerance or usual_tolerance(design)) if self.method == "cells" else None)
+        usual = usual_tolerance(design, self.method == "tetrahedra")
+        return replace(self, tolerance=None if self.method == "layer" else self.tolerance or usual)
 
 
 def array_response(
@@ -86,13 +88,13 @@ def solve_response(
             f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
             "materials, or solve it as a scene."
         )
-    if settings.method != "cells" and design.electrics.is_conduction:
+    if settings.method == "layer" and design.electrics.is_conduction:
         raise DesignError(
-            f"method '{settings.method}' gives electrodes alone, conduction needs the strain in the pillars: take "
+            "method 'layer' gives electrodes alone, conduction needs the strain in the pillars: take "
             "'cells', the default, or write model = 'eq1' in [electrics]."
         )
-    if settings.method != "cells" and design.pad.kind == "stiff":
-        raise DesignError(f"method '{settings.method}' spreads loads evenly: stiff pads need 'cells', the default.")
+    if settings.method == "layer" and design.pad.kind == "stiff":
+        raise DesignError("method 'layer' spreads loads evenly: stiff pads need 'cells', the default.")
     if design.electrics.is_conduction:
         from fem.array.conducted import conducted_pillars
 
@@ -102,9 +104,9 @@ def solve_response(
         conducted = conducted_pillars(design, moved.influence_mm_per_n, progress)
         seconds = moved.seconds | {"conduct": perf_counter() - start}
         return replace(moved, design=design, conducted=conducted, seconds=seconds)
-    if settings.method == "layer":
+    if settings.tolerance is None:
         return layer_response(design)
-    return response_by_cells(design, settings.tolerance or usual_tolerance(design), progress, cached)
+    return response_by_cells(design, settings.tolerance, progress, cached, settings.method == "tetrahedra")
 
 
 def _body(design: SensorDesign) -> SensorDesign:

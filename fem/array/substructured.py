@@ -1,8 +1,8 @@
 """Arrays as copies of one condensed cell, refined until the answer is as accurate as asked, and the cell's file.
 
-A cell of one rubber is a grid of boxes, of which a quarter suffices; a cell with pillars of another rubber is a mesh of
-tetrahedra. Either way the array itself is never meshed. A refined cell is kept in the cache, a few megabytes
-that spare arrays of the same cell its mesh and its condensation.
+A cell of one rubber is a grid, of which a quarter suffices; a cell with pillars of another rubber, or made from its CAD
+solids, is a mesh of tetrahedra. Either way the array itself is never meshed. A refined cell is kept in the cache, a few
+megabytes that spare arrays of the same cell its mesh and its condensation.
 """
 
 from collections.abc import Callable, Iterator
@@ -69,8 +69,9 @@ def response_by_cells(
     tolerance: float,
     progress: Callable[[str], None] = lambda step: None,
     cached: bool = False,
+    from_cad: bool = False,
 ) -> ArrayResponse:
-    """Influence of every pad on every electrode, from one condensed cell.
+    """Influence of every pad on every electrode, from one condensed cell, perhaps meshed from its CAD solids.
 
     The tolerance is the wanted error of each pad's own block, relative. With `cached` the refined cell is taken from
     the cache if it is there, and left there: arrays of another size share it. A `GeometryError` or `SolverError` says
@@ -81,7 +82,7 @@ def response_by_cells(
     """
     radius = influence_range(design, TRUNCATION * tolerance)
     rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
-    refined = refined_cell(design, tolerance, cached, progress)
+    refined = refined_cell(design, tolerance, cached, progress, from_cad)
     seconds, start = dict.fromkeys(("mesh", "condense", "couple"), 0.0) | refined.seconds, perf_counter()
     progress(f"coupling {rows} × {cols}")
     residuals = [cell.residual for _, kinds in refined.cells for cell in kinds.values()]
@@ -101,6 +102,7 @@ def response_by_cells(
         residual=max(residuals),
         unknowns=any_cell(refined.cells).unknowns,
         seconds=seconds,
+        method="tetrahedra" if from_cad else "cells",
         steps=refined.steps,
     )
 
@@ -110,16 +112,16 @@ def electrode_means(design: SensorDesign) -> range:
     return range(3, 3 + 3 * len(design.unit.layout.upper))
 
 
-def usual_tolerance(design: SensorDesign) -> float:
-    """Relative tolerance of a response where none is asked for: looser where pillars need a mesh of their own."""
-    return 1e-3 if design.is_homogeneous else 1e-2
+def usual_tolerance(design: SensorDesign, from_cad: bool = False) -> float:
+    """Relative tolerance of a response where none is asked for: looser on tetrahedra."""
+    return 1e-3 if design.is_homogeneous and not from_cad else 1e-2
 
 
-def cell_cache_key(design: SensorDesign, tolerance: float) -> str:
+def cell_cache_key(design: SensorDesign, tolerance: float, from_cad: bool = False) -> str:
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
     array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
     cell = replace(bent(design), array=array, electrics=Electrics())
-    return digest("cell", VERSION, cell, tolerance)
+    return digest("cell", VERSION, cell, tolerance, *(["CAD"] if from_cad else []))
 
 
 def refined_cell(
@@ -127,6 +129,7 @@ def refined_cell(
     tolerance: float,
     cached: bool = False,
     progress: Callable[[str], None] = lambda step: None,
+    from_cad: bool = False,
 ) -> RefinedCell:
     """A cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
 
@@ -140,8 +143,8 @@ def refined_cell(
         def answer(cells: Kinds) -> FloatArray:
             return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
 
-        source = DesignCell(design, functionals(design), pad_plate(design))
-        for stage in cell_stages(design, tolerance):
+        source = DesignCell(design, functionals(design), pad_plate(design), from_cad)
+        for stage in cell_stages(source, tolerance):
             coarse, fine, degree = stage
             progress(f"cell, level {fine:g}")
             cells, _, (of_levels, of_ports) = cells_of_stage(source, stage, answer, block_error)
@@ -158,18 +161,19 @@ def refined_cell(
 
     if not cached:
         return make()
-    return kept_value(RefinedCell, "cell.npz", cell_cache_key(design, tolerance), make, seconds={})[0]
+    key = cell_cache_key(design, tolerance, from_cad)
+    return kept_value(RefinedCell, "cell.npz", key, make, seconds={})[0]
 
 
 Stage = tuple[int, int, int]  #: coarse and fine level, and the degree of the ports
 
 
-def cell_stages(design: SensorDesign, tolerance: float) -> tuple[Stage, ...]:
+def cell_stages(source: DesignCell, tolerance: float) -> tuple[Stage, ...]:
     """The stages of a cell's grids or meshes to try for a tolerance."""
-    if not design.is_homogeneous:
+    if not source.is_grid:
         return MESH_STAGES[sum(tolerance < limit for limit in MESH_LIMITS) :]
     first = 0 if tolerance >= COARSE else 1
-    stages = GRID_STAGES[design.pad.kind]
+    stages = GRID_STAGES[source.design.pad.kind]
     return stages[first:] if tolerance < FINE else stages[first:-1]
 
 
@@ -184,23 +188,22 @@ def cells_of_stage(
     `answer` is what is asked of an array of cells, `difference` how far one answer is from another, relative. The times
     of condensing and coupling are added to the source's own.
 
-    Levels are extrapolated as Richardson does: cells of boxes themselves, of tetrahedra the answers, since extrapolated
+    Levels are extrapolated as Richardson does: cells of grids themselves, of tetrahedra the answers, since extrapolated
     cells need not be definite. A fraction of that step is the levels' error. The ports' is what their highest degree
     changed, of tetrahedra a fraction of what the highest two did: the last is small now and then.
     """
     coarse, fine, degree = stage
-    design = source.design
     start, meshed_before = perf_counter(), source.seconds["mesh"]
     one, two = source.kinds(coarse, COMPARED_DEGREE), source.kinds(fine, degree)
     condensed = perf_counter()
     source.seconds["condense"] += condensed - start - (source.seconds["mesh"] - meshed_before)
     cells: Weighted
     factor, low = source.error_factor(coarse, fine), _of_degree(two, COMPARED_DEGREE)
-    if design.is_homogeneous:
+    if source.is_grid:
         better: Kinds = {free: cell.extrapolated(one[free], factor) for free, cell in two.items()}
         if all(cell.is_definite for cell in better.values()):  # extrapolated in these degrees alone
             of_levels = difference(answer(low), answer(_of_degree(better, COMPARED_DEGREE)))
-            of_levels *= EXTRAPOLATION_ERROR[design.pad.kind]
+            of_levels *= EXTRAPOLATION_ERROR[source.design.pad.kind]
         else:
             better, of_levels = two, factor * difference(answer(one), answer(low))
         cells, found = ((1.0, better),), answer(better)

@@ -1,91 +1,46 @@
-"""One unit by another way: meshed whole by pytetwild, solved with Taylor-Hood elements on scikit-fem's bases.
+"""One unit by another way: its CAD solids meshed by pytetwild, on scikit-fem's P2 elements, beside the response's cell.
 
-The array's response comes from condensed cells, of hexahedra where there is one rubber; a run prints how far the two
-are apart.
+That is of hexahedra where there is one rubber; a run prints how far the two are apart.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
-from skfem import MeshTet
 
-from common.storage.cache import kept
-from common.storage.files import digest
-from fem.array.meshed import lone_unit, plate_on
-from fem.array.response import ArrayResponse, read_response, write_response
+from fem.array.meshed import lone_unit
+from fem.array.solving import ResponseSettings, array_response
 from fem.array.substructured import PADS, answered, electrode_means, refined_cell, usual_tolerance
-from fem.kernel.factor import Factor, checked_solve
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.patch import patch_means
-from fem.tetrahedra.system import TetrahedralSystem
-from geometry.design import SensorDesign, bent
-from geometry.layout import electrode_squares, pad_squares
-from geometry.mesh import TetMesh, sensor_mesh, suited_settings
-
-VERSION = 1  #: raise when the same mesh gives another solution, so that cached ones are not reused
+from geometry.design import SensorDesign
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitCheck:
-    """Difference between the cell of an array's response and a unit solved by other tools."""
+    """Difference between the cell of an array's response and a unit solved by `--method tetrahedra`."""
 
     difference: float  #: of the electrodes' displacements per newton on the pad, relative to the response's own
-    cells: int  #: tetrahedra of the unit's mesh
-    unknowns: int
-    files: tuple[Path, ...]  #: the mesh and the solution, as far as the cache could keep them
-    reused: bool  #: whether both were there already
+    stated: float  #: sum of the errors that both estimate
+    unknowns: int  #: of the unit
+    file: Path  #: the unit's response, if the cache could keep it
+    reused: bool  #: whether it was there already
 
 
 def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda step: None) -> UnitCheck:
-    """Compare the refined cell of a design's response, standing alone, with the unit solved by `meshed_response`.
+    """Compare the refined cell of a design's response, standing alone, with the unit by `--method tetrahedra`.
 
     `progress` is called with the name of each step as it begins. A `GeometryError` or `SolverError` says that a mesh or
     an answer cannot be trusted.
     """
-    alone = lone_unit(design)
-    progress("mesh")
-    mesh, mesh_path, meshed_before = sensor_mesh(alone, suited_settings(alone))
-    cache_key = digest("unit", VERSION, bent(alone), mesh.content_hash)
-
-    def make() -> ArrayResponse:
-        progress("Taylor-Hood")
-        return replace(meshed_response(alone, mesh), cache_key=cache_key)
-
-    unit, path, solved_before = kept("unit.nc", cache_key, make, read_response, write_response)
+    unit, path, reused = array_response(lone_unit(design), ResponseSettings(method="tetrahedra"), progress)
     progress("cell")
     refined = refined_cell(design, usual_tolerance(design), cached=True)
     alone_mm_per_n = answered(refined.cells, lambda kinds: next(iter(kinds.values())).free_compliance)
     ours = alone_mm_per_n[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
-        cells=len(mesh.cells),
+        stated=refined.error_estimate + unit.error_estimate,
         unknowns=unit.unknowns,
-        files=tuple(file for file in (mesh_path, path) if file.exists()),
-        reused=meshed_before and solved_before,
-    )
-
-
-def meshed_response(design: SensorDesign, mesh: TetMesh) -> ArrayResponse:
-    """Response of a meshed sensor by Taylor-Hood elements, of one unit or of as many as have been meshed."""
-    start = perf_counter()
-    tets = MeshTet(mesh.points_mm.T.copy(), mesh.cells.T.copy())  # scikit-fem keeps points as (3, n)
-    body = taylor_hood(tets, [design.matrix_material, design.pillar_material], mesh.region)
-    pads, electrodes = (patch_means(body.basis, squares(design)) for squares in (pad_squares, electrode_squares))
-    plates = [plate for square in pad_squares(design) for plate in plate_on(square)]
-    system = TetrahedralSystem(body, plates if design.pad.kind == "stiff" else [])
-    loads = system.rest_loads(pads.toarray().reshape(pads.shape[0], -1, 3))
-    x, residual = checked_solve(Factor(system.matrix(system.rest_tangent()), upper=True), loads)
-    moved = system.displaced(x).reshape(pads.shape[0], -1)
-    rows, cols = design.array.rows, design.array.cols
-    return ArrayResponse(
-        design=design,
-        influence_mm_per_n=(electrodes @ moved.T).reshape(rows, cols, -1, 3, rows, cols, 3),
-        residual=residual,
-        unknowns=system.n_unknowns,
-        mesh_hash=mesh.content_hash,
-        seconds={"solve": perf_counter() - start},
-        method="taylor-hood",
+        file=path,
+        reused=reused,
     )

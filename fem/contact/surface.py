@@ -33,7 +33,6 @@ from fem.array.meshed import (
     GRID_LEVEL,
     MESH_DEGREE,
     MESH_LEVEL,
-    CellBody,
     DesignCell,
     pad_plate,
 )
@@ -52,7 +51,9 @@ from fem.contact.tiles import (
     slab_strips,
     tiles_per_pitch,
 )
-from fem.tetrahedra.mixed import taylor_hood
+from fem.kernel.elements import taylor_hood
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
 from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
 from geometry.layout import FloatArray, electrode_squares
 
@@ -181,9 +182,8 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     source = DesignCell(design, cell_rectangles(design), pad_plate(design))
     own = plain = own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
-        mesh = source.tetrahedra(MESH_LEVEL).mesh
-        matrix = taylor_hood(mesh, [design.matrix_material], np.zeros(mesh.nelements, dtype=np.int64))
-        plain = CellSides.of(CellBody.of_tetrahedra(matrix), source.rectangles).cell(MESH_DEGREE)
+        matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), [design.matrix_material])
+        plain = CellSides.of(System(matrix), source.rectangles).cell(MESH_DEGREE)
     elif source.plate is not None:
         plain = _extrapolated(DesignCell(design, source.rectangles))
     progress(f"coupling {rows} × {cols}")

@@ -5,7 +5,6 @@ the pressure p about its unit's middle, and the torque about z.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -46,7 +45,7 @@ def moved_by_wrenches(
         n_seen = cell.transfer.shape[1] - len(on_tiles)
         taken = np.zeros((cell.transfer.shape[1], N_LOADS + n_seen))
         taken[: len(on_tiles), :N_LOADS], taken[len(on_tiles) :, N_LOADS:] = on_tiles, np.eye(n_seen)
-        cell = replace(cell, transfer=cell.transfer @ taken, compliance=taken.T @ cell.compliance @ taken)
+        cell = cell.loaded_by(taken)
         progress(f"coupling {rows} × {cols}")
         seen = range(N_LOADS, N_LOADS + n_seen)
         moved = CoupledArray(cell, rows, cols).influence(range(N_LOADS), seen)[0].transpose(3, 4, 5, 0, 1, 2)

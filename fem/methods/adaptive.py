@@ -6,13 +6,13 @@ from typing import Protocol
 import numpy as np
 import psutil
 
-from fem.finite.newton import UnreachableLoadError, find_equilibrium
 from fem.kernel.factor import FactorMemoryError, SolverError
+from fem.kernel.newton import UnreachableLoadError, find_equilibrium
+from fem.kernel.system import System
 from fem.methods.plan import Plan
 from fem.scene.scene import Scene
 from fem.scene.solution import FiniteSolution, MeshAnswer, Solution, Stopwatch
-from fem.tetrahedra.adapted import AdaptedTetrahedra, probe_rows
-from fem.tetrahedra.system import TetrahedralSystem
+from fem.scene.tetrahedra import AdaptedTetrahedra
 from geometry.layout import FloatArray
 
 MAX_MESHES = 40  #: no more are tried; some 10 are usual
@@ -97,10 +97,10 @@ class FiniteTetrahedra(AdaptedTetrahedra):
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         linear = super().solve(watch)
-        self.equilibrium = found = find_equilibrium(TetrahedralSystem(self.body, self.scene.loads))
+        self.equilibrium = found = find_equilibrium(System(self.body, self.scene.loads))
         watch.spent("solve")
         u = found.state.u
-        probes = np.asarray(probe_rows(self.scene, self.body.basis) @ u)
+        probes = np.asarray(self.probe_rows() @ u)
         self.history[-1] = (self.history[-1][0], probes)
         return replace(
             linear,

@@ -110,7 +110,7 @@ def solve_by_cells(scene: Scene) -> Solution:
         return {probe.name: mean for probe, mean in zip(scene.probes, found[:-1], strict=True)}
 
     steps: list[str] = []
-    for stage in cell_stages(design, scene.tolerance):
+    for stage in cell_stages(source, scene.tolerance):
         cells, found, errors = cells_of_stage(
             source, stage, answer, lambda one, other: largest_error(named(one), named(other))
         )
@@ -119,7 +119,7 @@ def solve_by_cells(scene: Scene) -> Solution:
         if estimate <= scene.tolerance:
             break
     residuals += [cell.residual for _, kinds in cells for cell in kinds.values()]
-    spent = dict(zip(("mesh", "factor", "solve"), source.seconds.values(), strict=True))
+    spent = dict(zip(("mesh", "condense", "solve"), source.seconds.values(), strict=True))
     return Solution(
         probes=named(found),
         energy_mj=float(found[-1, 0]),

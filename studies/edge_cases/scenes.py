@@ -13,13 +13,14 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.meshed import DesignCell, lone_unit
 from fem.array.solving import ResponseSettings, solve_response
 from fem.array.substructured import PADS
+from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.loads import FollowerLoad
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Material, Pad, SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, smallest_dihedral_deg
@@ -201,18 +202,17 @@ def signed_volumes(points: FloatArray, cells: FloatArray) -> FloatArray:
 def flat_cells(smallest_deg: float, nu: float) -> Judged:
     """A linear field, driven by its tractions, on a mesh with nearly flat cells: exact on any mesh."""
     mesh, _ = flattened(smallest_deg)
-    materials, region = [Material(young_mpa=YOUNG_MPA, poisson=nu)], np.zeros(mesh.nelements, dtype=np.int64)
-    body = taylor_hood(mesh, materials, region)
-    lame, mu = materials[0].lame_mpa
+    rubber = Material(young_mpa=YOUNG_MPA, poisson=nu)
+    system = System(Rubber.of(mesh, taylor_hood(), [rubber]))
+    lame, mu = rubber.lame_mpa
     gradient = np.zeros((3, 3))
     gradient[:, 2] = [0.01, -0.02, -0.03]  # u = g z vanishes on the base
     stress = lame * np.trace(gradient) * np.eye(3) + mu * (gradient + gradient.T)
     facets = FacetBasis(mesh, ElementTetP2(), intorder=2)
     normals = np.stack([LinearForm(lambda v, w, i=i: v * w.n[i]).assemble(facets) for i in range(3)], axis=1)
-    system = TetrahedralSystem(body, [])
-    x, residual = checked_solve(Factor(system.rest_tangent(), upper=True), system.rest_loads((normals @ stress)[None]))
+    x, residual = checked_solve(Factor(system.rest_matrix(), upper=True), system.rest_loads((normals @ stress)[None]))
     found = system.displaced(x)[0]
-    exact = np.outer(body.basis.doflocs[2], gradient[:, 2])
+    exact = np.outer(system.points_mm[:, 2], gradient[:, 2])
     error = float(np.abs(found - exact).max() / np.abs(exact).max())
     return Judged(residual=residual, error=error, allowed=PATCH_TEST, against="a linear field")
 

@@ -72,7 +72,7 @@ def test_every_section_carries_the_whole_load(field, state):
 
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
-    monkeypatch.setattr("fem.tetrahedra.scene_mesh.EDGES_ACROSS", 1.5)  # coarse: both routes take the same mesh
+    monkeypatch.setattr("fem.meshes.tetrahedra.EDGES_ACROSS", 1.5)  # coarse: both routes take the same mesh
     monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)
     monkeypatch.setattr("fem.array.meshed.MESH_DEGREE", 2)
     alone, hard = Array(rows=1, cols=1), Material(young_mpa=12.0, poisson=0.45)

@@ -14,7 +14,6 @@ from fem.array.solving import ResponseSettings, array_response, response_cache_k
 from fem.array.substructured import block_error, cells_of_stage, expanded, influence_range
 from fem.array.unit_check import check_unit
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
-from geometry.mesh import MeshSettings
 from studies import bench
 
 UNIT = SensorDesign(array=Array(rows=1, cols=1))
@@ -128,11 +127,26 @@ def test_what_no_method_answers_is_refused(settings, design):
         solve_response(replace(UNIT, **design), ResponseSettings(**settings))
 
 
-def test_the_cell_of_a_response_is_close_to_a_unit_solved_by_other_tools(shared_cache, monkeypatch):
-    """Edges twice the usual: the two are 2 % apart, by the mesher's chance up to 5 %. Found again at once."""
+@pytest.mark.parametrize(
+    "changes",
+    [{"pad": Pad(kind="stiff")}, pytest.param({"pillar_material": Material(young_mpa=1.5)}, marks=pytest.mark.long)],
+    ids=["stiff pads", "pillars a quarter as stiff"],
+)
+def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, shared_cache):
+    """By other meshes, of two rubbers as well: a pair apart by less than both estimate, which are not idle."""
+    design = SensorDesign(**{"array": Array(rows=1, cols=2)} | changes)
+    cells, solids = (
+        solve_response(design, ResponseSettings(method=method, tolerance=3e-2)) for method in ("cells", "tetrahedra")
+    )
+    stated = cells.error_estimate + solids.error_estimate
+    assert solids.method == "tetrahedra"
+    assert stated / 20 < block_error(blocks(solids), blocks(cells)) < stated < 6e-2
+
+
+def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(shared_cache, monkeypatch):
+    """Both coarse, apart by less than they estimate together; found again at once."""
     monkeypatch.setattr("fem.array.unit_check.usual_tolerance", lambda design: 0.1)
-    monkeypatch.setattr("fem.array.unit_check.suited_settings", lambda design: MeshSettings().finer(0.5))
+    monkeypatch.setattr("fem.array.solving.usual_tolerance", lambda design, from_cad: 0.1)
     unit = check_unit(UNIT)
-    assert 1e-4 < unit.difference < 0.05
-    assert len(unit.files) == 2
+    assert 1e-4 < unit.difference < unit.stated < 0.05
     assert check_unit(UNIT) == replace(unit, reused=True)

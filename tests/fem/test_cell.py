@@ -7,9 +7,10 @@ import pytest
 
 from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
-from fem.array.meshed import CellBody
+from fem.array.meshed import grid_system
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.mirrors import QUARTER
+from fem.meshes.grid import mirrored
 from geometry.design import Material
 
 RUBBER = [Material()]
@@ -17,7 +18,7 @@ HALF, HEIGHT = 7.5, 10.0
 RECTANGLES = np.array([[-6.0, -6.0, 6.0, 6.0], [-6.0, 4.0, -4.0, 6.0]])  # the second is in one corner only
 X = np.array([0.0, 3.0, 6.0, HALF])
 UP = np.array([0.0, 2.0, 5.0, 8.0, HEIGHT])
-PORTS = PortModes(HALF, HEIGHT, side=3, up=3)
+PORTS = PortModes(HALF, HEIGHT, 3)
 
 
 def assert_same(cell, other, share=1e-11):
@@ -27,12 +28,8 @@ def assert_same(cell, other, share=1e-11):
         assert np.abs(one - two).max() < share * np.abs(two).max()
 
 
-def mirrored(lines):
-    return np.concatenate([-lines[::-1], lines[1:]])
-
-
 def whole(plate=None):
-    return CellBody.of((mirrored(X), mirrored(X), UP), RUBBER, plate)
+    return grid_system((mirrored(X), mirrored(X), UP), RUBBER, plate)
 
 
 def per_area(body, rectangles):
@@ -45,19 +42,19 @@ def test_parities_of_a_part_are_the_whole_cell(planes, plate):
     """Splitting by parity is exact, of the motions of a plate, too: both condensations agree to rounding."""
     axes = {plane.axis for plane in planes}
     lines = [X if axis in axes else mirrored(X) for axis in (0, 1)]
-    found = condense(CellBody.of((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES)
+    found = condense(grid_system((*lines, UP), RUBBER, plate, planes), PORTS, RECTANGLES, is_square=len(planes) == 2)
     assert_same(found, condense(whole(plate), PORTS, RECTANGLES))
 
 
 @pytest.mark.parametrize("y", [X, np.array([0.0, 2.0, 6.0, HALF])], ids=["rubbers", "lines"])
 def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
-    """Against the whole cell, whose mirror images the four quarters are; boxes hold two rubbers, evenly mixed."""
+    """Against the whole cell, whose mirror images the four quarters are; elements hold two rubbers, evenly mixed."""
     rubbers = [*RUBBER, Material(young_mpa=0.5)]
     share = np.broadcast_to(np.arange(9).reshape(3, 3, 1) / 9, (3, 3, len(UP) - 1))
-    quarter = CellBody.of((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
+    quarter = grid_system((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
     share = np.concatenate([share[::-1], share])
     share = np.concatenate([share[:, ::-1], share], axis=1)
-    all_of_it = CellBody.of((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
+    all_of_it = grid_system((mirrored(X), mirrored(y), UP), rubbers, shares=np.stack([1 - share, share]))
     assert_same(condense(quarter, PORTS, RECTANGLES), condense(all_of_it, PORTS, RECTANGLES))
 
 
@@ -78,7 +75,7 @@ def test_sides_that_all_move_by_ports_are_the_condensed_cell():
     of a higher degree."""
     found = CellSides.of(whole(), RECTANGLES).cell(3)
     assert_same(found, condense(whole(), PORTS, RECTANGLES))
-    assert_same(found, condense(whole(), PortModes(HALF, HEIGHT, 4, 4), RECTANGLES).of_degree(3))
+    assert_same(found, condense(whole(), PortModes(HALF, HEIGHT, 4), RECTANGLES).of_degree(3))
 
 
 @pytest.mark.parametrize("size", [(1, 2), (2, 1)])
@@ -86,10 +83,10 @@ def test_only_sides_that_cells_share_are_held_to_ports(size):
     """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
     across, pad = mirrored(X), RECTANGLES[:1]
     along, step = np.concatenate([across, across[1:] + 2 * HALF]), 2 * HALF * np.tile(np.array(size)[::-1] - 1, 2)
-    long = CellBody.of((*(along if n == 2 else across for n in size[::-1]), UP), RUBBER)
+    long = grid_system((*(along if n == 2 else across for n in size[::-1]), UP), RUBBER)
     both = per_area(long, np.vstack([pad, pad + step]))
-    rhs = long.gathered(np.einsum("kn,ij->kinj", both, np.eye(3)).reshape(6, -1, 3), (0, 0))
-    u, _ = checked_solve(Factor(long.matrix((0, 0)), definite=True, upper=True), rhs)
+    rhs = long.rest_loads(np.einsum("kn,ij->kinj", both, np.eye(3)).reshape(6, -1, 3))
+    u, _ = checked_solve(Factor(long.rest_matrix(), definite=True, upper=True), rhs)
     energies, sides = np.diag(rhs.T @ u), CellSides.of(whole(), pad)
     missing = []
     for degree in (3, 5, 7):

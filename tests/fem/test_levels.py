@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fem.levels import SAFETY, Convergence
-from fem.tetrahedra.adapted import estimated_error
+from fem.scene.tetrahedra import estimated_error
 
 LIMIT, SLOPE = np.array([0.1, 0.0, -2.0]), np.array([0.2, 0.0, 0.3])
 

@@ -3,7 +3,7 @@
 import numpy as np
 from skfem import MeshTet
 
-from fem.tetrahedra.scene_mesh import bisected
+from fem.meshes.tetrahedra import bisected
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.scenes import box_mesh
 

@@ -9,7 +9,6 @@ from common.errors import DesignError
 from dataset import read_samples
 from decoupler.model.model_file import read_model
 from fem.array.solving import ResponseSettings
-from geometry.mesh import MeshSettings
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 from tripillar.pipeline.manufactured import READ, SPECIMEN
@@ -35,7 +34,6 @@ def house(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tripillar.pipeline.run.SPLITS", {"train": (400, 1), "test": (100, 2)})
         patch.setattr("tripillar.pipeline.run.SETTINGS", {"soft": ResponseSettings(tolerance=2e-2)})
-        patch.setattr("fem.array.unit_check.suited_settings", lambda design: MeshSettings().finer(0.5))
         house.outcome = house.result(*RUN)
         yield house
 

@@ -15,18 +15,15 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.trainer import train
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.unit_check import meshed_response
 from fem.kernel.loads import StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import sensor_parts, solve_scene_parts
 from fem.scene.scene import Probe, Scene, Sensor
-from geometry.design import PAD_KINDS, Array, Pad, SensorDesign, Unit
+from geometry.design import PAD_KINDS, Array, Pad, SensorDesign
 from geometry.layout import electrode_squares, unit_centres
-from geometry.mesh import TetMesh
 from studies.pads import with_pad
-from tests.fem.scenes import box_mesh
 from tripillar.face.caller import Caller, called_by
 from tripillar.face.checks import mention_another_sensor
 
@@ -90,22 +87,6 @@ def test_a_scene_with_every_plate_is_the_response(responses):
     assert np.abs(found - expected).max() < 2e-2 * np.abs(expected).max()
     alone = replace(asked, loads=asked.loads[:1])  # no plate on the other unit: another body, of boxes
     assert make_plan(alone).method == "boxes"
-
-
-def test_a_unit_of_other_tools_has_rigid_plates():
-    """Scikit-fem's forms: U1 and U2 under one plate keep their distance, and sink less where it holds the rubber."""
-    design = replace(PAIR, unit=Unit(span_mm=6.0), pad=Pad(size_mm=10.0, kind="stiff"))
-    x, y, h = design.slab_mm
-    box, own = box_mesh((12, 6, 3), (x, y, h)), {}
-    points_mm = box.p.T - np.array([x / 2, y / 2, 0.0])
-    mesh = TetMesh(points_mm, box.t.T.astype(np.int64), np.zeros(box.nelements, dtype=np.int64))
-    for kind in PAD_KINDS:
-        found = meshed_response(with_pad(design, kind), mesh)
-        assert found.residual < 1e-12
-        own[kind] = found.influence_mm_per_n[0, 0, :, :, 0, 0]  # electrode, axis, load axis
-    stretch = {kind: np.abs(u[1, 1] - u[0, 1]).max() for kind, u in own.items()}  # they are apart along y
-    assert stretch["stiff"] < 1e-12 < 1e-6 < stretch["soft"]
-    assert (own["stiff"][:, 2, 2] < own["soft"][:, 2, 2]).all()
 
 
 def test_models_and_data_of_other_pads_do_not_mix(responses):

@@ -172,7 +172,7 @@ def response(
     *,
     out: Annotated[File | None, Flag(required=True)] = None,
     tolerance: float | None = None,
-    method: Literal["cells", "layer"] = "cells",
+    method: Literal["cells", "tetrahedra", "layer"] = "cells",
 ) -> "stages.ArrayResponse":
     """Compute how far a newton on each pad moves each electrode.
 
@@ -185,9 +185,9 @@ def response(
     out : path, optional
         NetCDF file to write.
     tolerance : float, optional
-        Relative error wanted; default: 1e-3, or 1e-2 with pillars of another rubber.
+        Relative error wanted; default: 1e-3, or 1e-2 on tetrahedra: by that method, or of pillars of another rubber.
     method : str
-        Method: copies of one condensed cell, or an approximate closed form.
+        Method: copies of one condensed cell; the same from CAD solids, meshed; or an approximate closed form.
 
     Returns
     -------

@@ -122,7 +122,7 @@ def test_layers_of_two_rubbers_shorten_one_by_one():
 @pytest.mark.long
 def test_two_rubbers_that_lean_are_solved_on_tetrahedra(monkeypatch):
     """On a coarse mesh, whose estimate says so."""
-    monkeypatch.setattr("fem.tetrahedra.scene_mesh.EDGES_ACROSS", 1.0)
+    monkeypatch.setattr("fem.meshes.tetrahedra.EDGES_ACROSS", 1.0)
     soft, hard = (replace(RUBBER, young_mpa=young, poisson=0.3) for young in (6.1, 18.0))
     leaning = Inclusion(base_mm=(1.5, 2.0, 0.0), top_mm=(2.5, 2.0, 2.0), section_mm=(2.0, 2.0), material=hard)
     scene = pressed_block((4.0, 4.0, 2.0), soft, (0.1, 0.0, -0.5), inclusions=(leaning,), tolerance=0.2)

@@ -13,21 +13,24 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from skfem import Basis, MeshTet
+from skfem import MeshTet
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-from fem.field import Field
+from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import checked_solve
-from fem.kernel.loads import at_rest
+from fem.kernel.field import Field, rows_at
+from fem.kernel.loads import FollowerLoad, at_rest
+from fem.kernel.reference import IntArray, tabulated
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
+from fem.kernel.top import Top
 from fem.levels import SAFETY, largest_contributors, shown_ratios, unit_loads
+from fem.meshes.tetrahedra import Tetrahedra, bisected, cell_sizes, coarse_edge_mm, mesh_body, prism_of_cells
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import MeshAnswer, Stopwatch
-from fem.tetrahedra.mixed import Elements, IntArray, TaylorHood, taylor_hood
-from fem.tetrahedra.patch import patch_integrals
-from fem.tetrahedra.scene_mesh import bisected, cell_sizes, mesh_scene, prism_of_cells
-from fem.tetrahedra.system import TetrahedralSystem
 from geometry.layout import FloatArray
+from geometry.prism import Prism
 
 MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 GB and minutes
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
@@ -55,17 +58,24 @@ def estimated_error(history: Sequence[tuple[float, FloatArray]]) -> float:
 class AdaptedTetrahedra:
     """A scene on Taylor-Hood tetrahedra; `regions` are those that need one of their own.
 
-    `rectangles` (k, 4) of the top face are to be resolved beside those of loads and probes.
+    `rectangles` (k, 4) of the top face are to be resolved beside those of loads and probes. The coarse mesh is
+    `mesh_scene`'s unless another is given.
     """
 
-    def __init__(self, scene: Scene, regions: Sequence[Region], rectangles: FloatArray = NOWHERE) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        regions: Sequence[Region],
+        rectangles: FloatArray = NOWHERE,
+        given: MeshTet | None = None,
+    ) -> None:
         self.scene = scene
         self.prisms = [prism for prism, _ in regions]
-        mesh, self.is_kept = mesh_scene(scene, self.prisms)
+        mesh, self.is_kept = mesh_scene(scene, self.prisms) if given is None else (given, True)
         self._coarse = mesh
         narrow = [scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm, rectangles]
         self.mesh = with_edges_across(mesh, np.vstack(narrow))
-        self._body: TaylorHood | None = None
+        self._body: Rubber | None = None
         self.history: list[tuple[float, FloatArray]] = []  #: sum of indicators and probes of every mesh
         #: the different rubbers, the body's first
         self.materials = list(dict.fromkeys([scene.material, *(material for _, material in regions)]))
@@ -87,25 +97,35 @@ class AdaptedTetrahedra:
         self.mesh = bisected(self.mesh, marked if len(marked) > least else np.argsort(-indicators)[:least])
 
     @property
-    def body(self) -> TaylorHood:
+    def body(self) -> Rubber:
         """The body on the mesh as it is."""
         if self._body is None:
             region = self._material_of[prism_of_cells(self.mesh, self.prisms, self._coarse)]
-            self._body = taylor_hood(self.mesh, self.materials, region)
+            self._body = Rubber.of(self.mesh, taylor_hood(), self.materials, region)
         return self._body
+
+    def probe_rows(self) -> sp.csr_matrix:
+        """Rows that take one component of all nodes to that component of every probe, (n_probes, n_nodes)."""
+        scene, body = self.scene, self.body
+        seen, points = scene.probe_rectangles_mm, scene.probe_points_mm
+        rows: dict[str, list[sp.csr_matrix]] = {"mean": [], "point": []}
+        if len(seen):
+            areas = (seen[:, 2:] - seen[:, :2]).prod(axis=1)
+            rows["mean"] = list(sp.csr_matrix(sp.diags_array(1 / areas) @ Top(body.basis).integrals(seen, whole=True)))
+        if len(points):
+            rows["point"] = list(rows_at(body, *Tetrahedra(self.mesh).located(points)))
+        return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
         scene, body = self.scene, self.body
-        system = TetrahedralSystem(body, at_rest(scene.loads))
-        rows = probe_rows(scene, body.basis)
-        matrix = system.rest_tangent()
+        system = System(body, at_rest(scene.loads))
+        rows, matrix = self.probe_rows(), system.rest_matrix()
         watch.spent("assemble")
         factor = system.new_factor()
         factor.factor(matrix)
         watch.spent("factor")
 
-        forces = np.zeros((system.n_unknowns, 1))
-        forces[: 3 * system.n_blocks, 0] = system.loads_on(system.rest()).ravel()
+        forces = system.full_loads
         x, residual = checked_solve(factor, forces)
         u = system.displaced(x)[0]
         probes = np.asarray(rows @ u)
@@ -114,7 +134,7 @@ class AdaptedTetrahedra:
         z = system.displaced(y)
         watch.spent("solve")
 
-        n, plates = body.n_pressure, scene.plate_rectangles_mm
+        n, plates = system.n_mixed, scene.plate_rectangles_mm
         loaded, seen = scene.load_rectangles_mm, scene.probe_rectangles_mm
         areas_mm2 = (seen[:, 2:] - seen[:, :2]).prod(axis=1)[:, None]
         shapes = weights[:, [probe.kind == "mean" for probe in scene.probes]] / areas_mm2
@@ -132,12 +152,22 @@ class AdaptedTetrahedra:
             residual=max(residual, dual_residual),
             unknowns=matrix.shape[0],
             indicators=indicators,
-            field=lambda: Field(
-                mesh=body.elements,
-                displacement_mm=u,
-                material=self.materials,
-            ),
+            field=lambda: Field(places=Tetrahedra(body.basis.mesh), body=body, displacement_mm=u),
         )
+
+
+def mesh_scene(scene: Scene, prisms: Sequence[Prism]) -> tuple[MeshTet, bool]:
+    """A coarse mesh of a scene's body, as by `mesh_body`: stiff plates and following loads have outlines in it."""
+    height, lean, depth_mm = scene.height_mm, scene.outline.lean, coarse_edge_mm(scene.outline)
+    following = [load for load in scene.loads if isinstance(load, FollowerLoad) and not scene.is_linear]
+    under = []  # layers of the body, under what does not cover the whole top
+    for load in (*scene.stiff_loads, *following):
+        depth = min(depth_mm, height / 2, *load.size_mm)
+        x, y = load.center_mm
+        below = (x - lean[0] * depth, y - lean[1] * depth, height - depth)
+        if np.abs(np.array(load.rectangle) - scene.top_mm).max() > scene.rounding_mm:
+            under.append(Prism(base_mm=below, top_mm=(x, y, height), section_mm=load.size_mm))
+    return mesh_body(scene.outline, prisms, under, scene.rounding_mm)
 
 
 def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
@@ -160,21 +190,8 @@ def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
         mesh = bisected(mesh, np.flatnonzero(at_top)[coarse])
 
 
-def probe_rows(scene: Scene, basis: Basis) -> sp.csr_matrix:
-    """Rows that take one component of all nodes to that component of every probe, shape (n_probes, n_nodes)."""
-    rectangles, points = scene.probe_rectangles_mm, scene.probe_points_mm
-    rows: dict[str, list[sp.csr_matrix]] = {"mean": [], "point": []}
-    if len(rectangles):
-        areas = (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)
-        rows["mean"] = list(sp.csr_matrix(sp.diags_array(1 / areas) @ patch_integrals(basis, rectangles)))
-    if len(points):
-        elements = Elements.of_basis(basis, np.zeros(basis.mesh.nelements, dtype=np.int64))
-        rows["point"] = list(elements.at(points))
-    return sp.vstack([rows[probe.kind].pop(0) for probe in scene.probes], format="csr")
-
-
 def residuals(
-    body: TaylorHood,
+    body: Rubber,
     u: FloatArray,
     pressure: FloatArray,
     rectangles: FloatArray,
@@ -183,23 +200,23 @@ def residuals(
 ) -> FloatArray:
     """Squared residual of an answer in each element, in units of energy, (m,) [N mm].
 
-    The answer is u (n_nodes, 3) [mm] and corner pressures (n_pressure,) [MPa], under uniform tractions (n, 3) on
+    The answer is u (n_nodes, 3) [mm] and pressures (n_pressures,) [MPa], under uniform tractions (n, 3) on
     rectangles (n, 4) of the top face, which add up where they overlap. Rectangles (k, 4) of stiff `plates` have
     tractions that nobody knows.
     """
     mesh = body.basis.mesh
     points, cells = mesh.p.T, mesh.t.T
-    elements = body.elements
-    gradient = elements.corner_gradients(u)
+    slopes = tabulated(body.basis.elem, body.basis.elem.doflocs[:4].T)[1]
+    gradient = np.einsum("eni,mnv,emj->evij", u[body.nodes], slopes, body.pull[:, 0], optimize=True)  # at corners
     divergence = np.trace(gradient, axis1=2, axis2=3)
-    p, lame_mpa, mu_mpa = pressure[body.corners.T], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
+    p, lame_mpa, mu_mpa = pressure[body.pressure_dofs], body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
     stress = mu_mpa[:, None, None, None] * (gradient + gradient.swapaxes(2, 3))
     for i in range(3):
         stress[..., i, i] += p
 
     corners = points[cells]
-    volumes = elements.volumes_mm3
-    unbalanced = np.einsum("evij,evj->ei", stress[:, 1:] - stress[:, :1], elements.inverse_jacobian)
+    volumes = body.dx.sum(axis=1)
+    unbalanced = np.einsum("evij,evj->ei", stress[:, 1:] - stress[:, :1], body.pull[:, 0])
     squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
     squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
 
