@@ -86,6 +86,7 @@ class Factor:
         self.n_negative: int | None = None  #: eigenvalues of an indefinite K below 0, where the solver counts them
         self._by_degree = by_degree
         self._pardiso: _Pardiso | None = None
+        self._lower: SparseMatrix | None = None
         if matrix is not None:
             self.factor(matrix)
 
@@ -96,11 +97,15 @@ class Factor:
 
     def times(self, x: FloatArray) -> FloatArray:
         """K x, shape (n, k)."""
-        return _times(self._given, x) if self.upper else self._given @ x
+        if not self.upper:
+            return self._given @ x
+        if self._lower is None:
+            self._lower = self._given.T.asformat(self._given.format)  # scipy would make it anew for every product
+        return _times(self._given, x, self._lower)
 
     def factor(self, matrix: SparseMatrix) -> None:
         """Factor a matrix, the first one or other values in its pattern; raises as the class does."""
-        self._given, self.n_unknowns = matrix, matrix.shape[0]
+        self._given, self._lower, self.n_unknowns = matrix, None, matrix.shape[0]
         if not np.isfinite(matrix.data).all():
             raise _not_factored(self.n_unknowns, "the matrix is not finite.")
         if self.solver == "pardiso":
@@ -253,12 +258,12 @@ def whole(upper: SparseMatrix) -> sp.csr_matrix:
     return (part + sp.coo_matrix(rest, shape=upper.shape)).tocsr()
 
 
-def _times(upper: SparseMatrix, x: FloatArray) -> FloatArray:
-    """K x, shape (n, k), of a symmetric K given by its upper triangle."""
+def _times(upper: SparseMatrix, x: FloatArray, lower: SparseMatrix | None = None) -> FloatArray:
+    """K x, shape (n, k), of a symmetric K given by its upper triangle, and perhaps the transpose of that."""
     block = upper.blocksize[0] if upper.format == "bsr" else 1
     rows = np.repeat(np.arange(len(upper.indptr) - 1), np.diff(upper.indptr))
     diagonal = upper.data.reshape(-1, block, block)[rows == upper.indices]
-    return upper @ x + upper.T @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
+    return upper @ x + (upper.T if lower is None else lower) @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
 
 
 def _with_diagonal(upper: sp.csr_matrix) -> sp.csr_matrix:

@@ -14,7 +14,7 @@ is inside one hexahedron alone, from order 3 on, is eliminated at rest.
 from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -111,9 +111,8 @@ class Rubber:
         nodes = self.nodes[:, self.reference.surface] if self.is_condensed else self.nodes
         step, plain = max(1, CHUNK_VALUES // (9 * nodes.shape[1] ** 2)), np.arange(self.n_elements)
         if self.constraint is None:
-            starts = range(0, self.n_elements, step)
-            some = [slice(first, min(first + step, self.n_elements)) for first in starts]
-            return [Chunk(own, nodes[own]) for own in some]
+            ends = [*range(0, self.n_elements, step), self.n_elements]
+            return [Chunk(slice(*pair), nodes[slice(*pair)]) for pair in pairwise(ends)]
         is_hung = (self.constraint.diagonal() != 1)[nodes].any(axis=1)
         groups: dict[int, list[tuple[int, IntArray, FloatArray]]] = {}
         for element in np.flatnonzero(is_hung).tolist():
@@ -405,7 +404,7 @@ class Tangent:
                 K += both.swapaxes(2, 3)
             yield K
 
-    def _times_bulk(self, B: FloatArray, some: slice = slice(None)) -> FloatArray:
+    def _times_bulk(self, B: FloatArray, some: slice | IntArray = slice(None)) -> FloatArray:
         """B (e, r, k) times (∫ q qᵀ/λ)⁻¹."""
         bulk = self.rubber._inverse_mass[some]
         return B * bulk[:, None] if bulk.ndim == 2 else B @ bulk

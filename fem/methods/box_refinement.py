@@ -69,7 +69,7 @@ class SplitBoxes:
         return f"{MAX_BOXES} boxes" if len(self.mesh.boxes) >= MAX_BOXES else None
 
     def error(self) -> float:
-        return float(estimated_errors(self.probes, self.eta, self.order).max())
+        return float(estimated_errors(self.probes, self.eta).max())
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
         if self.order < ORDERS[-1]:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fem.kernel.mirrors import Mirror, flipped_points, flipped_rectangles
-from fem.methods.cell_scene import has_alike_plates
+from fem.scene.on_cells import has_alike_plates
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES, FloatArray
@@ -16,8 +16,8 @@ Method = Literal["nothing", "boxes", "cells", "tetrahedra", "finite", "finite on
 
 #: by method, its elements and why they are used; cells of two rubbers are of tetrahedra
 ELEMENTS = {
-    "boxes": "split hexahedra of order 4, fine only where the probes need it, factored: whatever contrast, ν, shear "
-    "and slenderness",
+    "boxes": "split hexahedra of order 3, then 4, fine only where the probes need it, factored: whatever contrast, ν, "
+    "shear and slenderness",
     "cells": "quadratic hexahedra, they crowd at the edges of plates, two levels extrapolated",
     "finite": "mixed quadratic hexahedra, the pressure linear in each and found there: rubber does not lock",
     "tetrahedra": "Taylor-Hood tetrahedra, displacement P2 and pressure P1: they do not lock, whatever ν",

@@ -2,10 +2,6 @@
 
 import numpy as np
 
-from fem.finite.solving import solve_finite
-from fem.methods.adaptive import solve_on_tetrahedra
-from fem.methods.box_refinement import solve_on_boxes
-from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
 from fem.scene.scene import Pillar, Scene
 from fem.scene.solution import Solution, Stopwatch
@@ -37,12 +33,21 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
             seconds=Stopwatch().seconds,
             steps=("nothing loads the body, so nothing was computed",),
         )
+    # each method is loaded alone: the others take as long to load as a small scene to solve
     if plan.method == "finite":
+        from fem.finite.solving import solve_finite
+
         return solve_finite(scene, plan.mirrors, field)
     if plan.method == "cells":
+        from fem.methods.cell_scene import solve_by_cells
+
         return solve_by_cells(scene)
     if plan.method in ("tetrahedra", "finite on tetrahedra"):
+        from fem.methods.on_tetrahedra import solve_on_tetrahedra
+
         return solve_on_tetrahedra(scene, plan, field)
+    from fem.methods.box_refinement import solve_on_boxes
+
     return solve_on_boxes(scene, plan, field)
 
 

@@ -25,10 +25,10 @@ from fem.kernel.reference import tabulated
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.meshes.grid import Grid
-from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
+from fem.scene.on_cells import design_of_cells, forces_on_cells
 from fem.scene.scene import Scene, Sensor, regions_at
 from geometry.design import Unit
 from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres

@@ -4,16 +4,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-
 from fem.boxes.boxes import Boxes
+from fem.rubber.body import RubberBody
+from fem.system import System
+
 from fem.finite.newton import UnreachableLoadError, find_equilibrium
 from fem.finite.solving import finite_boxes
 from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.methods.solving import solve_scene
-from fem.rubber.body import RubberBody
 from fem.scene.scene import Block, Pillar, Probe, Scene
 from fem.scene.solution import FiniteSolution, largest_error
-from fem.system import System
 from geometry.design import Material
 from geometry.layout import FloatArray
 from geometry.prism import Triple

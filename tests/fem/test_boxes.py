@@ -4,14 +4,14 @@ from itertools import product
 
 import numpy as np
 import pytest
-
 from fem.boxes.splitting import AxisTree, BoxMesh
+from fem.rubber.body import RubberBody
+from fem.system import System
+
 from fem.kernel.factor import Factor
 from fem.kernel.loads import DeadLoad
 from fem.methods.box_refinement import ORDER
-from fem.rubber.body import RubberBody
 from fem.scene.scene import Probe
-from fem.system import System
 from geometry.design import Material
 
 

@@ -7,9 +7,13 @@ import numpy as np
 import psutil
 import pytest
 import scipy.sparse as sp
+from fem.boxes.boxes import Boxes
+from fem.rubber.body import RubberBody
+from fem.system import System
+from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.system import TetrahedralSystem
 
 from fem import factor as module
-from fem.boxes.boxes import Boxes
 from fem.kernel.factor import (
     Factor,
     FactorMemoryError,
@@ -19,10 +23,6 @@ from fem.kernel.factor import (
     schur_product,
     whole,
 )
-from fem.rubber.body import RubberBody
-from fem.system import System
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material
 from tests.fem.scenes import box_mesh
 

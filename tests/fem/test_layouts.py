@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fem.tetrahedra.system import TetrahedralSystem
 
 from dataset.resistance import rest_resistances
 from fem.array.closed_forms import layer_response
@@ -24,7 +25,6 @@ from fem.kernel.loads import DeadLoad, StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.scene.scene import Scene, Sensor
-from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
 from geometry.layout import (
     LAYOUTS,

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-
 from fem.boxes.boxes import Boxes
-from fem.kernel.factor import whole
-from fem.kernel.law import LAWS
-from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.plates import turns
 from fem.rubber.body import RubberBody
 from fem.system import System
+from scipy.optimize import brentq
+
+from fem.kernel.factor import whole
+from fem.kernel.law import LAWS
+from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from geometry.design import Material
 
 LINES = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 2.5, 4.0]), np.array([0.0, 1.5, 4.0])

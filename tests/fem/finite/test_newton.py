@@ -4,22 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fem.boxes.boxes import Boxes
+from fem.field import unfolded
+from fem.rubber.body import RubberBody
+from fem.system import System
+from fem.tetrahedra.mixed import taylor_hood
+from fem.tetrahedra.system import TetrahedralSystem
 from skfem import MeshTet
 
 from common.errors import SceneError
-from fem.boxes.boxes import Boxes
-from fem.field import unfolded
 from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium
 from fem.finite.solving import finite_boxes
 from fem.kernel.factor import Factor, FactorMemoryError
 from fem.kernel.loads import DeadLoad, FollowerLoad, StiffLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
-from fem.rubber.body import RubberBody
 from fem.scene.scene import Block, Inclusion, Pillar, Scene
-from fem.system import System
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.system import TetrahedralSystem
 from geometry.design import Material
 from tests.fem.scenes import mean, pressed, pressed_block
 

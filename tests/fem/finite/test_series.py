@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-
 from fem.boxes.boxes import Boxes
+from fem.rubber.body import RubberBody
+from fem.system import System
+
 from fem.finite.newton import find_equilibrium
 from fem.finite.series import BaseState, load_series, quaternion_rotations
 from fem.kernel.loads import StiffLoad
-from fem.rubber.body import RubberBody
-from fem.system import System
 from geometry.design import Material
 
 LINE = np.array([-15.0, -13.5, -7.5, -1.5, 0.0, 1.5, 7.5, 13.5, 15.0])

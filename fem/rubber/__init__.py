@@ -1,1 +1,0 @@
-"""Rubber: `law.py` (stress and tangent of a material), `body.py` (elements filled with it)."""
