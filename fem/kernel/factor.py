@@ -263,7 +263,11 @@ def _times(upper: SparseMatrix, x: FloatArray, lower: SparseMatrix | None = None
     block = upper.blocksize[0] if upper.format == "bsr" else 1
     rows = np.repeat(np.arange(len(upper.indptr) - 1), np.diff(upper.indptr))
     diagonal = upper.data.reshape(-1, block, block)[rows == upper.indices]
-    return upper @ x + (upper.T if lower is None else lower) @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
+    return (
+        upper @ x
+        + (upper.T if lower is None else lower) @ x
+        - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
+    )
 
 
 def _with_diagonal(upper: sp.csr_matrix) -> sp.csr_matrix:

@@ -425,8 +425,8 @@ class Tangent:
 def _by_masters(K: FloatArray, hung: FloatArray) -> FloatArray:
     """Wᵀ K W of elements K (g, n, n, 3, 3) whose nodes move as W (g, n, k) says."""
     (g, n, k), W = hung.shape, hung.swapaxes(1, 2)
-    half = (W @ K.reshape(g, n, -1)).reshape(g, k, n, 9).swapaxes(1, 2)
-    return (W @ half.reshape(g, n, -1)).reshape(g, k, k, 3, 3).swapaxes(1, 2)
+    rows = (W @ K.reshape(g, n, -1)).reshape(g, k, n, 9)
+    return (W[:, None] @ rows).reshape(g, k, k, 3, 3)
 
 
 def _split(elements: IntArray, step: int) -> list[IntArray]:
