@@ -4,7 +4,7 @@ Unknowns y come in blocks of three: displacements of the free nodes, then shifts
 half the plate's width so that all are lengths. Continuous pressures come after these. The base z = 0 is clamped.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -352,9 +352,9 @@ class System:
     @cached_property
     def rest_data(self) -> FloatArray:
         """Blocks of the tangent at rest in `assembly`, (n_entries, 3, 3): linear elasticity, of every parity."""
-        # of pressures that are unknowns their forces are wanted, too; other laws keep what is inside elements
-        is_whole = self.body.is_mixed or (self.body.condensed is not None and not self.is_condensed)
-        blocks = self.body.rest.blocks() if is_whole else self.body.rest_blocks()
+        blocks: Iterator[FloatArray] = self.body.rest_blocks()
+        if self.body.is_mixed:  # its forces of pressures are wanted, too
+            blocks = self.body.rest.blocks()
         return self.assembly.sum(blocks, self.plates.spins(self.rest().rotation))
 
     def rest_matrix(self, parity: Parity | None = None) -> SparseMatrix:
