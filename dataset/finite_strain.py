@@ -24,7 +24,7 @@ from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
-METHOD = 8  #: raise when the same settings give other samples
+METHOD = 9  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled

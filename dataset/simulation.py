@@ -37,6 +37,7 @@ BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the proce
 MAX_MOMENTS = 1_000_000  #: of a history
 MAX_SAMPLES = 1_000_000_000  #: of 36 units: 700 GB of forces and resistances in float32, compressed
 IN_WORK = 1.2  #: memory that samples take while they are made and written, of their numbers alone
+SERIES = 3  #: spawn key of their random numbers
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
 
 #: by numbers (m,) of samples and how often they were drawn before: arrays (m, ...), and which are accepted (m,)
@@ -182,7 +183,8 @@ def _kept_shapes(
 
 def require_memory(design: SensorDesign, settings: DatasetSettings, only: Sequence[str] | None = None) -> None:
     """Refuse more samples than memory holds, of all variables or those of `simulate`'s `only`."""
-    kind, shapes = "samples" if settings.moments is None else "series", _kept_shapes(design, only, "", settings.moments)
+    kind = "samples" if settings.moments is None else "series"
+    shapes = _kept_shapes(design, only, settings.protocol, settings.moments)
     needed = IN_WORK * settings.samples * 8 * sum(map(math.prod, shapes.values()))
     free = psutil.virtual_memory().available
     if needed > free:
@@ -263,7 +265,7 @@ def read_resistances(
     blocks = [
         imperfections.apply(
             exact_ohm[start : start + size],
-            np.random.default_rng([seed, (first + start) // size, MAX_ROUNDS]),
+            stream(seed, (first + start) // size, MAX_ROUNDS, of_series=size == 1),
             readout,
             design.electrics,
             design.unit.layout,
@@ -356,12 +358,21 @@ def below_cap(
     )
 
 
-def _pad_loads(response: ArrayResponse, settings: DatasetSettings, *seed: int) -> Draw:
+def stream(*seed: int, of_series: bool) -> np.random.Generator:
+    """A stream of random numbers of blocks or of series, which share none, whatever their numbers.
+
+    NumPy takes seeds that differ by zeros at their end for one: a spawn key parts those of series from the others, and
+    from those of specimens.
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SERIES,) if of_series else ()))
+
+
+def _pad_loads(response: ArrayResponse, settings: DatasetSettings, *seed: int, of_series: bool = False) -> Draw:
     """What draws loads of a protocol on pads, tractions and displacements, each attempt with a generator of its own."""
     design, protocol = response.design, pad_protocol(settings.protocol)
 
     def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
-        traction = protocol.draw(np.random.default_rng([*seed, attempt]), len(waiting), design)
+        traction = protocol.draw(stream(*seed, attempt, of_series=of_series), len(waiting), design)
         moved = displacements(response, traction, protocol.axes)
         return [traction, moved], ~(largest_strains(moved, design.unit) > settings.cap)
 
@@ -391,11 +402,11 @@ def _series(
     """All of one series (1, time, ...) by variable, and how many of its loads were redrawn (1,)."""
     design, time_s, again = response.design, settings.time_s, np.zeros(1, dtype=np.int64)
     assert time_s is not None
-    generator = np.random.default_rng([settings.seed, number, MAX_ROUNDS + 1])
+    generator = stream(settings.seed, number, MAX_ROUNDS + 1, of_series=True)
     corner_s, level, load = programme(generator, settings.history_s)
 
     def draw(_: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
-        draw_loads = _pad_loads(response, settings, settings.seed, number, attempt)
+        draw_loads = _pad_loads(response, settings, settings.seed, number, attempt, of_series=True)
         drawn, redrawn = below_cap(draw_loads, load.max() + 1, MAX_ROUNDS, settings, design)
         again[:] += redrawn.sum()
         at = level.reshape(-1, 1)

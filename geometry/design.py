@@ -121,6 +121,7 @@ class Prony(Sound):
     tau_s: tuple[float, float] = positive((1.0, 100.0), "times in which they do [s]", count=2)
 
 
+SECOND_RATIO = 0.2  #: of mooney-rivlin, where none is given
 MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
@@ -137,6 +138,7 @@ class Material(Sound):
         "linear", "linear: small strain; neo-hookean, mooney-rivlin, yeoh: finite strain", True, of=MODELS
     )
     stiffening: float = quantity(0.0, "c₂/c₁ of yeoh, which stiffens as it is stretched", True, within=(0.0, 10.0))
+    second_ratio: float = quantity(SECOND_RATIO, "c₂/(c₁ + c₂) of mooney-rivlin", True, within=(0.0, 1.0))
     young_mpa: float = positive(6.1, "Young's modulus E")
     poisson: float = quantity(0.49, "Poisson's ratio ν, from 0 to below 0.5")
     memory: Memory = quantity(Memory(), "what the resistance of the pillars' rubber remembers", True)
@@ -146,10 +148,20 @@ class Material(Sound):
         super().__post_init__()
         if self.stiffening and self.model != "yeoh":
             raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
+        if self.second_ratio != SECOND_RATIO and self.model != "mooney-rivlin":
+            raise DesignError(
+                f"second_ratio={self.second_ratio:g} is of model = 'mooney-rivlin', not {self.model}: leave it out."
+            )
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
                 "write 0.49 (the paper's) or up to 0.4999."
+            )
+        least = self.second_ratio / (1 + 2 * self.second_ratio)
+        if self.model == "mooney-rivlin" and self.poisson < least:
+            raise DesignError(
+                f"poisson={self.poisson:g} is below {least:.3g}, where mooney-rivlin of second_ratio="
+                f"{self.second_ratio:g} stores energy below 0 in changes of volume: raise it, or take neo-hookean."
             )
 
     @property
@@ -325,6 +337,12 @@ def with_model(design: SensorDesign, model: str) -> SensorDesign:
     """
     rubbers = (design.pillar_material, design.matrix_material)
     pillar, matrix = (
-        replace(rubber, model=model, stiffening=rubber.stiffening if model == "yeoh" else 0.0) for rubber in rubbers
+        replace(
+            rubber,
+            model=model,
+            stiffening=rubber.stiffening if model == "yeoh" else 0.0,
+            second_ratio=rubber.second_ratio if model == "mooney-rivlin" else SECOND_RATIO,
+        )
+        for rubber in rubbers
     )
     return replace(design, pillar_material=pillar, matrix_material=matrix)

@@ -11,7 +11,7 @@ from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_str
 from decoupler.rubber.separable import Fit, Prior, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
-from geometry.design import Prony
+from geometry.design import SECOND_RATIO, Prony
 from geometry.layout import FloatArray
 
 #: mean and deviation of g1, g2, a1, a2
@@ -22,7 +22,7 @@ STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, i
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
 RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
-SECOND = 0.2  #: share of the second invariant in `fem.kernel.law`
+
 ROWS = 3000  #: that a force's law is found from
 
 
@@ -104,7 +104,7 @@ def fit_elastic(series: Series) -> tuple[Elastic, float]:
     every = max(1, len(series) // ROWS)
     series = series.averaged(every, "") if every > 1 else series
     size = max(float(np.ptp(series.force_n)), 1e-12)
-    kinds = {"neo-hookean": [(0.0, 0.0)], "mooney-rivlin": [(0.0, SECOND)], "yeoh": [(0.0, 0.0), (1.0, 0.0)]}
+    kinds = {"neo-hookean": [(0.0, 0.0)], "mooney-rivlin": [(0.0, SECOND_RATIO)], "yeoh": [(0.0, 0.0), (1.0, 0.0)]}
     fits = {name: _fit_force(series, kind, size) for name, kind in kinds.items()}
     count = min(fit.count for fit in fits.values())
     costs = {name: count * np.log(fit.noise**2) + len(kinds[name]) * np.log(count) for name, fit in fits.items()}

@@ -1,51 +1,35 @@
-"""An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents.
-
-Samples come to equilibrium by the one tangent of a base state, in a modified Newton iteration that is accelerated: an
-iteration costs one evaluation of the forces and one solve with a factor that is there. Alone such iterations diverge at
-large loads; Anderson's acceleration takes of the last ones the combination whose change is least (Walker & Ni, SIAM J.
-Numer. Anal. 49 (2011) 1715). Pressures are iterates of their own, as in `newton.py`.
-"""
+"""An array with stiff pads on one grid: its equilibria under uniform pressures, and samples by their tangents."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.boxes.boxes import Boxes
-from fem.equations import State
-from fem.finite.series import BaseState, load_series, quaternion_rotations
+from fem.kernel.chord import Chord, Relaxed
+from fem.kernel.elements import hexahedra
 from fem.kernel.factor import Factor
+from fem.kernel.field import rows_at, slopes_at
 from fem.kernel.loads import StiffLoad
-from fem.rubber.body import RubberBody
-from fem.system import System
+from fem.kernel.newton import Linearised, find_equilibrium
+from fem.kernel.plates import skew, spins
+from fem.kernel.reference import tabulated
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import State, System
+from fem.meshes.grid import Grid
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 
 MAX_ITERATIONS = 16  #: with one tangent
 RENEWALS = 2  #: of the tangent, of samples that have not settled then
-NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
-DEPTH = 6  #: earlier iterates that are combined
-MAX_GROWTH = 2.0  #: of the change that is asked for, before a step is halved
-PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where changes are measured
-
-IntArray = NDArray[np.int64]
 #: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
 Unwanted = Callable[[FloatArray], NDArray[np.bool_]]
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxed:
-    """Samples after their last iteration."""
-
-    state: State
-    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite where the last step was halved
-    iterations: IntArray  #: (m,)
-
-
-def array_boxes(design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> Boxes:
+def array_grid(design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> Grid:
     """The whole slab, with lines along the pads' edges, between units, and at shares of each pad and of the height."""
     pitch, size = design.array.pitch_mm, design.pad.size_mm
     lines = [design.unit.height_mm * np.array([0.0, *height])]
@@ -53,26 +37,28 @@ def array_boxes(design: SensorDesign, pad: tuple[float, ...], height: tuple[floa
         low = pitch / 2 + offset - size / 2
         unit = np.unique(np.round([low, *(low + size * share for share in pad), pitch], 9))
         lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
-    return Boxes.between(lines[::-1])
+    return Grid(lines[::-1])
 
 
 class PreloadedArray:
-    """An array of k units of one rubber on one grid, its lines as of `array_boxes`."""
+    """An array of k units of one rubber on one grid, its lines as of `array_grid`."""
 
     def __init__(self, design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> None:
-        self.design = design
+        self.design, self.grid = design, array_grid(design, pad, height)
         rubber = replace(design.matrix_material, model="neo-hookean")
-        self.body = RubberBody.of(array_boxes(design, pad, height), [rubber])
+        self.body = Rubber.of(self.grid.mesh, hexahedra(2), [rubber])
         offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
         #: of the electrodes on their plates, (n_upper, 3)
         self.arm = upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
-        self._bases: dict[float, BaseState] = {}
+        self._bases: dict[float, Linearised] = {}
 
-    def base(self, preload_mpa: float) -> BaseState:
+    def base(self, preload_mpa: float) -> Linearised:
         """The equilibrium under a uniform pressure on all pads, found once; `UnreachableLoadError` if there is none."""
         if preload_mpa not in self._bases:
             down = -preload_mpa * self.design.pad.size_mm**2
-            self._bases[preload_mpa] = BaseState.of(self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1))))
+            system = self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1)))
+            factor = system.new_factor()
+            self._bases[preload_mpa] = Linearised.at(system, find_equilibrium(system, factor).state, factor)
         return self._bases[preload_mpa]
 
     def system(self, force_n: FloatArray) -> System:
@@ -85,18 +71,26 @@ class PreloadedArray:
         ]
         return System(self.body, loads)
 
-    def electrodes(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Displacements (m, k, n_upper, 3) [mm] of the electrodes under plates of these motions."""
-        return np.asarray(shift[:, :, None] + np.einsum("mkij,ej->mkei", rotation, self.arm) - self.arm)
+    def electrodes(self, state: State) -> FloatArray:
+        """Displacements (m, k, n_upper, 3) [mm] of the electrodes in m states."""
+        moved = np.einsum("mkij,ej->mkei", state.turn, self.arm)
+        return np.asarray(state.shift[:, :, None] + moved)
 
     @cached_property
     def influence(self) -> FloatArray:
         """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
-        k = self.design.n_units
-        rest = self._bases.get(0.0) or BaseState.of(self.system(np.zeros((k, 3))))
-        moves, spins = rest.compliance()[:, : 3 * k].T.reshape(3 * k, 2, k, 3).swapaxes(0, 1)
-        spins = spins / rest.system.plates.half_mm[:, None]
-        return np.asarray((moves[:, :, None] + np.cross(spins[:, :, None], self.arm)).reshape(3 * k, -1).T)
+        moved = self._at_rest(np.eye(3 * self.design.n_units))
+        return np.asarray(self.electrodes(moved).reshape(len(moved.u), -1).T)
+
+    def _at_rest(self, force_n: FloatArray) -> State:
+        """Linear motions of the array at rest under forces (m, 3 k) on its pads [N]."""
+        rest, k = self.base(0.0), self.design.n_units
+        loads = np.zeros((len(force_n), rest.system.n_blocks, 3))
+        loads[:, -2 * k : -k] = force_n.reshape(len(force_n), k, 3)
+        change, n = rest.solve(loads), len(rest.system.free)
+        u = rest.system.nodal_change(rest.state.rotation, change)
+        spin = change[:, n + k :] / rest.system.plates.half_mm[:, None]
+        return State(u=u, p=np.zeros(0), shift=change[:, n : n + k], turn=skew(spin))
 
     def forces_of(self, moved: FloatArray) -> FloatArray:
         """Forces (m, 3 k) [N] that move the linear array most nearly by displacements (m, k, n_upper, 3) [mm]."""
@@ -106,164 +100,59 @@ class PreloadedArray:
     def _inverse(self) -> FloatArray:
         return np.asarray(np.linalg.pinv(self.influence))
 
-    def linear_field(self, force_n: FloatArray) -> FloatArray:
-        """Linear displacements (n_nodes, 3) [mm] of the array at rest under forces (3 k,) on its pads [N]."""
-        rest = self.base(0.0)
-        loads = np.zeros((1, rest.system.n_blocks, 3))
-        loads[0, -2 * self.design.n_units : -self.design.n_units] = force_n.reshape(-1, 3)
-        return np.asarray(rest.system.nodal_change(rest.state.rotation, rest.solve(loads)[0]))
+    def linear_fields(self, force_n: FloatArray) -> FloatArray:
+        """Linear displacements (m, n_nodes, 3) [mm] of the array at rest under forces (m, 3 k) on its pads [N]."""
+        return self._at_rest(force_n).u
+
+    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows (3 n, n_nodes) of `slopes_at` at points (n, 3) [mm]."""
+        return slopes_at(self.body, *self.grid.located(points_mm))
 
     def solve(self, preload_mpa: float, force_n: FloatArray, tolerance: float, unwanted: Unwanted) -> Relaxed:
         """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
 
         Samples that are not wanted keep the change they had.
         """
+
+        def is_unwanted(state: State) -> NDArray[np.bool_]:
+            return unwanted(self.electrodes(state))
+
         base = self.base(preload_mpa)
-        found = _Relaxation(self, base, force_n).relax(tolerance, unwanted)
-        state = found.state
-        for number in np.flatnonzero((found.change > tolerance) & np.isfinite(found.change)):
+        found = Chord(base, force_n).relax(tolerance, MAX_ITERATIONS, unwanted=is_unwanted)
+        for number in np.flatnonzero(found.change > tolerance):
             own = slice(number, number + 1)
             for _ in range(RENEWALS):
-                moved = self.electrodes(state.shift[own], state.rotation[own])
-                if found.change[number] <= tolerance or unwanted(moved):
+                if found.change[number] <= tolerance or is_unwanted(found.state.part(np.array([number])))[0]:
                     break
-                about = BaseState.about(base.system, state.part(int(number)), self._factor)
-                last = _Relaxation(self, about, force_n[own]).relax(tolerance, unwanted)
+                about = Linearised.at(base.system, found.state.part(int(number)), self._factor)
+                last = Chord(about, force_n[own]).relax(tolerance, MAX_ITERATIONS, unwanted=is_unwanted)
                 for name, values in vars(last.state).items():
-                    getattr(state, name)[own] = values
+                    getattr(found.state, name)[own] = values
                 found.change[own] = last.change
                 found.iterations[own] += last.iterations
         return found
-
-    def series(self, preload_mpa: float, force_n: FloatArray, orders: int) -> tuple[FloatArray, FloatArray]:
-        """Series of the electrodes and of the nodes under forces (m, k, 3) [N], see `series.py`.
-
-        Terms of the electrodes' displacements (orders + 1, m, k, n_upper, 3) [mm], and the sum of those of the nodes
-        (m, n_nodes, 3) [mm].
-
-        The first one is the preload's own. With R = (I + 2 q₀ [v] + 2 [v]²) R₀ and v = Σ sⁱ vᵢ the order n of an
-        electrode at a from its plate's middle moves by cₙ + 2 vₙ × a + 2 Σ vᵢ × (vₙ₋ᵢ × a) up to n = 3, but for the
-        changes of q₀, which are of the order of |v|³.
-        """
-        base = self.base(preload_mpa)
-        loads = np.zeros((len(force_n), 2, *force_n.shape[1:]))
-        loads[:, 0] = force_n - base.system.force_n
-        found = load_series(base, loads, orders)
-        v, at_rest = found.half_spin[:, :, :, None], self.electrodes(base.state.shift[None], base.state.rotation[None])
-        arm = np.einsum("kij,ej->kei", base.state.rotation, self.arm)
-        terms = [np.broadcast_to(at_rest, (len(force_n), *at_rest.shape[1:]))]
-        for n in range(orders):
-            term = found.shift[n][:, :, None] + 2 * np.cross(v[n], arm)
-            for i in range(n):
-                term += 2 * np.cross(v[i], np.cross(v[n - 1 - i], arm))
-            terms.append(term)
-        return np.array(terms), base.state.u + found.u.sum(axis=0)
 
     @cached_property
     def _factor(self) -> Factor:
         return next(iter(self._bases.values())).system.new_factor()
 
 
-class _Relaxation:
-    """Iterates of m samples as vectors: free displacements, shifts and half spins times size of plates, pressures."""
+class Refinement:
+    """Steps of samples on a finer grid from their states on a coarse one."""
 
-    def __init__(self, array: PreloadedArray, base: BaseState, force_n: FloatArray) -> None:
-        self.array, self.base, self.system, self.body = array, base, base.system, base.system.body
-        self.force_n, self.k, self.n = force_n, self.system.plates.count, len(self.system.free)
-        self.n_motions = 3 * self.system.n_blocks
+    def __init__(self, coarse: PreloadedArray, fine: PreloadedArray) -> None:
+        self.coarse, self.fine = coarse, fine
+        self._nodes = rows_at(coarse.body, *coarse.grid.located(fine.body.points_mm))
+        self._element, local = coarse.grid.located(fine.body.centres_mm)
+        self._pressures = tabulated(coarse.body.pressure, local)[0].T
 
-    @property
-    def rest(self) -> FloatArray:
-        """The vector (n,) of the base state."""
-        base = self.base.state
-        spin = np.zeros_like(base.shift)
-        return np.concatenate([part.ravel() for part in (base.u[self.system.free], base.shift, spin, base.p)])
-
-    def state(self, x: FloatArray) -> State:
-        """The deformed bodies of vectors (m, n)."""
-        blocks = x[:, : self.n_motions].reshape(len(x), -1, 3)
-        shift, rotation = self.plates(x)
-        turn = rotation - np.eye(3)
-        u = np.zeros((len(x), self.body.n_nodes, 3))
-        u[:, self.system.free] = blocks[:, : self.n]
-        u[:, self.system.plates.node] = self.system.plates.displacements(shift, turn)
-        p = x[:, self.n_motions :].reshape(len(x), -1, self.body.n_pressures)
-        return State(u=u, p=p, shift=shift, turn=turn)
-
-    def change(self, x: FloatArray, samples: IntArray) -> FloatArray:
-        """The change that the base's tangent asks for, (s, n), of vectors (s, n) of these samples."""
-        state, parts = self.state(x), self.base.parts
-        strain = self.body.strain(state.u)
-        missing = self.body.pressures(strain.theta) - state.p
-        with np.errstate(divide="ignore", invalid="ignore"):
-            forces = self.body.divergence(self.body.stress(strain, state.p)) + parts.pressed(missing)
-        unbalanced = -self.system.gathered(forces, state.rotation)
-        unbalanced[:, self.n : self.n + self.k] += self.force_n[samples]
-        z = self.base.solve(unbalanced)
-        nodal = self.system.nodal_change(self.base.state.rotation[None], z)
-        pressures = missing + parts.pressure_changes(nodal)
-        return np.hstack([z.reshape(len(x), -1), pressures.reshape(len(x), -1)])
-
-    def plates(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Shifts (m, k, 3) and rotations (m, k, 3, 3) of the plates of vectors (m, n)."""
-        blocks = x[:, 3 * self.n : self.n_motions].reshape(len(x), 2, self.k, 3)
-        half_spin = blocks[:, 1] / (2 * self.system.plates.half_mm[:, None])
-        return blocks[:, 0], quaternion_rotations(half_spin) @ self.base.state.rotation
-
-    def relax(self, tolerance: float, unwanted: Unwanted) -> Relaxed:
-        """Iterate from the base's tangent at once until the plates' motion changes by less than a tolerance, relative.
-
-        A sample that has settled, or is not wanted, stays as it is, whatever the others need. A step that lets the
-        forces grow, or turns an element inside out, is halved. A sample that does not settle ends with a change above
-        the tolerance.
-        """
-        m = len(self.force_n)
-        x = np.tile(self.rest, (m, 1))
-        x += self.change(x, np.arange(m))
-        weight = np.ones(x.shape[1])
-        weight[self.n_motions :] = PRESSURE_MM_PER_MPA
-        plates = slice(3 * self.n, self.n_motions)
-        change, count = np.full(m, np.inf), np.zeros(m, dtype=np.int64)
-        places: list[list[FloatArray]] = [[] for _ in range(m)]
-        changes: list[list[FloatArray]] = [[] for _ in range(m)]
-        last_size = np.full(m, np.inf)
-        going = np.arange(m)
-        for _ in range(MAX_ITERATIONS):
-            asked = self.change(x[going], going)
-            for sample, g in zip(going, asked, strict=True):
-                count[sample] += 1
-                with np.errstate(over="ignore"):  # an iterate that runs away is halved below
-                    size = float(np.linalg.norm(g * weight))
-                if not np.isfinite(size) or size > MAX_GROWTH * last_size[sample]:
-                    x[sample] = (x[sample] + (places[sample][-1] if places[sample] else self.rest)) / 2
-                    change[sample] = np.inf
-                    continue
-                last_size[sample] = size
-                places[sample] = [*places[sample][-DEPTH:], x[sample].copy()]
-                changes[sample] = [*changes[sample][-DEPTH:], g]
-                step = g - _accelerated(places[sample], changes[sample], weight)
-                x[sample] += step
-                length = float(np.linalg.norm(x[sample, plates]))
-                # both the step and what the tangent asks for: where one stagnates, the other does not
-                change[sample] = max(float(np.linalg.norm(part[plates])) for part in (step, g)) / (length or 1.0)
-            going = going[change[going] > tolerance]
-            if len(going):
-                beyond = unwanted(self.array.electrodes(*self.plates(x[going])))
-                going = going[~(beyond & (change[going] < NEARLY))]
-            if not len(going):
-                break
-        for sample in going:
-            if places[sample]:  # where it came closest
-                sizes = [float(np.linalg.norm(g * weight)) for g in changes[sample]]
-                x[sample] = places[sample][int(np.argmin(sizes))]
-        return Relaxed(state=self.state(x), change=change, iterations=count)
-
-
-def _accelerated(places: list[FloatArray], changes: list[FloatArray], weight: FloatArray) -> FloatArray:
-    """Step back from the last iterate plus its change to the combination whose change is least."""
-    if len(places) < 2:
-        return np.zeros_like(places[-1])
-    differences = np.stack([changes[-1] - earlier for earlier in changes[:-1]])
-    share = np.linalg.lstsq((differences * weight).T, weight * changes[-1], rcond=1e-6)[0]
-    steps = np.stack([places[-1] - earlier for earlier in places[:-1]])
-    return np.asarray(share @ (differences + steps))
+    def steps(self, preload_mpa: float, state: State) -> FloatArray:
+        """Vectors (m, n) of `Chord` from the preload on the finer grid; pressures are uniform in each element there."""
+        base, system = self.coarse.base(preload_mpa).state, self.fine.base(preload_mpa).system
+        m, half_mm = len(state.u), system.plates.half_mm[:, None]
+        moved = (state.u - base.u).transpose(1, 0, 2).reshape(-1, 3 * m)
+        u = (self._nodes @ moved).reshape(-1, m, 3).swapaxes(0, 1)[:, system.free]
+        turned = spins(state.rotation @ base.rotation.swapaxes(-1, -2)) * half_mm
+        pressures = np.zeros((m, *system.body.pressures_shape))
+        pressures[..., 0] = np.einsum("mek,ek->me", (state.p - base.p)[:, self._element], self._pressures)
+        return np.hstack([part.reshape(m, -1) for part in (u, state.shift - base.shift, turned, pressures)])

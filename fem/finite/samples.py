@@ -1,18 +1,17 @@
-"""Thousands of finite-strain samples of an array with stiff pads: a coarse grid solves, a finer one corrects by series.
+"""Thousands of finite-strain samples of an array with stiff pads, on a coarse grid and, from there, on a finer one.
 
-A sample is relaxed on a coarse grid by the tangent of the preload nearest to the middle of its pressures; one factor
-serves every sample. Between two preloads the answers from both are blended, so that samples vary smoothly with loads. A
-finer grid adds the difference of both grids' power series in the load about that preload, to the third order: what a
-grid gets wrong falls as fast with the order as the terms do. What a grid gets wrong at small strain is put right by a
-linear response: with influence matrices A, of a much finer grid, and B, its own, an answer d becomes d + (A − B) g,
-where g are the forces that would move the linear array most nearly by d; resistances by conduction are put right in the
-same way. What is left falls from the coarse grid to the finer one by a factor that is nearly constant, and is
-extrapolated.
+A sample is relaxed on a coarse grid by the tangent of the preload nearest to the middle of its pressures, and from its
+answer on a finer grid in a few iterations more; one factor of each grid serves every sample. What a grid gets wrong at
+small strain is put right by a linear response: with influence matrices A, of a much finer grid, and B, its own, an
+answer d becomes d + (A − B) g, where g are the forces that would move the linear array most nearly by d; resistances by
+conduction are put right in the same way. What is left falls from the coarse grid to the finer one by a factor that is
+nearly constant, and is extrapolated.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,25 +22,26 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
 from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
-from fem.finite.preloads import PreloadedArray, Unwanted
+from fem.finite.preloads import PreloadedArray, Refinement, Unwanted
+from fem.kernel.chord import Chord, Relaxed
+from fem.kernel.system import State
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
 
-PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from which samples are solved
-#: middle pressures between which the answers from both are blended: their series differ by 0.02 % of a resistance
-BLENDED_MPA = (0.6, 1.4)
+PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from whose tangents samples are solved
 TOLERANCE = 5e-5  #: relative change of the pads' motion by an iteration at which a sample ends
-ORDERS = 3  #: of the series by which the finer grid corrects
-AT_ONCE = 4  #: samples solved together, which bounds the memory
+#: most iterations on the finer grid: where rubber at pads' edges needs more, the answer is left as it is, and what it
+#: may be off by of the last change is stated
+FINER, STALLED = 5, 4.0
+AT_ONCE = 8  #: samples solved together, which bounds the memory
 #: lines of the grids, as shares of the pad and of the height
 COARSE = (0.5, 1.0), (0.5, 1.0)
 FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
-#: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of ten
+#: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of eight
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
-EXTRAPOLATED, LEFT = 0.28, 0.4
+EXTRAPOLATED, LEFT = 0.15, 0.4
 #: the same of ratios of resistances, from arrays of 2 × 2 units at strains to 0.3 and whole conduction on such a grid
 RATIO_EXTRAPOLATED, RATIO_LEFT = 0.2, 0.45
-TRUNCATED = 0.5  #: of the last term of the series, left by those that follow
 #: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
 #: keeps far more than either
 TORN, WHOLE = 0.2, 0.8
@@ -93,8 +93,8 @@ class SampleSolver:
 
     Notes
     -----
-    Where the design's electrics are conduction, displacement gradients in the pillars are the coarse grid's with the
-    difference of both series, and what that makes of the resistances is extrapolated as displacements are.
+    Where the design's electrics are conduction, resistances are read by both grids' displacement gradients in the
+    pillars, and extrapolated as displacements are.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class SampleSolver:
             raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
         if (model := design.matrix_material.model) in ("mooney-rivlin", "yeoh"):
             raise DesignError(
-                f"model='{model}' is for scenes: the power series of samples know neo-Hookean rubber only; write "
+                f"model='{model}' is for scenes: samples are solved of neo-Hookean rubber only so far; write "
                 "model = 'neo-hookean'."
             )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
@@ -124,48 +124,55 @@ class SampleSolver:
         To the last bit the same for the same samples in the same order, on one machine and one thread; other neighbours
         change it by rounding. An `UnreachableLoadError` says that a uniform preload near a sample has no equilibrium.
         """
-        share = self._shares(force_n)
-        answers = []
-        for preload, weight in zip(PRELOADS_MPA, (1 - share, share), strict=True):
-            own = np.flatnonzero(weight > 0)
+        m, found = len(force_n), dict[str, Any]()
+        nearest = self._nearest(force_n)
+        for preload in PRELOADS_MPA:
+            own = np.flatnonzero(nearest == preload)
             for some in np.split(own, range(AT_ONCE, len(own), AT_ONCE)) if len(own) else []:
-                answers.append((some, weight[some], self._together(preload, force_n[some])))
-        return _blended(len(force_n), answers)
+                for name, values in vars(self._together(preload, force_n[some])).items():
+                    found.setdefault(name, np.zeros((m, *values.shape[1:]), values.dtype))[some] = values
+        return FiniteSamples(**found)
 
-    def _shares(self, force_n: FloatArray) -> FloatArray:
-        """Weight of the second preload in answers to samples (m, k, 3) [N] by the middle of their pressures, (m,)."""
+    def _nearest(self, force_n: FloatArray) -> FloatArray:
+        """The preload (m,) nearest to the middle of the pressures of samples (m, k, 3) [N]."""
         middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
-        return _smooth_step(middle, *BLENDED_MPA)
+        return np.where(middle < np.mean(PRELOADS_MPA), *PRELOADS_MPA)
+
+    def _solved(self, preload: float, force_n: FloatArray) -> tuple[Relaxed, NDArray[np.bool_], Relaxed | None]:
+        """Samples on the coarse grid, which of them have settled, and these on the finer one."""
+        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._is_unwanted)
+        on = coarse.change <= TOLERANCE
+        if not on.any():
+            return coarse, on, None
+        start = self._refinement.steps(preload, coarse.state.part(np.flatnonzero(on)))
+        return coarse, on, Chord(self.fine.base(preload), force_n[on]).relax(TOLERANCE, FINER, start)
+
+    @cached_property
+    def _refinement(self) -> Refinement:
+        return Refinement(self.coarse, self.fine)
 
     def _together(self, preload: float, force_n: FloatArray) -> FiniteSamples:
-        """Answers to some samples about one preload; the series cost nothing where a sample has not settled."""
-        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._is_unwanted)
-        alone = self.coarse.electrodes(coarse.state.shift, coarse.state.rotation)
-        moved, change, left = self._corrected(self.coarse, alone), coarse.change, np.full(len(force_n), np.inf)
+        """Answers to some samples by one preload; the finer grid costs nothing where a sample has not settled."""
+        coarse, on, fine = self._solved(preload, force_n)
+        rough = self._corrected(self.coarse, self.coarse.electrodes(coarse.state))
+        moved, change, left = rough.copy(), coarse.change, np.full(len(force_n), np.inf)
         ratio = np.ones((*force_n.shape[:2], len(self.design.unit.layout.pillars)))
         ratio_error = np.zeros(len(force_n))
-        on = np.flatnonzero(change <= TOLERANCE)
-        if len(on):
-            of_grids = [array.series(preload, force_n[on], ORDERS) for array in (self.coarse, self.fine)]
-            more = of_grids[1][0] - of_grids[0][0]
-            uncorrected = alone[on] + more.sum(axis=0)
-            answers = self._corrected(self.fine, uncorrected)
-            difference = answers - moved[on]
+        if fine is not None:
+            coarse.iterations[on] += fine.iterations
+            answers = self._corrected(self.fine, self.fine.electrodes(fine.state))
+            difference = answers - rough[on]
             moved[on] = answers + EXTRAPOLATED * difference
             size = np.maximum(_norms(moved[on]), 1e-300)
-            left[on] = np.hypot(LEFT * _norms(difference), TRUNCATED * _norms(more[-1])) / size
-        if len(on) and self._reader is not None:
-            field = _Field(coarse.state.u[on], of_grids[0][1], of_grids[1][1])
-            gradient, finer = field.gradients(*self._slopes)
-            rough, sound = self._reader.ratios(gradient, alone[on])
-            smooth, both = self._reader.ratios(finer, uncorrected)
-            rough = rough + self._ratio_changes(self.coarse, alone[on])
-            smooth = smooth + self._ratio_changes(self.fine, uncorrected)
-            of_settled = ratio[on]
-            of_settled[..., self._loaded] = smooth + RATIO_EXTRAPOLATED * (smooth - rough)
-            ratio[on] = of_settled
-            ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(smooth - rough).max(axis=(1, 2)), REDUCED_ERROR)
-            change[on[~(sound & both)]] = np.inf
+            left[on] = np.hypot(LEFT * _norms(difference) / size, STALLED * fine.change)
+        if fine is not None and self._reader is not None:
+            less, sound = self._ratios(self.coarse, coarse.state.part(np.flatnonzero(on)))
+            more, whole = self._ratios(self.fine, fine.state)
+            loaded = ratio[on]
+            loaded[..., self._loaded] = more + RATIO_EXTRAPOLATED * (more - less)
+            ratio[on] = loaded
+            ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(more - less).max(axis=(1, 2)), REDUCED_ERROR)
+            change[np.flatnonzero(on)[~(sound & whole)]] = np.inf
         return FiniteSamples(
             displacement_mm=moved,
             change=change,
@@ -175,28 +182,35 @@ class SampleSolver:
             ratio_error=ratio_error,
         )
 
-    def fields(self, force_n: FloatArray) -> "list[_Field]":
-        """Fields under forces (m, k, 3) [N]; lowered, sample by sample, until they have an answer."""
+    def fields(self, force_n: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Displacements of both grids' nodes (1, n_nodes, 3) [mm] of samples under forces (m, k, 3) [N].
+
+        Loads are lowered, sample by sample, until they have an answer.
+        """
         found = []
         for force in force_n:
-            while True:
-                preload = PRELOADS_MPA[int(self._shares(force[None])[0] > 0.5)]
-                coarse = self.coarse.solve(preload, force[None], TOLERANCE, self._is_unwanted)
-                if coarse.change[0] <= TOLERANCE:
-                    break
+            fine = None
+            while fine is None:
+                coarse, _, fine = self._solved(float(self._nearest(force[None])[0]), force[None])
                 force = LOWERED * force
-            on_coarse, on_fine = (array.series(preload, force[None], ORDERS)[1] for array in (self.coarse, self.fine))
-            found.append(_Field(coarse.state.u, on_coarse, on_fine))
+            found.append((coarse.state.u, fine.state.u))
         return found
-
-    def slopes(self, points_mm: FloatArray) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """`Boxes.slopes` of the coarse and of the finer grid at points (n, 3) [mm]."""
-        return self.coarse.body.boxes.slopes(points_mm), self.fine.body.boxes.slopes(points_mm)
 
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """Of the coarse grid and of the finer one at the pillars' points."""
         assert self._reader is not None
-        return self.slopes(self._reader.points_mm)
+        return self.coarse.slopes(self._reader.points_mm), self.fine.slopes(self._reader.points_mm)
+
+    def _ratios(self, array: PreloadedArray, state: State) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Ratios (m, k, n_loaded) of resistances by a grid, with the much finer linear response; which are answers."""
+        assert self._reader is not None
+        moved = array.electrodes(state)
+        found, good = self._reader.ratios(gradients(self._slopes[array is self.fine], state.u), moved)
+        if self._resistance_per_n is not None:
+            changes = array.forces_of(moved) @ self._missing_ratios[array is self.fine].T
+            found = found + changes.reshape(found.shape)
+        return found, good
 
     def _corrected(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
         """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
@@ -204,13 +218,6 @@ class SampleSolver:
             return moved
         added = self._influence.reshape(array.influence.shape) - array.influence
         return moved + (array.forces_of(moved) @ added.T).reshape(moved.shape)
-
-    def _ratio_changes(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
-        """What the much finer linear response adds to a grid's ratios under displacements (m, k, n_upper, 3)."""
-        if self._resistance_per_n is None:
-            return np.zeros(())
-        changes = array.forces_of(moved) @ self._missing_ratios[array is self.fine].T
-        return np.asarray(changes.reshape(*moved.shape[:2], -1))
 
     @cached_property
     def _missing_ratios(self) -> tuple[FloatArray, FloatArray]:
@@ -226,7 +233,7 @@ class SampleSolver:
         wanted = (self._resistance_per_n.reshape(k, -1, n)[:, self._loaded] - by_eq1) * at_rest[:, None]
         forces, found = PROBE_N * np.eye(n), []
         for array, slopes in zip((self.coarse, self.fine), self._slopes, strict=True):
-            H = gradients(slopes, np.array([array.linear_field(force) for force in forces]))
+            H = gradients(slopes, array.linear_fields(forces))
             moved = (forces @ array.influence.T).reshape(n, k, -1, 3)
             up, down = (self._reader.ratios(sign * H, sign * moved)[0] for sign in (1, -1))
             seen = (up - down).reshape(n, -1).T / (2 * PROBE_N)
@@ -238,35 +245,6 @@ class SampleSolver:
         if self._unwanted is None:
             return np.zeros(len(moved), dtype=bool)
         return self._unwanted(self._corrected(self.coarse, moved))
-
-
-@dataclass(frozen=True, eq=False)
-class _Field:
-    """Displacements of the nodes (m, n_nodes, 3) [mm] of m samples, and the series of both grids."""
-
-    coarse: FloatArray
-    on_coarse: FloatArray
-    on_fine: FloatArray
-
-    def gradients(self, coarse: sp.csr_matrix, fine: sp.csr_matrix) -> tuple[FloatArray, FloatArray]:
-        """∂u/∂X (m, n, 3, 3) on the coarse grid, and corrected by the finer one, by `Boxes.slopes` of both."""
-        rough = gradients(coarse, self.coarse)
-        return rough, rough + gradients(fine, self.on_fine) - gradients(coarse, self.on_coarse)
-
-
-def _blended(m: int, answers: list[tuple[IntArray, FloatArray, FiniteSamples]]) -> FiniteSamples:
-    """Answers to m samples from those to some of them and their weights, which sum to 1 for every sample."""
-    first = answers[0][2]
-    total = {name: np.zeros((m, *values.shape[1:]), values.dtype) for name, values in vars(first).items()}
-    for samples, weight, part in answers:
-        for name, values in vars(part).items():
-            if name == "change":
-                total[name][samples] = np.maximum(total[name][samples], values)
-            elif name == "iterations":
-                total[name][samples] += values
-            else:
-                total[name][samples] += values * weight.reshape(-1, *[1] * (values.ndim - 1))
-    return FiniteSamples(**total)
 
 
 def _smooth_step(x: FloatArray, low: float, high: float) -> FloatArray:
@@ -339,8 +317,8 @@ def _typical_deformations(design: SensorDesign) -> Deformations:
 
     def deformations(points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
         for centre in np.pad(unit_centres(design), ((0, 0), (0, 1))):
-            slopes = solver.slopes(points_mm + centre)
-            for H in (H for field in fields for H in field.gradients(*slopes)):
+            slopes = [array.slopes(points_mm + centre) for array in (solver.coarse, solver.fine)]
+            for H in (gradients(rows, u) for field in fields for rows, u in zip(slopes, field, strict=True)):
                 F, good = _mended(np.eye(3) + H[:, None], pillar, weight_mm3)
                 yield from F[good]
 
@@ -348,7 +326,7 @@ def _typical_deformations(design: SensorDesign) -> Deformations:
 
 
 def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
-    """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm] by `Boxes.slopes` (3 n, n_nodes)."""
+    """∂u/∂X (m, n, 3, 3) of m states of the nodes (m, n_nodes, 3) [mm] by `slopes_at` (3 n, n_nodes)."""
     m = len(displacement_mm)
     found = slopes @ displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
     return np.ascontiguousarray(found.reshape(3, -1, m, 3).transpose(2, 1, 3, 0))

@@ -1,22 +1,23 @@
 """Scenes at finite strain: grids, probes and the estimate of their error. Open this file first."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from fem.boxes.boxes import Boxes
-from fem.field import unfolded
-from fem.finite.newton import Equilibrium, UnreachableLoadError, find_equilibrium
+from fem.kernel.elements import hexahedra
 from fem.kernel.factor import FactorMemoryError
+from fem.kernel.field import unfolded
 from fem.kernel.mirrors import Mirror
+from fem.kernel.newton import Equilibrium, UnreachableLoadError, find_equilibrium
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
 from fem.levels import Convergence
+from fem.meshes.grid import Grid
 from fem.meshes.lines import Attractor, graded_lines
-from fem.rubber.body import RubberBody
+from fem.scene.probes import displacements
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import FiniteSolution, Stopwatch
-from fem.system import System
 
 #: least and greatest rate at which probes are taken to converge with the level: coarse levels show up to 3.1 under
 #: tractions, but bent pillars end at 1.6 to 1.7; and 2.45 at small strain under plates, whose answers are extrapolated
@@ -24,6 +25,7 @@ RATES, RATES_UNDER_PLATES = (1.5, 2.0), (1.5, 2.5)
 LEVELS = (1, 2, 3, 4)  #: of refinement
 MAX_UNKNOWNS = 100_000  #: of a grid that is still solved: about a minute and 2 GB
 ALWAYS, MAX_WORK = 2, 250_000  #: level from which on a finer grid's unknowns times the last iterations are limited
+ORDER = 2  #: of the elements
 EDGE, SIDE, BASE, TOP = 1.0, 0.5, 1.0, 1.5  #: weights of the attractors of lines: loads' edges and the body's faces
 
 
@@ -37,25 +39,22 @@ def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool 
     The error is estimated from three grids by the rate at which they converge, see `fem.levels`. Under plates alone
     answers are the limit to which the last two grids tend.
     """
-    inside = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
-    materials = [scene.material, *(rubber for _, rubber in inside)]
     watch = Stopwatch()
     is_extrapolated = len(scene.stiff_loads) == len(scene.loads)
     found = Convergence(RATES_UNDER_PLATES if is_extrapolated else RATES, is_extrapolated)
     steps: list[str] = []
     estimate = np.inf
-    last: tuple[Equilibrium, int, Boxes] | None = None
+    last: tuple[Equilibrium, System, Grid] | None = None
     for before, level in pairwise((0, *LEVELS)):
-        boxes = finite_boxes(scene, level, mirrors)
-        if min(len(line) for line in boxes.lines) < 3:  # one box across bends unlike two: no rate can be seen from it
+        grid = finite_grid(scene, level, mirrors)
+        if min(grid.shape) < 2:  # one element across bends unlike two: no rate can be seen from it
             continue
-        unknowns = 3 * boxes.n_nodes
+        unknowns = 3 * int(np.prod([ORDER * count + 1 for count in grid.shape]))
         if last is not None and (
             unknowns > MAX_UNKNOWNS or (before > ALWAYS and unknowns * last[0].iterations > MAX_WORK)
         ):
             break
-        body = RubberBody.of(boxes, materials)
-        system = System(body, scene.loads, tuple(mirrors))
+        system = System(finite_body(scene, grid), scene.loads, tuple(mirrors))
         watch.spent("assemble")
         try:
             equilibrium = find_equilibrium(system)
@@ -66,10 +65,8 @@ def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool 
             steps.append(f"level {level}: {error} The answer is that of the grid before.")
             break
         watch.spent("solve")
-        last = equilibrium, system.n_unknowns, boxes
-        u = equilibrium.state.u
-        answer = {probe.name: system.seen(probe, u) for probe in scene.probes}
-        found.add(level, answer)
+        last = equilibrium, system, grid
+        found.add(level, displacements(scene.probes, grid, system, equilibrium.state.u))
         estimate = found.estimate
         steps.append(
             f"level {level}: {system.n_unknowns} unknowns, {equilibrium.iterations} iterations in {equilibrium.steps} "
@@ -79,7 +76,7 @@ def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool 
         if estimate <= scene.tolerance:
             break
     assert last is not None
-    equilibrium, unknowns, boxes = last
+    equilibrium, system, grid = last
     return FiniteSolution(
         probes=dict(found.answer),
         energy_mj=system.copies * equilibrium.stored_mj,
@@ -88,16 +85,16 @@ def solve_finite(scene: Scene, mirrors: Sequence[Mirror] = (), with_field: bool 
         least_j=equilibrium.least_j,
         iterations=equilibrium.iterations,
         load_steps=equilibrium.steps,
-        unknowns=unknowns,
+        unknowns=system.n_unknowns,
         error_estimate=estimate,
         seconds=watch.seconds,
         steps=tuple(steps),
-        field=unfolded(boxes, mirrors, [((1, 1), equilibrium.state.u)], materials) if with_field else None,
+        field=unfolded(grid, system.body, mirrors, [((1, 1), equilibrium.state.u)]) if with_field else None,
     )
 
 
-def finite_boxes(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Boxes:
-    """Boxes with lines along loads' edges and prisms of other rubber, crowding at the loads and the body's faces.
+def finite_grid(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Grid:
+    """Elements with lines along loads' edges and prisms of other rubber, crowding at the loads and the body's faces.
 
     It cannot follow the sides of prisms that lean. Of a scene with mirrors it has the part above their planes.
     """
@@ -128,6 +125,11 @@ def finite_boxes(scene: Scene, level: int, mirrors: Sequence[Mirror] = ()) -> Bo
     ends = [place[2] for prism in other for place in (prism.base_mm, prism.top_mm)]
     attractors = [Attractor(height, length, TOP), Attractor(0.0, length, BASE)]
     z = graded_lines([0.0, height, *np.clip(ends, 0.0, height)], attractors, level)
-    boxes = Boxes.between([*lines, z], lean=lean)
-    middles = (boxes.low + boxes.high) / 2 @ boxes.shear.T
-    return replace(boxes, region=regions_at(middles, [(prism, scene.material) for prism in other]))
+    return Grid((*lines, z), lean)
+
+
+def finite_body(scene: Scene, grid: Grid) -> Rubber:
+    """A scene's rubbers in a grid, each element of the one in its middle."""
+    inside = [(prism, rubber) for prism, rubber in scene.regions if rubber != scene.material]
+    region = regions_at(grid.mesh.p[:, grid.mesh.t].mean(axis=1).T, inside)
+    return Rubber.of(grid.mesh, hexahedra(ORDER), [scene.material, *(rubber for _, rubber in inside)], region)

@@ -139,16 +139,27 @@ class NeoHookean(Law):
         return plus_unit_tensor(out, np.broadcast_to(self.mu_mpa, strain.theta.shape))
 
 
+@dataclass(frozen=True, eq=False)
 class MooneyRivlin(Law):
-    """W = c₁ (I₁ − 3) + c₂ (I₂ − 3) − 2 (c₁ + 2 c₂) ln J − 2 c₂ (J − 1)² with c₁ = 0.4 μ, c₂ = 0.1 μ.
+    """W = c₁ (I₁ − 3) + c₂ (I₂ − 3) − 2 (c₁ + 2 c₂) ln J − 2 c₂ (J − 1)² with c₁ = (1 − r) μ/2, c₂ = r μ/2.
 
     I₂ = (I₁² − |C|²)/2 of C = FᵀF, ∂I₂/∂F = 2 (I₁ F − F C). The last term leaves λ at small strain what it is.
     """
 
-    SECOND = 0.2  #: 2 c₂ over μ = 2 (c₁ + c₂)
+    second_ratio: FloatArray | float = 0.0  #: r = c₂/(c₁ + c₂), as λ and μ
+
+    @classmethod
+    def of(cls, materials: Sequence[Material], shares: FloatArray) -> "MooneyRivlin":
+        law = super().of(materials, shares)
+        second = np.array([material.second_ratio * material.lame_mpa[1] for material in materials])
+        return cls(law.mu_mpa, law.lame_mpa, np.tensordot(second, shares, 1) / law.mu_mpa)
+
+    def part(self, some: slice | NDArray) -> "MooneyRivlin":
+        ratio = np.broadcast_to(self.second_ratio, self.mu_mpa.shape)[some]
+        return MooneyRivlin(self.mu_mpa[some], self.lame_mpa[some], ratio)
 
     def _constants(self) -> tuple[FloatArray, FloatArray]:
-        return (1 - self.SECOND) / 2 * self.mu_mpa, self.SECOND / 2 * self.mu_mpa
+        return (1 - self.second_ratio) / 2 * self.mu_mpa, self.second_ratio / 2 * self.mu_mpa
 
     def energy(self, strain: Strain) -> FloatArray:
         first, second = self._constants()

@@ -13,6 +13,7 @@ rest by themselves before each step, or the whole body would wait for them.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import eigh
 
 from fem.kernel.factor import Factor, FactorMemoryError, SolverError
 from fem.kernel.loads import FollowerLoad, StiffLoad
@@ -56,6 +57,45 @@ class Equilibrium:
     def energy_imbalance(self) -> float:
         """Work of the loads less stored energy, relative; NaN where the loads have no potential."""
         return (self.work_mj - self.stored_mj) / self.stored_mj if self.stored_mj else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A system's tangent at a state, in a factor: Newton's method renews it, the chord method (`chord.py`) keeps it."""
+
+    system: System
+    state: State
+    factor: Factor
+    parts: Tangent  #: of the elements
+
+    @classmethod
+    def at(
+        cls, system: System, state: State, factor: Factor, load_factor: float = 1.0, misfit: Misfit | None = None
+    ) -> "Linearised":
+        """The tangent at any state under a fraction of the full load, which `factor` is left with."""
+        misfit = misfit or system.misfit(state, load_factor)
+        matrix, parts = system.tangent(state, load_factor, misfit.reactions)
+        factor.factor(matrix)
+        return cls(system, state, factor, parts)
+
+    def solve(self, unbalanced: FloatArray) -> FloatArray:
+        """Changes of the unknowns (m, n_blocks, 3) by forces on them, of the same shape; no continuous pressures."""
+        flat = np.ascontiguousarray(unbalanced.reshape(len(unbalanced), -1).T)
+        return self.factor.solve(flat).T.reshape(unbalanced.shape)
+
+    def changes(self, unbalanced: FloatArray, missing: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Changes of the unknowns, and of jumping pressures (m, n_elements, k) of which these are missing."""
+        motions = self.solve(unbalanced)
+        nodal = self.system.nodal_change(self.state.rotation, motions)
+        return motions, missing + self.parts.pressure_changes(nodal)
+
+    def balancing(self, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
+        """Changes of the unknowns (n_blocks, 3) and of the pressures of one state that balance its forces."""
+        if not self.system.body.is_mixed:
+            motions, pressures = self.changes(misfit.unbalanced[None], (misfit.pressures - state.p)[None])
+            return motions[0], pressures[0]
+        both = self.factor.solve(np.concatenate([misfit.unbalanced.ravel(), misfit.pressures])[:, None])[:, 0]
+        return both[: -self.system.n_mixed].reshape(-1, 3), both[-self.system.n_mixed :]
 
 
 @dataclass(eq=False)
@@ -131,7 +171,7 @@ def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: f
     """Newton's method at one load, from a state in equilibrium with a smaller one."""
     misfit = system.misfit(state, load_factor)
     start, before = misfit.residual, np.inf
-    parts: Tangent | None = None
+    tangent: Linearised | None = None
     for iteration in range(MAX_ITERATIONS + 1):
         rested = _rested(system, state, load_factor, RESTED * misfit.size)
         if rested is not state:
@@ -140,35 +180,22 @@ def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: f
             return _Tried(state, misfit, iteration, system.is_stable(factor, state, load_factor, misfit))
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
-        chord = parts is not None and misfit.residual**2 <= RESIDUAL * before  # the last tangent serves, taken twice
+        chord = tangent is not None and misfit.residual**2 <= RESIDUAL * before  # the last tangent serves, taken twice
         if not chord:
-            matrix, parts = system.tangent(state, load_factor, misfit.reactions)
             try:
-                factor.factor(matrix)
+                tangent = Linearised.at(system, state, factor, load_factor, misfit)
             except FactorMemoryError:
                 raise
             except SolverError:
                 break
-        assert parts is not None
+        assert tangent is not None
         if not path.slope:
             path.slope.append(system.slope(factor, state))
         for _ in range(1 + chord):
             before = misfit.residual
-            state = _damped(system, state, *newton_change(system, factor, parts, state, misfit))
+            state = _damped(system, state, *tangent.balancing(state, misfit))
             misfit = system.misfit(state, load_factor)
     return _Tried(state, misfit, iteration, None)
-
-
-def newton_change(
-    system: System, factor: Factor, parts: Tangent, state: State, misfit: Misfit
-) -> tuple[FloatArray, FloatArray]:
-    """Changes of the unknowns (n_blocks, 3) and of the pressures that balance the forces by a tangent in a factor."""
-    if system.body.is_mixed:
-        both = factor.solve(np.concatenate([misfit.unbalanced.ravel(), misfit.pressures])[:, None])[:, 0]
-        return both[: -system.n_mixed].reshape(-1, 3), both[-system.n_mixed :]
-    change = factor.solve(misfit.unbalanced.reshape(-1, 1)).reshape(-1, 3)
-    nodal = system.nodal_change(state.rotation, change)
-    return change, misfit.pressures - state.p + parts.pressure_changes(nodal[None])[0]
 
 
 def _damped(system: System, state: State, change: FloatArray, pressures: FloatArray) -> State:
@@ -212,20 +239,21 @@ def _rested(system: System, state: State, load_factor: float, unbalanced_n: floa
         sizes.append(float(np.linalg.norm(unbalanced)))
         parts = part.tangent(u, p)
         K = np.zeros((len(inside) + 1, len(inside) + 1, 3, 3))
-        for (_, nodes, _), own in zip(part.chunks, parts.blocks(), strict=True):
-            at = number[nodes]
-            np.add.at(K, (at[:, :, None], at[:, None]), own)
-        values, vectors = np.linalg.eigh(K[:-1, :-1].swapaxes(1, 2).reshape(2 * (3 * len(inside),)))
+        for (_, nodes, _), stiffness in zip(part.chunks, parts.blocks(), strict=True):
+            for at, own in zip(number[nodes], stiffness, strict=True):
+                K[at[:, None], at] += own  # of nodes that do not move too, which all are the last one
+        matrix = K[:-1, :-1].swapaxes(1, 2).reshape(2 * (3 * len(inside),))
+        values, modes = _unstable(matrix)
         settled = not sizes[-1] > unbalanced_n
-        if len(sizes) > RESTS or (settled and values[0] >= 0):
+        if len(sizes) > RESTS or (settled and not len(values)):
             break
-        du = np.zeros_like(u)
-        if settled:  # on a saddle: off it, along the unstable mode
-            mode = vectors[:, 0].reshape(-1, 3)
+        du, dp = np.zeros_like(u), np.zeros_like(p)
+        if settled:  # on a saddle: off it, along the least stable mode
+            mode = modes[:, 0].reshape(-1, 3)
             du[inside] = mode / np.abs(mode).max() * np.ptp(body.points_mm[part.nodes[0]], axis=0).min()
-            dp = np.zeros_like(p)
         else:
-            du[inside] = (vectors @ ((vectors.T @ unbalanced) / np.abs(values))).reshape(-1, 3)
+            change = np.linalg.solve(matrix, unbalanced) - modes @ (2 / values * (modes.T @ unbalanced))
+            du[inside] = change.reshape(-1, 3)
             dp = asked[0] - p + parts.pressure_changes(du[None])[0]
         least, energy = KEPT_VOLUME * part.volume_ratios(u), potential(u)
         for damping in DAMPINGS:
@@ -238,6 +266,15 @@ def _rested(system: System, state: State, load_factor: float, unbalanced_n: floa
     pressures = state.p.copy()
     pressures[near] = p
     return replace(state, u=u, p=pressures)
+
+
+def _unstable(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Negative eigenvalues of a symmetric matrix (n, n), the least first, and their vectors, (n, k)."""
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return eigh(matrix, subset_by_value=(-np.inf, 0.0))
+    return np.zeros(0), np.zeros((len(matrix), 0))
 
 
 def _refusal(system: System, reached: float, worst: _Tried) -> UnreachableLoadError:

@@ -80,6 +80,18 @@ def turns(spin: FloatArray) -> FloatArray:
     return np.sinc(angle / np.pi) * W + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (W @ W)
 
 
+def spins(rotation: FloatArray) -> FloatArray:
+    """Vectors ω (..., 3) of rotations exp [ω] (..., 3, 3) by less than a right angle.
+
+    >>> np.round(spins(np.eye(3) + turns(np.array([0.3, 0.0, -0.4]))), 12)
+    array([ 0.3,  0. , -0.4])
+    """
+    odd = (rotation - rotation.swapaxes(-1, -2)) / 2
+    v = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1)
+    angle = np.arcsin(np.minimum(np.linalg.norm(v, axis=-1), 1.0))
+    return np.asarray(v / np.sinc(angle / np.pi)[..., None])
+
+
 def skew(v: FloatArray) -> FloatArray:
     """Matrices [v] (..., 3, 3) for which [v] w = v × w, of vectors (..., 3).
 

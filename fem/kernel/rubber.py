@@ -283,11 +283,10 @@ class Rubber:
             yield from self.rest.blocks()
             return
         for some, _, hung in self.chunks:
-            K = (
-                self._rest_stiffness(some)
-                if self.condensed is None
-                else self.condensed.stiffness[self.condensed.kind[some]]
-            )
+            if self.condensed is not None and self.is_condensed:
+                K = self.condensed.stiffness[self.condensed.kind[some]]
+            else:
+                K = self._rest_stiffness(some)
             yield K if hung is None else _by_masters(K, hung)
 
     @property

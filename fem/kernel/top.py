@@ -7,7 +7,6 @@ misses a part of its force and no outline has to conform to the mesh.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -63,15 +62,21 @@ class Top:
         self._shown = np.flatnonzero(self.is_node[nodes].any(axis=0))
         self._nodes = nodes[:, self._shown]
 
-    @cached_property
-    def _rule(self) -> tuple[FloatArray, FloatArray]:
-        """Shares of a triangle's corners in its points (q, 3), and their weights (q,), whose sum is 1."""
-        degree = 2 * self.basis.elem.maxdeg if self.basis.mesh.refdom is RefHex else 2 * self.basis.elem.maxdeg + 1
+    def _rule(self, following: bool) -> tuple[FloatArray, FloatArray]:
+        """Shares of a triangle's corners in its points (q, 3), and their weights (q,), whose sum is 1.
+
+        Exact for the functions, or for their products with two slopes, of which following pressures consist.
+        """
+        order = self.basis.elem.maxdeg
+        if self.basis.mesh.refdom is RefHex:
+            degree = 6 * order - 2 if following else 2 * order
+        else:
+            degree = 2 * order + 1
         points, weights = get_quadrature(RefTri, degree)
         return np.column_stack([1 - points.sum(axis=0), *points]), 2 * weights
 
-    def over(self, rectangle: Rectangle | FloatArray) -> Covered:
-        """The top within a rectangle x0, y0, x1, y1 [mm], exactly."""
+    def over(self, rectangle: Rectangle | FloatArray, following: bool = False) -> Covered:
+        """The top within a rectangle x0, y0, x1, y1 [mm], exactly; for what `_rule` says."""
         x0, y0, x1, y1 = np.asarray(rectangle, dtype=float).tolist()
         low, high = self.corners.min(axis=1), self.corners.max(axis=1)
         near = np.flatnonzero(((high > (x0, y0)) & (low < (x1, y1))).all(axis=1))
@@ -89,7 +94,7 @@ class Top:
         area = np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) / 2
         kept = area > 0
         corners, own, area = corners[kept], own[kept], area[kept]
-        shares, weights = self._rule
+        shares, weights = self._rule(following)
         places = np.concatenate([shares @ corners, np.full((len(own), len(weights), 1), self.z)], axis=2)
         values, slopes = self._functions(own, places.transpose(2, 0, 1))
         return Covered(self._nodes[own], values, slopes, area[:, None] * weights)
@@ -182,7 +187,7 @@ class FollowingPressures:
     def of(cls, top: Top, loads: Sequence[Load]) -> "FollowingPressures":
         """Those of the following ones of loads."""
         following = [load for load in loads if isinstance(load, FollowerLoad)]
-        return cls([(load.pressure_mpa, top.over(load.rectangle)) for load in following], top.basis.N)
+        return cls([(load.pressure_mpa, top.over(load.rectangle, following=True)) for load in following], top.basis.N)
 
     @property
     def nodes(self) -> list[IntArray]:

@@ -15,7 +15,7 @@ from geometry.design_file import design_from_dict
 
 STRICT = StrictTables(SceneError)
 BODIES: dict[str, type[Body]] = {"block": Block, "pillar": Pillar, "unit": Sensor, "array": Sensor}
-MATERIAL_KEYS, YEOH = ("young_mpa", "poisson"), "stiffening"
+MATERIAL_KEYS, OF_MODEL = ("young_mpa", "poisson"), ("stiffening", "second_ratio")
 
 
 def read_scene(path: Path) -> Scene:
@@ -53,7 +53,7 @@ def _scene(table: dict[str, Any]) -> Scene:
     material = None
     if "material" in table or not is_sensor:
         rubber = _needed(table, "material", "; it holds young_mpa and poisson")
-        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", YEOH), MATERIAL_KEYS)
+        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", *OF_MODEL), MATERIAL_KEYS)
     if is_sensor:
         design = _design(STRICT.table(table, "design"), material)
         given, material = {"design": design, "kind": kind}, design.matrix_material
@@ -112,8 +112,8 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
 def _inclusion(place: str, entry: dict[str, Any], model: str) -> Inclusion:
     prism = tuple(key for key in keys_of(Inclusion) if key != "material")
     keys = (*prism, *MATERIAL_KEYS)
-    STRICT.require_keys(entry, (*keys, YEOH), f" in {place}", keys)
-    own = {key: entry[key] for key in (*MATERIAL_KEYS, YEOH) if key in entry}
+    STRICT.require_keys(entry, (*keys, *OF_MODEL), f" in {place}", keys)
+    own = {key: entry[key] for key in (*MATERIAL_KEYS, *OF_MODEL) if key in entry}
     material = STRICT.made(place, Material, **own, model=model)
     inclusion: Inclusion = STRICT.made(place, Inclusion, **{key: entry[key] for key in prism}, material=material)
     return inclusion

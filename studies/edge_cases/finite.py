@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from fem.boxes.boxes import Boxes
-from fem.rubber.body import RubberBody
-from fem.system import System
 
-from fem.finite.newton import UnreachableLoadError, find_equilibrium
-from fem.finite.solving import finite_boxes
+from fem.finite.solving import finite_body, finite_grid
 from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.kernel.newton import UnreachableLoadError, find_equilibrium
+from fem.kernel.system import System
+from fem.meshes.grid import Grid
 from fem.methods.solving import solve_scene
+from fem.scene.probes import displacements
 from fem.scene.scene import Block, Pillar, Probe, Scene
 from fem.scene.solution import FiniteSolution, largest_error
 from geometry.design import Material
@@ -62,13 +62,14 @@ def ten_grids(kind: str, mpa: float) -> Judged:
     """Greatest less least answer on grids of level 2 with inner lines shifted but for loads' edges, over the mean."""
     scene = pressed_block(KINDS[kind](mpa))
     found, plan = solve_scene(scene)
-    boxes, random = finite_boxes(scene, 2, plan.mirrors), np.random.default_rng(17)
+    level_2, random = finite_grid(scene, 2, plan.mirrors), np.random.default_rng(17)
     sunk, residual = [], 0.0
     for _ in range(GRIDS):
-        lines = [shifted_line(line, CENTER[0] + SIZE[0] / 2, random) for line in boxes.lines]
-        system = System(RubberBody.of(Boxes.between(lines), [RUBBER]), scene.loads, plan.mirrors)
+        lines = [shifted_line(line, CENTER[0] + SIZE[0] / 2, random) for line in level_2.lines]
+        grid = Grid(lines)
+        system = System(finite_body(scene, grid), scene.loads, plan.mirrors)
         equilibrium = find_equilibrium(system)
-        sunk.append(system.seen(scene.probes[0], equilibrium.state.u))
+        sunk.append(displacements(scene.probes, grid, system, equilibrium.state.u)["pad"])
         residual = max(residual, equilibrium.residual)
     spread = float(np.linalg.norm(np.ptp(sunk, axis=0)) / np.linalg.norm(np.mean(sunk, axis=0)))
     # every grid is off by about the estimate, to either side at worst

@@ -1,10 +1,12 @@
 """Samples: exact geometry, superposition, and each one the same however many are made with it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from common.errors import DesignError
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.protocols import PROTOCOLS
 from dataset.simulation import (
@@ -13,10 +15,12 @@ from dataset.simulation import (
     LoadError,
     dataset_cache_key,
     measured_again,
+    require_memory,
     simulate,
+    stream,
 )
 from dataset.variables import VARIABLES
-from geometry.design import Electrics, Unit
+from geometry.design import Electrics, SensorDesign, Unit
 from tests.fem.scenes import BESIDE
 
 ARRAYS = tuple(VARIABLES)[:5]  # the others are of conduction and of finite strain
@@ -167,3 +171,21 @@ def test_dataset_says_what_made_it_and_its_recipe_changes_with_all_of_it(respons
     recipes = [dataset_cache_key(response, other) for other in others]
     recipes += [dataset_cache_key(other, settings) for other in (stiffer, insulator)]
     assert len(set(recipes)) == len(recipes)
+
+
+def test_series_share_no_random_numbers_with_blocks():
+    """NumPy takes [1, 2, 3] and [1, 2, 3, 0] for one seed: a series' first loads were those of a block."""
+    block, series = stream(1, 2, 3, of_series=False), stream(1, 2, 3, 0, of_series=True)
+    assert stream(1, 2, 3, of_series=False).random() == np.random.default_rng([1, 2, 3, 0]).random()
+    assert block.random() != series.random()
+
+
+def test_memory_counts_all_variables_of_a_protocol(monkeypatch):
+    """Contacts' moments, too: two doubles a unit; 10⁸ samples of 36 units take 1.2 · 57.6 GB more than without."""
+    monkeypatch.setattr("dataset.simulation.psutil.virtual_memory", lambda: SimpleNamespace(available=0))
+    needed = []
+    for protocol in ("contact", "indent"):
+        with pytest.raises(DesignError, match="of memory") as refused:
+            require_memory(SensorDesign(), DatasetSettings(protocol=protocol, samples=10**8))
+        needed.append(int(str(refused.value).split(" GB")[0].split()[-1]))
+    assert needed[1] - needed[0] == pytest.approx(1.2 * 57.6, abs=1.0)  # whole GB

@@ -4,21 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.boxes.boxes import Boxes
-from fem.field import unfolded
-from fem.rubber.body import RubberBody
-from fem.system import System
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.system import TetrahedralSystem
 from skfem import MeshTet
 
 from common.errors import SceneError
-from fem.finite.newton import RESIDUAL, UnreachableLoadError, find_equilibrium
-from fem.finite.solving import finite_boxes
+from fem.finite.solving import finite_body, finite_grid
+from fem.kernel.elements import hexahedra, taylor_hood
 from fem.kernel.factor import Factor, FactorMemoryError
+from fem.kernel.field import unfolded
 from fem.kernel.loads import DeadLoad, FollowerLoad, StiffLoad
+from fem.kernel.newton import RESIDUAL, UnreachableLoadError, find_equilibrium
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
+from fem.meshes.grid import Grid
 from fem.methods.plan import make_plan
 from fem.methods.solving import solve_scene
+from fem.scene.probes import displacements
 from fem.scene.scene import Block, Inclusion, Pillar, Scene
 from geometry.design import Material
 from tests.fem.scenes import mean, pressed, pressed_block
@@ -27,7 +27,13 @@ PAD = {"center_mm": (7.5, 7.5), "size_mm": (12.0, 12.0)}
 LINE = np.array([0.0, 1.5, 7.5, 13.5, 15.0])
 FINER = np.array([0.0, 1.5, 4.5, 7.5, 10.5, 13.5, 15.0])
 RUBBER = Material(model="neo-hookean")
-BODY = RubberBody.of(Boxes.between([LINE, LINE, np.array([0.0, 6.0, 10.0])]), [RUBBER])
+
+
+def body(*lines, material=RUBBER) -> Rubber:
+    return Rubber.of(Grid(lines).mesh, hexahedra(2), [material])
+
+
+BODY = body(LINE, LINE, np.array([0.0, 6.0, 10.0]))
 SCENE = Scene(body=Block(size_mm=(15.0, 15.0, 10.0)), material=RUBBER, probes=(mean("middle", (7.5, 7.5), (2.0, 2.0)),))
 LOADS = {
     "dead": lambda mpa: DeadLoad(**PAD, traction_mpa=(0.1 * mpa, 0.0, -mpa)),
@@ -39,7 +45,7 @@ LOADS = {
 
 def on_tetrahedra(load, across=FINER, up=(0.0, 4.0, 8.0, 10.0)):
     mesh = MeshTet.init_tensor(across, across, np.array(up))
-    return TetrahedralSystem(taylor_hood(mesh, [RUBBER], np.zeros(mesh.nelements, dtype=np.int64)), [load])
+    return System(Rubber.of(mesh, taylor_hood(), [RUBBER]), [load])
 
 
 @pytest.mark.parametrize("kind", ["dead", "follower", "stiff"])
@@ -48,8 +54,8 @@ def test_small_loads_give_the_tangent_s_answer(kind):
     mpa = 1e-12
     system = System(BODY, [LOADS[kind](mpa)])
     factor = system.new_factor()
-    factor.factor(system.matrix(system.rest_tangent()))
-    linear = system.displaced(factor.solve(system.loads_on(system.rest()).reshape(-1, 1)))[0]
+    factor.factor(system.rest_matrix())
+    linear = system.displaced(factor.solve(system.full_loads))[0]
     assert np.abs(find_equilibrium(system).state.u - linear).max() < (mpa + 10 * RESIDUAL) * np.abs(linear).max()
 
 
@@ -64,8 +70,7 @@ def test_boxes_and_tetrahedra_are_at_equilibrium_in_few_iterations(kind):
         assert (found.steps, found.is_stable) == (1, None if kind in ("follower", "moment") else True)
         assert found.iterations <= 6
         assert found.residual <= RESIDUAL
-        of_state = (state.u[None],) if system.body is BODY else (state.u, state.p)
-        internal = system.body.internal_forces(*of_state)[0].reshape(-1, 3)
+        internal = system.body.forces(state.u[None], state.p if system.body.is_mixed else None)[0][0]
         pushed = system.nodal_loads(state, 1.0).sum(axis=0) + system.force_n.sum(axis=0)
         assert np.allclose(internal[system.points_mm[:, 2] == 0.0].sum(axis=0), -pushed, atol=1e-6)
         if found.is_stable:
@@ -81,27 +86,19 @@ def test_boxes_and_tetrahedra_are_at_equilibrium_in_few_iterations(kind):
     assert np.isclose(*stored, rtol=0.06)
 
 
-def test_many_steps_end_where_one_does_and_store_the_work():
-    system = System(BODY, [LOADS["stiff"](1.0)])
-    found, many = (find_equilibrium(system, first_step=step) for step in (1.0, 0.125))
-    assert many.steps > 3
-    assert abs(many.energy_imbalance) < 1e-4
-    assert np.allclose(many.state.u, found.state.u, atol=1e-8)
-
-
 @pytest.mark.long  # the short one is the next
 def test_a_load_without_equilibrium_is_refused(monkeypatch):
     """On few elements, as each that the load squeezes is brought to rest by itself."""
-    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
+    monkeypatch.setattr("fem.kernel.newton.MIN_STEP", 1 / 4)
     line = LINE[[0, 1, 3, 4]]
-    body = RubberBody.of(Boxes.between([line, line, np.array([0.0, 6.0, 10.0])]), [RUBBER])
+    few = body(line, line, np.array([0.0, 6.0, 10.0]))
     with pytest.raises(UnreachableLoadError, match=r"^no stable equilibrium above 0\.\d+ of the load"):
-        find_equilibrium(System(body, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -6.0))]))
+        find_equilibrium(System(few, [DeadLoad(**PAD, traction_mpa=(0.0, 0.0, -6.0))]))
 
 
 def test_a_pillar_that_buckles_is_refused(monkeypatch):
     """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
-    monkeypatch.setattr("fem.finite.newton.MIN_STEP", 1 / 4)
+    monkeypatch.setattr("fem.kernel.newton.MIN_STEP", 1 / 4)
     load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
     with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
         find_equilibrium(on_tetrahedra(load, np.array([0.0, 1.0, 2.0]), (0.0, 3.0, 6.0, 9.0, 12.0)))
@@ -157,10 +154,11 @@ def test_a_part_between_mirrors_is_the_whole(loads, n):
     scene = replace(SCENE, loads=loads)
     mirrors = make_plan(scene).mirrors
     assert len(mirrors) == n
-    boxes = finite_boxes(scene, 1, mirrors)
-    part = find_equilibrium(System(RubberBody.of(boxes, [RUBBER]), loads, mirrors))
-    unfold = unfolded(boxes, mirrors, [((1, 1), part.state.u)], [RUBBER])
-    whole = find_equilibrium(System(RubberBody.of(unfold.mesh, [RUBBER]), loads))
+    grid = finite_grid(scene, 1, mirrors)
+    half = finite_body(scene, grid)
+    part = find_equilibrium(System(half, loads, mirrors))
+    unfold = unfolded(grid, half, mirrors, [((1, 1), part.state.u)])
+    whole = find_equilibrium(System(unfold.body, loads))
     assert np.allclose(unfold.displacement_mm, whole.state.u, atol=1e-7)
     assert np.isclose(2**n * part.stored_mj, whole.stored_mj, rtol=1e-8)
 
@@ -171,8 +169,9 @@ def test_slender_pillars_state_their_error():
     top = (0.0, 0.0), pillar.section_mm
     scene = pressed(pillar, *top, (0.002, 0.001, -0.0148), material=RUBBER, tolerance=2e-2)
     found, _ = solve_scene(scene)
-    system = System(RubberBody.of(finite_boxes(scene, 4), [RUBBER]), scene.loads)
-    finest = system.seen(scene.probes[0], find_equilibrium(system).state.u)
+    grid = finite_grid(scene, 4)
+    system = System(finite_body(scene, grid), scene.loads)
+    finest = displacements(scene.probes, grid, system, find_equilibrium(system).state.u)["patch"]
     assert np.linalg.norm(found.probes["patch"] - finest) < found.error_estimate * np.linalg.norm(finest)
     assert found.error_estimate < 2e-2
 
@@ -183,10 +182,10 @@ def test_a_plate_s_corner_leaves_a_symmetric_saddle():
     load = StiffLoad(center_mm=(6.0, 6.0), size_mm=(6.0, 6.0), force_n=(0.0, 0.0, -36.0))
     scene = replace(SCENE, body=Block(size_mm=(12.0, 12.0, 8.0)), material=material, loads=(load,))
     line = np.array([6.0, 8.5, 8.935, 9.0, 9.148, 10.0, 12.0])
-    boxes = Boxes.between([line, line, np.array([0.0, 5.0, 7.5, 7.837, 7.979, 8.0])])
-    found = find_equilibrium(System(RubberBody.of(boxes, [material]), [load], make_plan(scene).mirrors))
+    block = body(line, line, np.array([0.0, 5.0, 7.5, 7.837, 7.979, 8.0]), material=material)
+    found = find_equilibrium(System(block, [load], make_plan(scene).mirrors))
     assert (found.is_stable, found.steps) == (True, 1)
     assert found.iterations <= 10
-    x, y, z = boxes.points_mm.T
+    x, y, z = block.points_mm.T
     sunk = found.state.u[:, 2]
     assert np.abs(sunk[np.lexsort((z, y, x))] - sunk[np.lexsort((z, x, y))]).max() > 1e-4

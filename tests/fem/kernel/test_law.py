@@ -1,18 +1,16 @@
-"""Laws and boxes of rubber: known deformations, forces as slopes of the energy, tangents as slopes of the forces."""
+"""Laws of rubber: known deformations, stress as slope of the energy, tangents as slopes of the stress."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.boxes.boxes import Boxes
-from fem.plates import turns
-from fem.rubber.body import RubberBody
-from fem.system import System
 from scipy.optimize import brentq
 
-from fem.kernel.factor import whole
+from common.errors import DesignError
+from fem.kernel.elements import hexahedra
 from fem.kernel.law import LAWS
-from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
+from fem.kernel.rubber import Rubber
+from fem.meshes.grid import Grid
 from geometry.design import Material
 
 LINES = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 2.5, 4.0]), np.array([0.0, 1.5, 4.0])
@@ -22,18 +20,18 @@ FINITE = ["neo-hookean", "mooney-rivlin", "yeoh"]
 STIFFENING = 0.3  #: c₂/c₁ of Yeoh's law
 
 
-def body(lean: tuple[float, float] = LEAN, **changes) -> RubberBody:
-    return RubberBody.of(Boxes.between(LINES, 2, lean), [rubber(**changes)])
+def body(lean: tuple[float, float] = LEAN, **changes) -> Rubber:
+    return Rubber.of(Grid(LINES, lean).mesh, hexahedra(2), [rubber(**changes)])
 
 
 def rubber(**changes) -> Material:
-    stiffening = STIFFENING if changes.get("model") == "yeoh" else 0.0
-    return replace(RUBBER, stiffening=stiffening, **changes)
+    own = {"yeoh": {"stiffening": STIFFENING}, "mooney-rivlin": {"second_ratio": 0.3}}.get(changes.get("model", ""), {})
+    return replace(RUBBER, **own, **changes)
 
 
-def homogeneous(block: RubberBody, F: np.ndarray) -> np.ndarray:
+def homogeneous(block: Rubber, F: np.ndarray) -> np.ndarray:
     """Displacements (1, n, 3) of x = F X."""
-    return (block.boxes.points_mm @ (F - np.eye(3)).T)[None]
+    return (block.points_mm @ (F - np.eye(3)).T)[None]
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -57,12 +55,12 @@ def test_stress_and_tangent_of_a_law_are_slopes_and_hooke_s_at_small_strain(name
 def test_bar_in_tension_follows_the_closed_form(model):
     """A bar of stretch s and sides a, free of stress sideways; principal stresses of the law by hand.
 
-    Neo-Hookean: P_k = μ (λ_k − 1/λ_k) + λ (J − 1) J/λ_k. Mooney-Rivlin, with c₁ = 0.4 μ and c₂ = 0.1 μ: P_k = 2 c₁ λ_k
+    Neo-Hookean: P_k = μ (λ_k − 1/λ_k) + λ (J − 1) J/λ_k. Mooney-Rivlin, with c₁ = 0.35 μ, c₂ = 0.15 μ: P_k = 2 c₁ λ_k
     + 2 c₂ λ_k (I₁ − λ_k²) − 2 (c₁ + 2 c₂)/λ_k + (λ − 4 c₂) (J − 1) J/λ_k. With c₂ = 0 the one is the other. Yeoh's is
     the neo-Hookean one of μ (1 + 2 k (I₁ − 3 − 2 ln J)).
     """
     lame, mu = RUBBER.lame_mpa
-    c1, c2 = (0.4 * mu, 0.1 * mu) if model == "mooney-rivlin" else (0.5 * mu, 0.0)
+    c1, c2 = (0.35 * mu, 0.15 * mu) if model == "mooney-rivlin" else (0.5 * mu, 0.0)
     k = STIFFENING if model == "yeoh" else 0.0
 
     def stress(i: int, a: float, stretch: float) -> float:
@@ -72,58 +70,37 @@ def test_bar_in_tension_follows_the_closed_form(model):
         return stiffer * (bent - 2 * (c1 + 2 * c2) / own[i]) + (lame - 4 * c2) * (J - 1) * J / own[i]
 
     block = body((0.0, 0.0), model=model)
-    z = block.boxes.points_mm[:, 2]
+    z = block.points_mm[:, 2]
     for stretch in (0.6, 2.0):
         a = brentq(lambda a, s: stress(0, a, s), 0.3, 3.0, args=(stretch,), xtol=1e-14)
-        forces, pressures, least = block.internal_forces(homogeneous(block, np.diag([a, a, stretch])))
+        forces, strain, pressures = block.forces(homogeneous(block, np.diag([a, a, stretch])))
         assert np.allclose(forces[0, z == 4.0].sum(axis=0), [0.0, 0.0, 16.0 * stress(2, a, stretch)], atol=1e-11)
         assert np.abs(forces[0, (z > 0) & (z < 4.0)]).max() < 1e-11  # also on the sides
         assert np.allclose(pressures[0, :, 0], lame * (a * a * stretch - 1))
-        assert np.isclose(least[0], a * a * stretch)
-
-
-def test_turning_a_body_stores_nothing():
-    block = body()
-    u = homogeneous(block, np.eye(3) + turns(np.array([0.4, -1.1, 0.7])))
-    assert np.abs(block.internal_forces(u)[0]).max() < 1e-12
-    assert abs(block.energy_mj(u[0])) < 1e-12
+        assert np.allclose(strain.J, a * a * stretch)
 
 
 @pytest.mark.parametrize("model", LAWS)
-@pytest.mark.parametrize("poisson", [0.0, 0.4999])
+@pytest.mark.parametrize("poisson", [0.2, 0.4999])
 def test_forces_are_slopes_of_the_energy(poisson, model):
     block = body(poisson=poisson, model=model)
     u, v = np.random.default_rng(3).normal(size=(2, block.n_nodes, 3)) * 0.03
-    forces, _, least = block.internal_forces(u[None])
-    assert least[0] > 0
+    forces, strain, _ = block.forces(u[None])
+    assert strain.J.min() > 0
     step = 1e-5
     slope = (block.energy_mj(u + step * v) - block.energy_mj(u - step * v)) / (2 * step)
     assert np.isclose((forces[0] * v).sum(), slope, rtol=1e-6)  # of the difference quotient
 
 
-MIDDLE = (2.0 + 4 * LEAN[0], 2.25 + 4 * LEAN[1])
-PLATE = StiffLoad(center_mm=MIDDLE, size_mm=(1.0, 0.5), force_n=(1.0, 2.0, -3.0), moment_nmm=(1.0, 2.0, 3.0))
-LOADS: dict[str, list[Load]] = {
-    "dead": [DeadLoad(center_mm=MIDDLE, size_mm=(1.7, 0.3), traction_mpa=(0.1, 0.2, -1.0))],
-    "follower": [FollowerLoad(center_mm=MIDDLE, size_mm=(2.0, 0.5), pressure_mpa=1.0, traction_mpa=(0.3, 0.1))],
-    "two plates": [replace(PLATE, center_mm=(x + 4 * LEAN[0], MIDDLE[1])) for x in (0.5, 3.5)],
-}
-
-
-@pytest.mark.parametrize("model", FINITE)
-@pytest.mark.parametrize("loads", LOADS.values(), ids=LOADS)
-def test_tangent_is_the_slope_of_the_forces(loads, model):
-    system = System(body(model=model), loads)
-    rng = np.random.default_rng(0)
-    state = system.moved(system.rest(), rng.normal(size=(system.n_blocks, 3)) * 0.03)
-    misfit = system.misfit(state, 0.7)
-    assert misfit.least_j > 0
-    state = replace(state, p=misfit.pressures)  # with these the tangent is that of the displacements alone
-    K = system.matrix(system.tangent(state, 0.7, misfit.reactions)[0])
-    change, step = rng.normal(size=(system.n_blocks, 3)), 1e-6
-    ahead, behind = (
-        system.misfit(system.moved(state, sign * step * change), 0.7).unbalanced.ravel() for sign in (1, -1)
-    )
-    slope = (behind - ahead) / (2 * step)
-    product = (whole(K) if system.symmetric else K) @ change.ravel()
-    assert np.abs(product - slope).max() < 1e-7 * np.abs(slope).max()  # of the difference quotient
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"model": "yeoh", "second_ratio": 0.3}, "second_ratio=0.3 is of model = 'mooney-rivlin', not yeoh"),
+        ({"model": "mooney-rivlin", "second_ratio": 1.5}, "second_ratio"),
+        ({"model": "mooney-rivlin", "poisson": 0.1}, "poisson=0.1 is below 0.143, where mooney-rivlin"),
+    ],
+)
+def test_ratios_that_make_no_sense_are_refused(given, says):
+    """Below ν = r / (1 + 2 r) the coefficient λ/2 − 2 c₂ of (J − 1)² is below 0."""
+    with pytest.raises(DesignError, match=says):
+        Material(**given)
