@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fem.tetrahedra.system import TetrahedralSystem
 
 from dataset.resistance import rest_resistances
 from fem.array.closed_forms import layer_response
