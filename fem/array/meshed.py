@@ -68,14 +68,24 @@ def grid_system(
 ) -> System:
     """A cell of quadratic hexahedra between lines, with a plate bonded to a rectangle (4,) of the whole cell.
 
-    Elements hold shares (n_rubbers, nx, ny, nz) of the rubbers, evenly mixed: stiffer than truth where rubbers meet
-    inside one; of the first alone without them.
+    Points of integration have shares (n_rubbers, nx, ny, nz) of the rubbers between `quadrature_lines`; without them
+    all is of the first.
     """
     grid, (element, pressure) = Grid(lines), hexahedra(ORDER)
-    mixed = np.zeros((len(rubbers), grid.mesh.nelements, 1))
-    mixed[:, grid.element.ravel(), 0] = 1.0 if shares is None else shares.reshape(len(rubbers), -1)
-    body = Rubber(Basis(grid.mesh, element), pressure, LAWS["linear"].of(rubbers, mixed))
+    basis = Basis(grid.mesh, element)
+    mixed = np.ones((1, grid.mesh.nelements, 1))
+    if shares is not None:
+        places = basis.mapping.F(basis.X)
+        x, y, z = (np.searchsorted(quadrature_lines(line), at) - 1 for line, at in zip(lines, places, strict=True))
+        mixed = shares[:, x, y, z]
+    body = Rubber(basis, pressure, LAWS["linear"].of(rubbers[: len(mixed)], mixed))
     return System(body, plate_on(plate), mirrors)
+
+
+def quadrature_lines(lines: FloatArray) -> FloatArray:
+    """Lines of a grid along an axis, and those between the boxes that its points of integration stand for."""
+    ends = np.concatenate([[0.0], np.cumsum(np.polynomial.legendre.leggauss(ORDER + 1)[1]) / 2])
+    return np.append((lines[:-1, None] + np.diff(lines)[:, None] * ends[:-1]).ravel(), lines[-1])
 
 
 def lone_unit(design: SensorDesign) -> SensorDesign:

@@ -2,8 +2,8 @@
 
 One modulus is exact: B ~ 1/E. The others are differences of condensed cells on one grid whose lines move with the edges
 of the design, so that discretisation errors cancel; derivatives of the coupled array follow from those of its cell.
-Pillars of another rubber are mixed into the boxes that they cross: meshes of tetrahedra differ by chance, by more than
-a step changes.
+Pillars of another rubber are mixed into what points of integration stand for: meshes of tetrahedra differ by chance, by
+more than a step changes.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import cell_lines, cell_mirrors, functionals, grid_system, pad_plate
+from fem.array.meshed import cell_lines, cell_mirrors, functionals, grid_system, pad_plate, quadrature_lines
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
 from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
@@ -177,8 +177,8 @@ def _condensed(design: SensorDesign, side: SensorDesign, rectangles: FloatArray)
         stiff = design.pad.kind == "stiff"
         lines.append(np.interp(line, [-half, *before, half], [-half, *after, half]) if stiff else line)
     lines.append(z * (side.unit.height_mm / design.unit.height_mm))
-    shares = None if side.is_homogeneous else pillar_shares(side.unit, *lines)
+    shares = None if side.is_homogeneous else pillar_shares(side.unit, *map(quadrature_lines, lines))
     shares = None if shares is None else np.stack([1 - shares, shares])
-    rubbers = [side.matrix_material, side.pillar_material][: 1 if shares is None else 2]
+    rubbers = [side.matrix_material, side.pillar_material]
     is_square = len(mirrors) == 2 and np.array_equal(lines[0], lines[1])
     return condense(grid_system(lines, rubbers, pad_plate(side), mirrors, shares), ports, rectangles, is_square)

@@ -50,7 +50,7 @@ def test_parities_of_a_part_are_the_whole_cell(planes, plate):
 def test_a_cell_that_differs_in_x_and_y_keeps_its_parities(y):
     """Against the whole cell, whose mirror images the four quarters are; elements hold two rubbers, evenly mixed."""
     rubbers = [*RUBBER, Material(young_mpa=0.5)]
-    share = np.broadcast_to(np.arange(9).reshape(3, 3, 1) / 9, (3, 3, len(UP) - 1))
+    share = np.arange(81).reshape(9, 9, 1) / 81 * np.ones(3 * len(UP) - 3)
     quarter = grid_system((X, y, UP), rubbers, mirrors=QUARTER, shares=np.stack([1 - share, share]))
     share = np.concatenate([share[::-1], share])
     share = np.concatenate([share[:, ::-1], share], axis=1)

@@ -7,13 +7,9 @@ import numpy as np
 import psutil
 import pytest
 import scipy.sparse as sp
-from fem.boxes.boxes import Boxes
-from fem.rubber.body import RubberBody
-from fem.system import System
-from fem.tetrahedra.mixed import taylor_hood
-from fem.tetrahedra.system import TetrahedralSystem
 
-from fem import factor as module
+from fem.kernel import factor as module
+from fem.kernel.elements import hexahedra, taylor_hood
 from fem.kernel.factor import (
     Factor,
     FactorMemoryError,
@@ -23,6 +19,9 @@ from fem.kernel.factor import (
     schur_product,
     whole,
 )
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import System
+from fem.meshes.grid import Grid
 from geometry.design import Material
 from tests.fem.scenes import box_mesh
 
@@ -30,15 +29,13 @@ from tests.fem.scenes import box_mesh
 def elastic(poisson, boxes=(3, 3, 2)):
     """Stiffness of a slab of Q2 boxes of 2 mm: definite; near ν = 0.5 its condition number is 1e7."""
     lines = [np.linspace(0.0, 2.0 * n, n + 1) for n in boxes]
-    system = System(RubberBody.of(Boxes.between(lines), [Material(poisson=poisson)]))
-    return whole(system.matrix(system.rest_tangent()))
+    return whole(System(Rubber.of(Grid(lines).mesh, hexahedra(2), [Material(poisson=poisson)])).rest_matrix())
 
 
 def mixed():
     """Taylor-Hood, all but incompressible: quasi-definite, as many eigenvalues below 0 as pressures."""
     mesh = box_mesh((4, 4, 3), (10.0, 10.0, 6.0), disorder=0.2)
-    body = taylor_hood(mesh, [Material(poisson=0.4999)], np.zeros(mesh.nelements, dtype=int))
-    return whole(TetrahedralSystem(body, []).rest_tangent())
+    return whole(System(Rubber.of(mesh, taylor_hood(), [Material(poisson=0.4999)])).rest_matrix())
 
 
 def indefinite():
