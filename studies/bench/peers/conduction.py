@@ -13,11 +13,11 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from dataset.resistance import pillar_lengths
-from fem.boxes.boxes import Boxes
 from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
 from fem.finite.samples import gradients
 from fem.finite.solving import solve_finite
+from fem.kernel.field import Field, slopes_at
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
@@ -96,15 +96,15 @@ def deformed(pressed: Pressed) -> Deformed:
         tolerance=pressed.tolerance,
     )
     found = solve_finite(scene, with_field=True)
-    assert found.field is not None
-    x, y, z = (np.unique(line)[::2] for line in found.field.points_mm.T)
-    grid = Boxes.between([x, y, z])
+    field = found.field
+    assert isinstance(field, Field)
     centre = np.append(unit_centres(design)[0], 0.0)
     reach, height = design.unit.footprint_mm / 2, design.unit.height_mm
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    F = np.eye(3) + gradients(grid.slopes(places.reshape(-1, 3) + centre), found.field.displacement_mm[None])[0]
+    slopes = slopes_at(field.body, *field.places.located(places.reshape(-1, 3) + centre))
+    F = np.eye(3) + gradients(slopes, field.displacement_mm[None])[0]
     moved = np.array([found.probes[name] for name in Unit().layout.upper_names])
     return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, design.unit))
 
