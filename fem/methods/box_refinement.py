@@ -19,17 +19,18 @@ from numpy.polynomial import legendre
 from common.threads import one_blas_thread
 from fem.kernel.elements import Basis, HexQ, Pressure, hexahedra, lobatto_points
 from fem.kernel.factor import Factor, checked_solve
-from fem.kernel.field import rows_at, unfolded
+from fem.kernel.field import unfolded
 from fem.kernel.law import LAWS
 from fem.kernel.loads import Load, StiffLoad
-from fem.kernel.mirrors import flipped_rectangles, folded_point, images, parities
+from fem.kernel.mirrors import parities
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.levels import estimated_errors, largest_contributors, unit_loads
 from fem.meshes.boxes import AxisTree, BoxMesh, hanging
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
-from fem.scene.scene import Probe, Scene, regions_at
+from fem.scene.probes import probe_rows
+from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import MeshAnswer, Solution, Stopwatch
 from geometry.layout import FloatArray
 
@@ -98,7 +99,7 @@ class SplitBoxes:
         watch.spent("factor")
         y, residual = checked_solve(factor, system.full_loads)
         u = system.displaced(y)[0]
-        rows = [probe_rows(system, self.mesh, probe) for probe in self.scene.probes]
+        rows = [probe_rows(probe, self.mesh, system) for probe in self.scene.probes]
         probes = np.array([(signs * (own @ u)).sum(axis=0) for own, signs in rows])
         weights = unit_loads(probes, MAX_PROBES, N_SUMS)
         duals, _ = checked_solve(factor, system.rest_loads(_forces(rows, weights)))
@@ -292,18 +293,6 @@ def _nearest(line: FloatArray, place: float, within: float) -> float:
 
 
 # probes, and the errors of these
-
-
-def probe_rows(system: System, mesh: BoxMesh, probe: Probe) -> tuple[sp.csr_matrix, FloatArray]:
-    """Rows (r, n_nodes) and signs (r, 3): u of a probe is Σ_r signs · (rows @ u), anywhere on the whole body."""
-    if probe.kind == "mean":
-        seen = images(system.mirrors, system.parity)
-        rows = system.integrals(
-            np.array([flipped_rectangles(np.array(probe.rectangle), flipped) for flipped, _ in seen])
-        )
-        return rows / rows.sum(), np.array([signs for _, signs in seen])
-    place, signs = folded_point(np.array(probe.position_mm), system.mirrors, system.parity)
-    return rows_at(system.body, *mesh.located(place[None])), signs[None]
 
 
 def _forces(rows: list[tuple[sp.csr_matrix, FloatArray]], weights: FloatArray) -> FloatArray:

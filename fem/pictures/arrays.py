@@ -180,7 +180,7 @@ def finite_field(scene: Scene) -> Field:
     coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
     found = solve_scene(coarse, field=True)[0].field
     assert found is not None  # it was asked for
-    return found  # type: ignore[return-value]  # until finite strain is on the kernel
+    return found
 
 
 def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scene:

@@ -15,7 +15,6 @@ from vtkmodules.vtkCommonDataModel import vtkQuadraticTetra, vtkTriQuadraticHexa
 
 from common.storage.files import vtk_content, write_bytes
 from fem.array.meshed import cell_lines, lone_unit
-from fem.field import Field as OldField
 from fem.kernel.elements import hexahedra
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.field import Field, same_places, unfolded
@@ -265,7 +264,7 @@ def solve_scene_parts(
     field = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
     assert field is not None  # it was asked for
     progress("stress" if stress else "parts")
-    inside = regions_of(field) > 0
+    inside = field.body.region > 0
     if not inside.any():
         return {"body": quadratic(field, stress=stress)}
     return {"inclusions": quadratic(field, inside, stress), "matrix": quadratic(field, ~inside, stress)}
@@ -299,7 +298,7 @@ def _loaded_array(
 def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     """A block or a pillar; inclusions, of whatever rubber, are surfaces that the field moves."""
     field = finite_field(scene)
-    body = quadratic(field, regions_of(field) == 0)
+    body = quadratic(field, field.body.region == 0)
     if not scene.inclusions:
         return {"body": body}
     points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
@@ -308,14 +307,12 @@ def _at_finite_strain(scene: Scene) -> dict[str, Part]:
     return {"inclusions": inside, "matrix": body}
 
 
-def quadratic(field: Field | OldField, own: NDArray[np.bool_] | None = None, stress: bool = False) -> Part:
+def quadratic(field: Field, own: NDArray[np.bool_] | None = None, stress: bool = False) -> Part:
     """Elements of a field, all unless told, as VTK's quadratic cells; those of order 3 and more are halved.
 
     With stress, which may jump between regions, cells of several share no points. Cells of one element follow each
     other.
     """
-    if isinstance(field, OldField):
-        return _old_quadratic(field, own, stress)
     body, mesh = field.body, field.body.basis.mesh
     is_hex = mesh.refdom is RefHex
     places = np.reshape((vtkTriQuadraticHexahedron() if is_hex else vtkQuadraticTetra()).GetParametricCoords(), (-1, 3))
@@ -348,35 +345,12 @@ def quadratic(field: Field | OldField, own: NDArray[np.bool_] | None = None, str
     )
 
 
-def regions_of(field: Field | OldField) -> NDArray[np.int64]:
-    """The region of every element."""
-    return field.mesh.region if isinstance(field, OldField) else field.body.region
-
-
-def _old_quadratic(field: OldField, own: NDArray[np.bool_] | None, stress: bool) -> Part:
-    """Of solvers that are not on the kernel yet; goes with `fem.field`."""
-    own = np.ones(len(field.mesh.cells), dtype=bool) if own is None else own
-    keys = field.mesh.cells[own] * len(field.material) + (field.mesh.region[own, None] if stress else 0)
-    used, cells = np.unique(keys, return_inverse=True)
-    nodes, found = used // len(field.material), None
-    if stress:
-        found = np.empty((len(used), 6))
-        found[cells.reshape(keys.shape)] = field.nodal_stress(own)
-    return Part(
-        points_mm=field.points_mm[nodes],
-        cells=cells.reshape(keys.shape),
-        cell_type=field.mesh.cell_type,
-        displacement_mm=field.displacement_mm[nodes],
-        stress_mpa=found,
-    )
-
-
-def write_field(field: Field | OldField, path: Path) -> None:
+def write_field(field: Field, path: Path) -> None:
     """Write the displacement of the whole body as VTU, whole or not at all."""
     part = quadratic(field)
     grid = part.grid
     grid.point_data["displacement_mm"] = part.displacement_mm
-    grid.cell_data["region"] = np.repeat(regions_of(field), len(part.cells) // len(regions_of(field)))
+    grid.cell_data["region"] = np.repeat(field.body.region, len(part.cells) // len(field.body.region))
     write_bytes(path, vtk_content(grid))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
-    from fem.field import Field as OldField
     from fem.kernel.field import Field
 
 SMALLEST_SHARE = 1e-2  #: a probe that moves less than this share of the largest is held to that share
@@ -28,7 +27,7 @@ class MeshAnswer:
     residual: float
     unknowns: int
     indicators: FloatArray  #: of the error of the probes, by element
-    field: "Callable[[], Field | OldField]"  #: displacement of the whole body
+    field: "Callable[[], Field]"  #: displacement of the whole body
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +41,7 @@ class Solution:
     error_estimate: float  #: largest relative error over the probes, as estimated
     seconds: dict[str, float]  #: by step: mesh, assemble, factor, solve
     steps: tuple[str, ...] = ()  #: what was done and measured on the way, one line each
-    field: "Field | OldField | None" = field(default=None, repr=False)  #: of the whole body, only when asked for
+    field: "Field | None" = field(default=None, repr=False)  #: of the whole body, only when asked for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
