@@ -32,7 +32,7 @@ HELP_S = 1.0  #: of processor time to print a help text
 #: rooms of each floor, in the order of the data: none imports one to its right
 ROOMS = {
     "common": "storage",
-    "fem": "meshes kernel scene boxes rubber tetrahedra conduction finite array contact methods pictures",
+    "fem": "meshes kernel conduction scene finite array contact methods pictures",
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",
     "tripillar": "terminal pipeline doctor datasets sweep viewer simulators face cli",

@@ -112,6 +112,7 @@ class BoxMesh:
         out[:2, 2] = self.lean
         return out
 
+    @property
     def mesh(self) -> MeshHex:
         """scikit-fem's mesh; boxes that share a whole face share its vertices, and local axes are those of space."""
         ends = np.stack(

@@ -81,7 +81,7 @@ class SplitBoxes:
 
     def body(self) -> Rubber:
         """The boxes as they are, filled with their rubbers."""
-        mesh, pair = self.mesh.mesh(), hexahedra(self.order)
+        mesh, pair = self.mesh.mesh, hexahedra(self.order)
         low, high = self.mesh.corners
         region = regions_at((low + high) / 2, self.plan.regions)
         materials = [self.scene.material, *(material for _, material in self.plan.regions)]

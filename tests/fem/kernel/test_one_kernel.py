@@ -34,15 +34,9 @@ USERS: dict[str, tuple[Callable[[], object], type]] = {
     "conduction": (lambda: unit_conductors.__wrapped__(Unit()), Basis),
     "pictures": (lambda: picture_field(scene(), make_plan(scene(), field=True)), Rubber),
 }
-#: of what is not on the kernel yet; strict, so that a port shows
-NOT_YET = pytest.mark.xfail(strict=True, raises=AssertionError)
-WAITING = {"scenes", "finite strain", "conduction"}
 
 
-@pytest.mark.parametrize(
-    ("solve", "kind"),
-    [pytest.param(*user, id=name, marks=[NOT_YET] if name in WAITING else []) for name, user in USERS.items()],
-)
+@pytest.mark.parametrize(("solve", "kind"), USERS.values(), ids=USERS)
 def test_all_elements_are_the_kernel_s(solve, kind, monkeypatch, tmp_path):
     """By what is made while each is solved anew."""
     made: list[object] = []
