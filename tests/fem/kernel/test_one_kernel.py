@@ -36,7 +36,7 @@ USERS: dict[str, tuple[Callable[[], object], type]] = {
 }
 #: of what is not on the kernel yet; strict, so that a port shows
 NOT_YET = pytest.mark.xfail(strict=True, raises=AssertionError)
-WAITING = {"scenes", "finite strain", "conduction"}
+WAITING = {"scenes", "conduction"}
 
 
 @pytest.mark.parametrize(
