@@ -171,7 +171,8 @@ class SampleSolver:
             loaded = ratio[on]
             loaded[..., self._loaded] = more + RATIO_EXTRAPOLATED * (more - less)
             ratio[on] = loaded
-            ratio_error[on] = np.hypot(RATIO_LEFT * np.abs(more - less).max(axis=(1, 2)), REDUCED_ERROR)
+            by_grid = np.hypot(RATIO_LEFT * np.abs(more - less).max(axis=(1, 2)), STALLED * fine.change)
+            ratio_error[on] = np.hypot(by_grid, REDUCED_ERROR)
             change[np.flatnonzero(on)[~(sound & whole)]] = np.inf
         return FiniteSamples(
             displacement_mm=moved,

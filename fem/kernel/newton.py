@@ -25,6 +25,7 @@ RESIDUAL = 1e-9  #: of the loads, of an equilibrium
 MAX_ITERATIONS = 18  #: of a step, before it is halved: more means that it wandered, perhaps to another branch
 MAX_GROWTH = 1e4  #: of the residual within a step, before it is given up
 MIN_STEP = 1 / 32  #: of the load, before it is refused
+JUMPED = 0.1  #: of the work of the loads, which a step that went to another branch does not store
 KEPT_VOLUME = 0.2  #: of every point's volume, at least, that a change leaves
 DAMPINGS = 0.6 ** np.arange(12)  #: of a change that leaves less
 SQUEEZED = 0.2  #: least J below which elements come to rest by themselves before each iteration
@@ -106,6 +107,10 @@ class _Path:
     value: list[float] = field(default_factory=lambda: [0.0])
     slope: list[float] = field(default_factory=list)
 
+    def to(self, load_factor: float, value: float, slope: float) -> "_Path":
+        """The path one step farther."""
+        return _Path([*self.load_factor, load_factor], [*self.value, value], [*self.slope, slope])
+
     def work(self) -> float:
         """∫ s dg, with g a cubic in every step that has the known values and slopes at its ends."""
         s, g, d = (np.array(v) for v in (self.load_factor, self.value, self.slope))
@@ -144,15 +149,16 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
         step = min(step, 1.0 - reached)
         tried = _equilibrium_at(system, factor, state, reached + step, path)
         iterations += tried.iterations
-        if not tried.converged:
+        ahead = path
+        if tried.converged:
+            ahead = path.to(reached + step, system.own_displacement(tried.state), system.slope(factor, tried.state))
+        stored = system.stored_mj(tried.state) if tried.converged else np.nan
+        if not tried.converged or (system.symmetric and abs(ahead.work() - stored) > JUMPED * stored):
             step /= 2
             if step < MIN_STEP:
                 raise _refusal(system, reached, tried)
             continue
-        reached, state = reached + step, tried.state
-        path.load_factor.append(reached)
-        path.value.append(system.own_displacement(state))
-        path.slope.append(system.slope(factor, state))
+        reached, state, path = reached + step, tried.state, ahead
         steps, step = steps + 1, 2 * step
     assert tried is not None  # the load is not 0
     return Equilibrium(
@@ -161,7 +167,7 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
         least_j=tried.misfit.least_j,
         iterations=iterations,
         steps=steps,
-        stored_mj=system.stored_mj(state),
+        stored_mj=stored,
         work_mj=path.work() if system.symmetric else np.nan,
         is_stable=tried.is_stable,
     )
@@ -250,7 +256,7 @@ def _rested(system: System, state: State, load_factor: float, unbalanced_n: floa
         du, dp = np.zeros_like(u), np.zeros_like(p)
         if settled:  # on a saddle: off it, along the least stable mode
             mode = modes[:, 0].reshape(-1, 3)
-            du[inside] = mode / np.abs(mode).max() * np.ptp(body.points_mm[part.nodes[0]], axis=0).min()
+            du[inside] = mode / mode.flat[np.abs(mode).argmax()] * np.ptp(body.points_mm[part.nodes[0]], axis=0).min()
         else:
             change = np.linalg.solve(matrix, unbalanced) - modes @ (2 / values * (modes.T @ unbalanced))
             du[inside] = change.reshape(-1, 3)
