@@ -154,6 +154,7 @@ def test_help_loads_nothing_heavy_and_is_printed_at_once():
 
 
 LEFT_OUT = ["cyclopts", "docstring_parser", "xarray", "pandas", "scipy.interpolate", "scipy.stats", "torch", "pyvista"]
+LEFT_OUT += ["scipy.optimize", "scipy.spatial"]
 #: typed plainly, and what else none of these loads
 PLAIN = {
     f"solve {ROOT}/scenes/block-patch.toml --tolerance 0.05 --json": ["rich", "netCDF4", "fem.conduction", "dataset"],

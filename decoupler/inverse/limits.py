@@ -138,7 +138,10 @@ def exact_inverse(forward: SensorModel, resistance_ohm: FloatArray, start_n: Flo
         for _ in range(MAX_STEPS):
             lengths, J = forward.jacobian(here)
             left = (wanted - lengths)[..., None]
-            step = (np.linalg.solve(J, left) if is_square else np.linalg.pinv(J) @ left)[..., 0]
+            try:
+                step = (np.linalg.solve(J, left) if is_square else np.linalg.pinv(J) @ left)[..., 0]
+            except np.linalg.LinAlgError:  # a sample that has run away: least squares let the others go on
+                step = (np.linalg.pinv(J) @ left)[..., 0]
             here += step
             if np.abs(step).max() <= CONVERGED * np.abs(here).max():
                 break
