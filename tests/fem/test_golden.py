@@ -20,18 +20,19 @@ from fem.finite.samples import SampleSolver
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Scene
 from fem.scene.scene_file import read_scene, scene_from_dict
-from fem.scene.solution import largest_error
+from fem.scene.solution import largest_error, relative_errors
 from geometry.design_file import design_from_dict
 from studies.bench.gate import cases
-from studies.bench.reference import stored_references
+from studies.bench.reference import reference_probes, stored_references
 from studies.bench.scenes import all_scenes
 from studies.edge_cases.random_scenes import random_tables
 
 GOLDEN: dict[str, Any] = json.loads(Path(__file__).with_name("golden.json").read_text(encoding="utf-8"))
 ROOT = Path(__file__).parents[2]
 USUAL = 1e-2  #: tolerance at which scenes of the benchmark, of the gate and random ones are solved
+FEW = ("block-3", "pillar-3", "leaning-3", "tiny-3")  #: random scenes of a moment
 QUICK = 0.5  #: processor seconds, in which those that are not `long` were solved
-ROUNDED = 1e-9  #: relative, where both state less
+ROUNDED = 5e-6  #: relative, of answers stored to six digits
 
 
 def table(entries: Mapping[str, Any], is_quick: Callable[[str], bool]) -> Iterable[Any]:
@@ -61,7 +62,7 @@ def test_scenes_are_where_they_were_or_refused(name):
             solve_scene(scene)
 
 
-@pytest.mark.parametrize("name", table(GOLDEN["random"], lambda name: name.endswith("-3")))
+@pytest.mark.parametrize("name", table(GOLDEN["random"], lambda name: name in FEW))
 def test_random_scenes_are_where_they_were(name):
     scene = replace(scene_from_dict(random_tables()[name]), tolerance=USUAL)
     agree(scene, GOLDEN["random"][name]["probes"], GOLDEN["random"][name]["stated"])
@@ -75,18 +76,17 @@ def test_scenes_of_the_gate_are_where_ngsolve_finds_them(name):
 
 @pytest.mark.parametrize("name", table(stored_references(), lambda name: name.startswith("pillar")))
 def test_scenes_of_the_benchmark_are_where_ngsolve_finds_them(name):
-    entry = stored_references()[name]
+    """Of an array all electrodes as one, as its estimate means them."""
+    truth, uncertain = reference_probes(name), stored_references()[name]["uncertainties"]
     found, _ = solve_scene(replace(all_scenes()[name], tolerance=USUAL))
-    for group in [list(entry["probes"])] if name.startswith("response") else [[probe] for probe in entry["probes"]]:
-        u, truth = (np.array([each[probe] for probe in group]) for each in (found.probes, entry["probes"]))
-        # an array states the error of all electrodes as one, in which those of the loaded unit count
-        largest = max(np.linalg.norm(each) for each in entry["probes"].values())
-        uncertain = [
-            entry["uncertainties"][probe] * max(np.linalg.norm(entry["probes"][probe]), 0.01 * largest)
-            for probe in group
-        ]
-        size = max(np.linalg.norm(truth), 0.01 * largest)
-        assert np.linalg.norm(u - truth) <= found.error_estimate * size + np.linalg.norm(uncertain), group
+    apart = {probe: found.probes[probe] - u for probe, u in truth.items()}
+    if name.startswith("response"):
+        size = np.linalg.norm([*truth.values()])
+        doubt = np.linalg.norm([uncertain[probe] * np.linalg.norm(u) for probe, u in truth.items()])
+        assert np.linalg.norm([*apart.values()]) <= found.error_estimate * size + doubt
+    else:
+        for probe, error in relative_errors(apart, truth).items():
+            assert error <= found.error_estimate + uncertain[probe], probe
 
 
 @pytest.mark.parametrize("name", table(GOLDEN["responses"], lambda name: name == "paper"))
@@ -109,6 +109,8 @@ def test_samples_at_finite_strain_are_what_they_were():
         design = design_from_dict(given["design"])
         response = solve_response(design, ResponseSettings(tolerance=1e-3))
         force_n = np.random.default_rng(given["seed"]).uniform((-40, -40, -300), (40, 40, -20), (20, 4, 3))
+        rubber = replace(design.matrix_material, model="neo-hookean")
+        design = replace(design, matrix_material=rubber, pillar_material=rubber)
         found = SampleSolver(design, response.influence_mm_per_n.reshape(4, 2, 3, 4, 3)).displacements(force_n)
         u = found.displacement_mm
         five = np.stack([*u[:, 0, 0].T, u[:, 3, 1, 0], u[:, 3, 1, 2]], axis=1)

@@ -66,7 +66,7 @@ def test_peers_of_the_gate_err_by_what_is_stored(peer, tmp_path):
     setting = case.cheapest(peer, 1e-2)
     error, _ = case.settings[peer][setting]
     found = run(case, write_scene(case.table, tmp_path / "scene.toml"), setting)
-    assert found.error == pytest.approx(error, rel=0.05)  # stored to two digits
+    assert found.error == pytest.approx(error, rel=1e-3)  # stored to four digits
     assert 0 < found.solve_s <= found.whole_s
 
 
