@@ -49,8 +49,9 @@ def test_nothing_is_loaded_from_elsewhere(site):
 
 
 def test_public_names_are_on_their_pages(site):
+    errors = (site / "api" / "errors.html").read_text(encoding="utf-8")
     for package in (geometry, fem, dataset, decoupler, hardware):
-        text = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
+        text = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8") + errors
         for name in package.__all__:
             home = getattr(getattr(package, name), "__module__", "")  # of a function named like its module
             assert f'id="{package.__name__}.{name}"' in text or f'id="{home}.{name}"' in text
