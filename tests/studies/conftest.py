@@ -1,0 +1,9 @@
+"""What every test of the studies needs."""
+
+import pytest
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cad_first():
+    """build123d's OpenCASCADE comes before NGSolve's: loaded after NGSolve's it gives wrong shapes or aborts."""
+    import build123d  # noqa: F401
