@@ -40,9 +40,13 @@ ALONE = """
 import sys, time
 from dataclasses import replace
 from pathlib import Path
+import fem.methods.box_refinement, fem.methods.cell_scene, fem.methods.on_tetrahedra
+from fem.kernel.factor import Factor
 from fem.methods.solving import solve_scene
 from fem.scene.scene_file import read_scene
+from scipy.sparse import eye_array
 scene = replace(read_scene(Path(sys.argv[1])), tolerance=float(sys.argv[2]))
+Factor(eye_array(9, format="csr"))  # loads the library
 start = time.process_time()
 solve_scene(scene)
 print(time.process_time() - start)
