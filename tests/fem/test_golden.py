@@ -31,7 +31,7 @@ GOLDEN: dict[str, Any] = json.loads(Path(__file__).with_name("golden.json").read
 ROOT = Path(__file__).parents[2]
 USUAL = 1e-2  #: tolerance at which scenes of the benchmark, of the gate and random ones are solved
 FEW = ("block-3", "pillar-3", "leaning-3", "tiny-3")  #: random scenes of a moment
-QUICK = 0.5  #: processor seconds, in which those that are not `long` were solved
+QUICK = 0.4  #: processor seconds, in which those that are not `long` were solved
 ROUNDED = 5e-6  #: relative, of answers stored to six digits
 
 
