@@ -25,6 +25,11 @@ MIN_LAME = 1e-9  #: least λ over μ, which mixed elements divide by where ν = 
 EPSILON = [(i, j, k, sign) for sign in (1, -1) for i, j, k in [(s, (s + sign) % 3, (s - sign) % 3) for s in range(3)]]
 
 
+def _mean_of(materials: Sequence[Material], shares: FloatArray, ratio: str) -> FloatArray:
+    """Of a ratio times μ [MPa], as shares of materials mix."""
+    return np.tensordot([getattr(material, ratio) * material.lame_mpa[1] for material in materials], shares, 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Strain:
     """Deformation at points; free of cancellation where strains are tiny."""
@@ -151,8 +156,7 @@ class MooneyRivlin(Law):
     @classmethod
     def of(cls, materials: Sequence[Material], shares: FloatArray) -> "MooneyRivlin":
         law = super().of(materials, shares)
-        second = np.array([material.second_ratio * material.lame_mpa[1] for material in materials])
-        return cls(law.mu_mpa, law.lame_mpa, np.tensordot(second, shares, 1) / law.mu_mpa)
+        return cls(law.mu_mpa, law.lame_mpa, _mean_of(materials, shares, "second_ratio") / law.mu_mpa)
 
     def part(self, some: slice | NDArray) -> "MooneyRivlin":
         ratio = np.broadcast_to(self.second_ratio, self.mu_mpa.shape)[some]
@@ -207,8 +211,7 @@ class Yeoh(NeoHookean):
     @classmethod
     def of(cls, materials: Sequence[Material], shares: FloatArray) -> "Yeoh":
         law = super().of(materials, shares)
-        second = np.array([material.stiffening * material.lame_mpa[1] for material in materials])
-        return cls(law.mu_mpa, law.lame_mpa, np.tensordot(second, shares, 1) / law.mu_mpa)
+        return cls(law.mu_mpa, law.lame_mpa, _mean_of(materials, shares, "stiffening") / law.mu_mpa)
 
     def part(self, some: slice | NDArray) -> "Yeoh":
         return Yeoh(self.mu_mpa[some], self.lame_mpa[some], np.broadcast_to(self.stiffening, self.mu_mpa.shape)[some])
