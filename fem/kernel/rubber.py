@@ -318,9 +318,8 @@ class Rubber:
         surface, inside = self.reference.surface, self.reference.inside
         if not len(inside) or not self._is_uniform:
             return None
-        scale = np.abs(self.pull).max()
-        alike = np.column_stack([self.pull.reshape(-1, 9) / scale, self.law.lame_mpa, self.law.mu_mpa])
-        rounded = np.round(alike / np.abs(alike).max(axis=0).clip(1e-300), ALIKE)
+        parts = (self.pull.reshape(-1, 9), self.law.lame_mpa, self.law.mu_mpa)
+        rounded = np.round(np.column_stack([part / np.abs(part).max() for part in parts]), ALIKE)
         _, first, kind = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         n, m = 3 * len(surface), 3 * len(inside)
         stiffness, inner = np.empty((len(first), n // 3, n // 3, 3, 3)), np.empty((len(first), m, n))

@@ -61,8 +61,8 @@ class SplitBoxes:
         self.mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
         self.scene, self.plan, self.order = with_plates_on_faces(scene, plan), plan, ORDERS[0]
         self.mesh = first_mesh(scene, replace(plan, mirrors=self.mirrors))
-        self.probes: list[FloatArray] = []  #: of every answer, (n_probes, 3)
-        self.eta: list[FloatArray] = []  #: indicators of their errors, (n_probes,)
+        self.coarser: FloatArray | None = None  #: probes (n_probes, 3) by the order before on the same mesh, if any
+        self._error = np.inf
 
     def __str__(self) -> str:
         return f"{len(self.mesh.boxes)} boxes of order {self.order}"
@@ -71,17 +71,18 @@ class SplitBoxes:
         return f"{MAX_BOXES} boxes" if len(self.mesh.boxes) >= MAX_BOXES else None
 
     def error(self) -> float:
-        return float(estimated_errors(self.probes, self.eta).max())
+        return self._error
 
     def refine(self, indicators: FloatArray, excess: float) -> None:
         if self.order < ORDERS[-1]:
             self.order = ORDERS[-1]
         else:
             self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
+            self.coarser = None
 
-    def body(self) -> Rubber:
+    def body(self, order: int) -> Rubber:
         """The boxes as they are, filled with their rubbers."""
-        mesh, pair = self.mesh.mesh, hexahedra(self.order)
+        mesh, pair = self.mesh.mesh, hexahedra(order)
         low, high = self.mesh.corners
         region = regions_at((low + high) / 2, self.plan.regions)
         materials = [self.scene.material, *(material for _, material in self.plan.regions)]
@@ -91,31 +92,42 @@ class SplitBoxes:
         return body.with_hanging_nodes(hanging(self.mesh, mesh, basis.dofs, pair[0]))
 
     def solve(self, watch: Stopwatch) -> MeshAnswer:
-        body, (parity,) = self.body(), parities(self.mirrors)
-        system = System(body, self.scene.loads, self.mirrors, parity)
-        matrix = system.rest_matrix()
-        watch.spent("assemble")
-        factor = Factor(matrix, definite=True, upper=True, by_degree=True)
-        watch.spent("factor")
-        y, residual = checked_solve(factor, system.full_loads)
-        u = system.displaced(y)[0]
-        rows = [probe_rows(probe, self.mesh, system) for probe in self.scene.probes]
-        probes = np.array([(signs * (own @ u)).sum(axis=0) for own, signs in rows])
+        if self.order > ORDERS[0] and self.coarser is None:
+            self.coarser = _Solved(self, ORDERS[0], watch).probes
+        solved = _Solved(self, self.order, watch)
+        system, u, probes = solved.system, solved.u, solved.probes
         weights = unit_loads(probes, MAX_PROBES, N_SUMS)
-        duals, _ = checked_solve(factor, system.rest_loads(_forces(rows, weights)))
-        found = surplus(body, u, system.displaced(duals), self.mesh.lean)
-        self.probes.append(probes)
-        self.eta.append(_of_probes(found, len(probes)))
+        duals, _ = checked_solve(solved.factor, system.rest_loads(_forces(solved.rows, weights)))
+        found = surplus(system.body, u, system.displaced(duals), self.mesh.lean)
+        self._error = float(estimated_errors(probes, _of_probes(found, len(probes)), self.coarser).max())
+        self.coarser = probes
         watch.spent("solve")
         mesh = copy(self.mesh)
         return MeshAnswer(
             probes=probes,
-            energy_mj=system.copies * float((system.full_loads * y).sum()) / 2,
-            residual=residual,
+            energy_mj=system.copies * float((system.full_loads * solved.y).sum()) / 2,
+            residual=solved.residual,
             unknowns=system.n_unknowns,
             indicators=found.sum(axis=2),
-            field=lambda: unfolded(mesh, body, self.mirrors, [(parity, u)]),
+            field=lambda: unfolded(mesh, system.body, self.mirrors, [(system.parity, u)]),
         )
+
+
+class _Solved:
+    """The scene's answer by one order on the mesh as it is."""
+
+    def __init__(self, boxes: SplitBoxes, order: int, watch: Stopwatch) -> None:
+        (parity,) = parities(boxes.mirrors)
+        self.system = System(boxes.body(order), boxes.scene.loads, boxes.mirrors, parity)
+        matrix = self.system.rest_matrix()
+        watch.spent("assemble")
+        self.factor = Factor(matrix, definite=True, upper=True, by_degree=True)
+        watch.spent("factor")
+        self.y, self.residual = checked_solve(self.factor, self.system.full_loads)
+        self.u = self.system.displaced(self.y)[0]
+        self.rows = [probe_rows(probe, boxes.mesh, self.system) for probe in boxes.scene.probes]
+        self.probes = np.array([(signs * (own @ self.u)).sum(axis=0) for own, signs in self.rows])
+        watch.spent("solve")
 
 
 @one_blas_thread()  # OpenBLAS gets products too small for two; MKL's factorisation keeps its own
