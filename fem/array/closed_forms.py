@@ -179,6 +179,16 @@ def layer_mean_compliance(
     return flat.reshape(compliance.shape)
 
 
+def influence_range(design: SensorDesign, share: float) -> int:
+    """Pitches beyond which a pad moves a pad of the endless layer by less than a share of what it moves itself."""
+    half, steps = design.pad.size_mm / 2, np.arange(64) * design.array.pitch_mm
+    targets = np.stack([steps - half, np.full(64, -half), steps + half, np.full(64, half)], axis=1)
+    loads = np.broadcast_to([-half, -half, half, half], (64, 4))
+    moved = layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material)
+    size = np.linalg.norm(moved, axis=(1, 2))
+    return int(np.flatnonzero(size >= share * size[0])[-1]) + 1
+
+
 def layer_response(design: SensorDesign) -> ArrayResponse:
     """Response of a sensor taken as an infinite layer of its matrix material on a rigid base.
 

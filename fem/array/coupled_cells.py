@@ -4,13 +4,17 @@ Cells that touch share the modes of their common face and edges, so the array is
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, Free
+from fem.array.closed_forms import influence_range
 from fem.kernel.factor import Factor, checked_solve
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 Kinds = Mapping[Free, CondensedCell]  #: the cell of each place; of () wherever there is none of its own
@@ -210,3 +214,66 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
     influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
     influence[0, 0] += cell.compliance
     return influence
+
+
+@dataclass(frozen=True)
+class TruncatedArray:
+    """An array whose pads move nothing beyond a radius, put together from a smaller one: units deep inside are alike.
+
+    Units farther than the radius from a rim answer like the smaller array's middle ones. Influences have shape
+    (rows, cols, n, 3, rows, cols, 3).
+    """
+
+    rows: int
+    cols: int
+    radius: int  #: in pitches
+
+    @classmethod
+    def of(cls, design: SensorDesign, share: float) -> Self:
+        """A design's array without influence below a share of a pad's own."""
+        return cls(design.array.rows, design.array.cols, influence_range(design, share))
+
+    @property
+    def smaller(self) -> tuple[int, int]:
+        """Rows and columns of the smaller array, at most 2·radius + 1."""
+        most = 2 * self.radius + 1
+        return min(self.rows, most), min(self.cols, most)
+
+    def expanded(self, influence: FloatArray) -> FloatArray:
+        """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
+        small_rows, small_cols = influence.shape[:2]
+        if (small_rows, small_cols) == (self.rows, self.cols):
+            return influence
+        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, 3))
+        for i, i_small, i_seen, i_own in self._alike(self.rows, small_rows):
+            for j, j_small, j_seen, j_own in self._alike(self.cols, small_cols):
+                whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]
+        return whole
+
+    def reduced(self, influence: FloatArray) -> FloatArray:
+        """Influence of the smaller array, some middle units left out; `expanded` undoes it."""
+        rows, cols = self.smaller
+        small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
+        up, right = influence.shape[0] - rows, influence.shape[1] - cols
+        for i, j in np.ndindex(rows, cols):
+            y, x = up * (i > rows // 2), right * (j > cols // 2)
+            small[i, j] = influence[i + y, j + x, :, :, y : y + rows, x : x + cols]
+        return small
+
+    def representatives(self, values: FloatArray) -> FloatArray:
+        """Values of the array's units, the first two axes, from those of the smaller one."""
+        wide = zip((self.rows, self.cols), values.shape[:2], strict=True)
+        return values[np.ix_(*([_representative(i, count, small) for i in range(count)] for count, small in wide))]
+
+    def _alike(self, count: int, small: int) -> Iterator[tuple[int, int, slice, slice]]:
+        """Units of a row of `count`, the one of a row of `small` that each is like, and both's units within reach."""
+        for index in range(count):
+            like = _representative(index, count, small)
+            before, after = min(self.radius, like), min(self.radius, small - 1 - like) + 1
+            yield index, like, slice(index - before, index + after), slice(like - before, like + after)
+
+
+def _representative(index: int, count: int, small: int) -> int:
+    """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
+    middle = small // 2
+    return index if index <= middle else max(middle, small - (count - index))

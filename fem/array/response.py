@@ -3,17 +3,18 @@
 The body is linear, so samples are superpositions of unit loads. `solving.py` computes the response.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from common.errors import FileFormatError
 from common.storage.files import digest
 from common.storage.netcdf import Content, Named, labelled, read_netcdf, write_netcdf
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.layout import AXES, FloatArray
+from geometry.layout import AXES, FloatArray, rest_lengths
 
 CONDUCTED_DIMS = ("row", "col", "pillar", "component")
 INFLUENCE_DIMS = ("row", "col", "electrode", "axis", "load_row", "load_col", "load_axis")
@@ -48,6 +49,19 @@ class ConductedPillars:
     def content_hash(self) -> str:
         return digest(self.rest_mm, self.influence_mm_per_n, self.sign)
 
+    def with_references(self, unit: Unit) -> Self:
+        """The same with a unit's reference pillars in their places: of eq. 1 at rest, whatever the loads."""
+        if unit.body is unit:
+            return self
+        shape, influence_shape = list(self.sign.shape), list(self.influence_mm_per_n.shape)
+        shape[2] = influence_shape[2] = len(unit.layout.pillars)
+        rest_mm, influence, sign = np.zeros(shape), np.zeros(influence_shape), np.ones(shape)
+        rest_mm[..., 0] = rest_lengths(unit)
+        loaded = [*unit.layout.loaded]
+        rest_mm[:, :, loaded], influence[:, :, loaded] = self.rest_mm, self.influence_mm_per_n
+        sign[:, :, loaded] = self.sign
+        return replace(self, rest_mm=rest_mm, influence_mm_per_n=influence, sign=sign)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArrayResponse:
@@ -68,6 +82,11 @@ class ArrayResponse:
     @property
     def content_hash(self) -> str:
         return digest(self.influence_mm_per_n, *([] if self.conducted is None else [self.conducted.content_hash]))
+
+    def of_design(self, design: SensorDesign) -> Self:
+        """The same as that of another design with this body, which may have reference pillars beside it."""
+        conducted = None if self.conducted is None else self.conducted.with_references(design.unit)
+        return replace(self, design=design, conducted=conducted)
 
 
 def write_response(response: ArrayResponse, path: Path) -> None:
