@@ -108,9 +108,11 @@ class CoupledArray:
 
     def _seen(self, functionals: Sequence[FloatArray], loads: Sequence[int]) -> tuple[FloatArray, float]:
         """The same, each kind of cells by functionals of its own."""
-        n_ports, residual = self._dofs.shape[1], 0.0
+        n_ports, residual, every = self._dofs.shape[1], 0.0, np.arange(self.n_cells)
         found = np.empty((self.n_cells, len(functionals[0]), self.n_cells, len(loads)))
-        for loaded, forces in self._unit_loads(loads):
+        at_once = max(1, COLUMNS // len(loads))  # bounds the memory
+        for loaded in np.split(every, every[at_once::at_once]):
+            forces = self._unit_forces(loaded, loads)
             q, misfit = self.port_displacements(forces)
             for rows, (_, own) in zip(functionals, self._kinds, strict=True):
                 moved = rows[:, :n_ports] @ q[own] + rows[:, n_ports:] @ forces[own][:, loads]
@@ -120,19 +122,12 @@ class CoupledArray:
             residual = max(residual, misfit)
         return found, residual
 
-    def _unit_loads(self, loads: Sequence[int]) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
-        """Some cells, and forces (n_cells, m, k) of 1 N on each of some loads of each; few at once, for the memory."""
-        at_once = max(1, COLUMNS // len(loads))
-        for first in range(0, self.n_cells, at_once):
-            loaded = np.arange(first, min(first + at_once, self.n_cells))
-            each = np.zeros((self.n_cells, self._n_functionals, len(loaded), len(loads)))
-            for number, load in enumerate(loads):
-                each[loaded, load, np.arange(len(loaded)), number] = 1.0
-            yield loaded, each.reshape(self.n_cells, self._n_functionals, -1)
-
-    @property
-    def _n_functionals(self) -> int:
-        return self._kinds[0][0].transfer.shape[1]
+    def _unit_forces(self, loaded: NDArray[np.int64], loads: Sequence[int]) -> FloatArray:
+        """Forces (n_cells, m, k) of 1 N on each of some loads of each of some cells."""
+        each = np.zeros((self.n_cells, self._kinds[0][0].transfer.shape[1], len(loaded), len(loads)))
+        for number, load in enumerate(loads):
+            each[loaded, load, np.arange(len(loaded)), number] = 1.0
+        return each.reshape(*each.shape[:2], -1)
 
     def derivatives(
         self,
@@ -147,13 +142,9 @@ class CoupledArray:
         With K q = L f and u = Lᵀ q + C f, du = dLᵀ q + q̂ᵀ (dL f − dS q) + dC f, where q̂ answers a force on what is
         observed.
         """
-        seen, n = [*loads, *observed], self.n_cells
-        forces = np.zeros((n, self._n_functionals, n, len(seen)))
-        for number in range(n):
-            forces[number, seen, number, np.arange(len(seen))] = 1.0
-        q, residual = self.port_displacements(forces.reshape(*forces.shape[:2], -1))
+        seen, n, own = [*loads, *observed], self.n_cells, np.arange(self.n_cells)
+        q, residual = self.port_displacements(self._unit_forces(own, seen))
         by_load, by_observed = np.split(q.reshape(n, -1, n, len(seen)), [len(loads)], axis=3)
-        own = np.arange(n)
         found = np.empty((len(changes), n, len(observed), n, len(loads)))
         for du, (dS, dL, dC) in zip(found, changes, strict=True):
             pulled = (dS @ by_load.reshape(n, dS.shape[0], -1)).reshape(by_load.shape)
@@ -241,12 +232,11 @@ class TruncatedArray:
 
     def expanded(self, influence: FloatArray) -> FloatArray:
         """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
-        small_rows, small_cols = influence.shape[:2]
-        if (small_rows, small_cols) == (self.rows, self.cols):
+        if influence.shape[:2] == (self.rows, self.cols):
             return influence
         whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, 3))
-        for i, i_small, i_seen, i_own in self._alike(self.rows, small_rows):
-            for j, j_small, j_seen, j_own in self._alike(self.cols, small_cols):
+        for i, i_small, i_seen, i_own in self._alike(self.rows, influence.shape[0]):
+            for j, j_small, j_seen, j_own in self._alike(self.cols, influence.shape[1]):
                 whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]
         return whole
 

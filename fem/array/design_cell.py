@@ -1,8 +1,7 @@
 """A design's cell: a grid where it is of one rubber, tetrahedra with pillars of another or from its CAD solids.
 
 A cell is x, y ∈ [−a, a], or the part of it beyond mirror planes. Its base is clamped, its side faces are free. It is
-refined until the answer of an array of its copies is as accurate as asked. A refined cell of a response is kept in the
-cache, a few megabytes that spare arrays of the same cell its mesh and its condensation.
+refined until the answer of an array of its copies is as accurate as asked.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,10 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from skfem import MeshTet
 
-from common.storage.cache import kept_value
-from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell, Free, PortModes, condense
-from fem.array.coupled_cells import CoupledArray, Kinds, places
+from fem.array.coupled_cells import Kinds, places
 from fem.kernel.elements import Basis, hexahedra
 from fem.kernel.field import Field, Places
 from fem.kernel.law import LAWS
@@ -32,7 +29,7 @@ from fem.meshes.tetrahedra import Tetrahedra
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.scene.tetrahedra import AdaptedTetrahedra
-from geometry.design import Electrics, Material, SensorDesign, bent, lone_unit
+from geometry.design import Material, SensorDesign, lone_unit
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
 
@@ -62,7 +59,8 @@ PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direc
 #: measured under soft pads and 0.5 to 0.6 under stiff ones, whose edges are more singular
 GRID_RATE, MESH_RATE = 2.5, {"soft": 1.1, "stiff": 0.65}
 
-VERSION = 7  #: raise when the same design gives another refined cell, so that cached ones are not reused
+Asked = Callable[[Kinds], FloatArray]  #: of an array of cells
+Difference = Callable[[FloatArray, FloatArray], float]  #: how far one answer is from another, relative
 Stage = tuple[int, int, int]  #: of refinement: coarse and fine level, and the degree of the port modes
 #: stages of grids; edges of stiff pads ask for ports of a higher degree
 GRID_STAGES: dict[str, tuple[Stage, ...]] = {
@@ -85,7 +83,7 @@ COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarses
 #: stiff), 0.8 to 11 times that of loaded units, and 0.6 to 5 times that of far electrodes that move a hundredth as far
 MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 0.6
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
-MAX_TESTED = 3  #: rows and columns of the array on which a cell's error is estimated, at most
+MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at most: it has every neighbourhood
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +95,7 @@ class RefinedCell:
     steps: tuple[str, ...]  #: one line a stage of refinement
     seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
 
-    def answered(self, answer: Callable[[Kinds], FloatArray]) -> FloatArray:
+    def answered(self, answer: Asked) -> FloatArray:
         """The weighted sum of the cells' answers."""
         return np.sum([weight * answer(kinds) for weight, kinds in self.cells], axis=0)
 
@@ -156,6 +154,11 @@ def functionals(design: SensorDesign) -> FloatArray:
     """Rectangles (1 + n_upper, 4) of a cell's pad and its upper electrodes."""
     alone = lone_unit(design)
     return np.vstack([pad_squares(alone), electrode_squares(alone)])
+
+
+def electrode_means(design: SensorDesign) -> range:
+    """Numbers of a cell's functionals that are mean displacements of its upper electrodes."""
+    return range(3, 3 + 3 * len(design.unit.layout.upper))
 
 
 def pad_plate(design: SensorDesign) -> FloatArray | None:
@@ -301,14 +304,13 @@ class DesignCell:
     def refined(
         self,
         tolerance: float,
-        answer: Callable[[Kinds], FloatArray],
-        difference: Callable[[FloatArray, FloatArray], float],
+        answer: Asked,
+        difference: Difference,
         progress: Callable[[str], None] = lambda step: None,
     ) -> tuple[RefinedCell, FloatArray]:
         """The cell refined stage by stage until the estimated error meets the tolerance, or the stages end.
 
-        `answer` is what is asked of an array of cells, `difference` how far one answer is from another, relative. The
-        answer by the refined cell comes with it.
+        The answer by the refined cell comes with it.
         """
         if not self.is_grid:
             stages = MESH_STAGES[sum(tolerance < limit for limit in MESH_LIMITS) :]
@@ -324,13 +326,8 @@ class DesignCell:
                 break
         return replace(cell, steps=steps), found
 
-    def at_stage(
-        self,
-        stage: Stage,
-        answer: Callable[[Kinds], FloatArray],
-        difference: Callable[[FloatArray, FloatArray], float],
-    ) -> tuple[RefinedCell, FloatArray]:
-        """Cells condensed at the levels of a stage, and an answer by them; parameters as of `refined`.
+    def at_stage(self, stage: Stage, answer: Asked, difference: Difference) -> tuple[RefinedCell, FloatArray]:
+        """Cells condensed at the levels of a stage, and an answer by them.
 
         Levels are extrapolated as Richardson does: cells of grids themselves, of tetrahedra the answers, since
         extrapolated cells need not be definite. A fraction of that step is the levels' error. The ports' is what their
@@ -359,7 +356,7 @@ class DesignCell:
             of_levels = MESH_EXTRAPOLATION_ERROR * difference(plain, found)
             of_ports = MESH_PORTS * difference(answer(_of_degree(two, degree - 2)) + step, found)
         self.seconds["couple"] += perf_counter() - condensed
-        finest = next(iter(cells[0][1].values()))
+        finest = next(iter(two.values()))
         line = (
             f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {finest.unknowns} unknowns in the cell, "
             f"{finest.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the cell, {of_ports:.1e} of "
@@ -389,50 +386,3 @@ def _sides(rectangle: FloatArray) -> dict[str, Any]:
     """Centre and size of a rectangle (4,)."""
     x0, y0, x1, y1 = rectangle.tolist()
     return {"center_mm": ((x0 + x1) / 2, (y0 + y1) / 2), "size_mm": (x1 - x0, y1 - y0)}
-
-
-def electrode_means(design: SensorDesign) -> range:
-    """Numbers of a cell's functionals that are mean displacements of its upper electrodes."""
-    return range(3, 3 + 3 * len(design.unit.layout.upper))
-
-
-def cell_cache_key(design: SensorDesign, tolerance: float, from_cad: bool = False) -> str:
-    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
-    array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
-    cell = replace(bent(design), array=array, electrics=Electrics())
-    return digest("cell", VERSION, cell, tolerance, *(["CAD"] if from_cad else []))
-
-
-def refined_cell(
-    design: SensorDesign,
-    tolerance: float,
-    cached: bool = False,
-    progress: Callable[[str], None] = lambda step: None,
-    from_cad: bool = False,
-) -> RefinedCell:
-    """The refined cell of a design's response; with `cached` from the cache if it is there, and left there.
-
-    The error is estimated on an array of at most `MAX_TESTED` rows and columns, which has every kind of neighbourhood.
-    """
-    rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
-
-    def influence(cells: Kinds) -> FloatArray:
-        return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
-
-    def make() -> RefinedCell:
-        return DesignCell(design, from_cad=from_cad).refined(tolerance, influence, block_error, progress)[0]
-
-    if not cached:
-        return make()
-    key = cell_cache_key(design, tolerance, from_cad)
-    return kept_value(RefinedCell, "cell.npz", key, make, seconds={})[0]
-
-
-def block_error(influence: FloatArray, reference: FloatArray) -> float:
-    """Largest difference of any unit's block from a reference's, relative to the loaded unit's own block.
-
-    Both have shape (rows, cols, n_observed, rows, cols, n_loads), observed first.
-    """
-    difference = np.linalg.norm(influence - reference, axis=(2, 5))
-    own = np.linalg.norm(np.einsum("ijoijl->ijol", reference), axis=(2, 3))
-    return float((difference / own).max())

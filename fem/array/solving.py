@@ -9,16 +9,17 @@ from typing import Literal
 import numpy as np
 
 from common.errors import DesignError
-from common.storage.cache import kept
+from common.storage.cache import kept, kept_value
 from common.storage.files import digest
 from fem.array.closed_forms import layer_response
 from fem.array.coupled_cells import CoupledArray, Kinds, TruncatedArray
-from fem.array.design_cell import PADS, electrode_means, refined_cell
+from fem.array.design_cell import MAX_TESTED, PADS, DesignCell, RefinedCell, electrode_means
 from fem.array.response import ArrayResponse, read_response, write_response
 from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
 VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
+CELL_VERSION = 7  #: the same of refined cells
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -148,6 +149,49 @@ def _by_cells(
         method="tetrahedra" if from_cad else "cells",
         steps=refined.steps,
     )
+
+
+def cell_cache_key(design: SensorDesign, tolerance: float, from_cad: bool = False) -> str:
+    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
+    array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
+    cell = replace(bent(design), array=array, electrics=Electrics())
+    return digest("cell", CELL_VERSION, cell, tolerance, *(["CAD"] if from_cad else []))
+
+
+def refined_cell(
+    design: SensorDesign,
+    tolerance: float,
+    cached: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
+    from_cad: bool = False,
+) -> RefinedCell:
+    """The refined cell of a design's response; with `cached` from the cache if it is there, and left there.
+
+    A few megabytes spare arrays of the same cell its mesh and its condensation. The error is estimated on an array of
+    at most `MAX_TESTED` rows and columns.
+    """
+    rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
+
+    def influence(cells: Kinds) -> FloatArray:
+        return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
+
+    def make() -> RefinedCell:
+        return DesignCell(design, from_cad=from_cad).refined(tolerance, influence, block_error, progress)[0]
+
+    if not cached:
+        return make()
+    key = cell_cache_key(design, tolerance, from_cad)
+    return kept_value(RefinedCell, "cell.npz", key, make, seconds={})[0]
+
+
+def block_error(influence: FloatArray, reference: FloatArray) -> float:
+    """Largest difference of any unit's block from a reference's, relative to the loaded unit's own block.
+
+    Both have shape (rows, cols, n_observed, rows, cols, n_loads), observed first.
+    """
+    difference = np.linalg.norm(influence - reference, axis=(2, 5))
+    own = np.linalg.norm(np.einsum("ijoijl->ijol", reference), axis=(2, 3))
+    return float((difference / own).max())
 
 
 @dataclass(frozen=True, kw_only=True)

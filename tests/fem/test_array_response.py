@@ -10,8 +10,15 @@ import pytest
 from common.errors import DesignError
 from fem.array.closed_forms import influence_range
 from fem.array.coupled_cells import CoupledArray, TruncatedArray
-from fem.array.design_cell import DesignCell, block_error
-from fem.array.solving import ResponseSettings, array_response, check_unit, response_cache_key, solve_response
+from fem.array.design_cell import DesignCell
+from fem.array.solving import (
+    ResponseSettings,
+    array_response,
+    block_error,
+    check_unit,
+    response_cache_key,
+    solve_response,
+)
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
 from studies import bench
 
