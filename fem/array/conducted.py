@@ -96,7 +96,7 @@ def conducted_by_loads(
     progress("conduction")
     conductors = unit_conductors(design.unit)
     at_rest = conductors.conductances()
-    amplitudes, parts = _modes(interior, conductors.coarse, design, usual)
+    amplitudes, parts = _modes(interior, conductors.coarse, shape, usual)
     first = _first_derivatives(interior, conductors, piezo, m)
     gradients = displacement_gradients(interior, conductors.coarse.mesh.points_mm, amplitudes)
     second = second_derivatives(conductors.coarse, gradients, piezo)
@@ -168,7 +168,7 @@ def _components(
 
 
 def _modes(
-    interior: CellInterior, conductor: Conductor, design: SensorDesign, usual: FloatArray
+    interior: CellInterior, conductor: Conductor, shape: tuple[int, int], usual: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement gradients that loads excite most where current flows.
 
@@ -182,8 +182,8 @@ def _modes(
     n, m = interior.cell.stiffness.shape[0] + len(usual), len(usual)
     gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
     rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
-    shape = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), range(m))[0] * usual
+    tested = CoupledArray(interior.cell, *(min(MAX_TESTED, count) for count in shape))
+    snapshots = tested.seen(np.eye(n), range(m))[0] * usual
     value, vector = np.linalg.eigh(rows.T @ rows)
     value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
     to_energy = np.sqrt(value)[:, None] * vector.T

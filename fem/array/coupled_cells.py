@@ -62,8 +62,7 @@ class CoupledArray:
         self._dofs = (self._blocks[..., None] * self._size + np.arange(self._size)).reshape(rows * cols, -1)
         every, n = np.arange(self._dofs.size), self._n_blocks * self._size
         self._gather = sp.csr_matrix((np.ones(len(every)), (self._dofs.ravel(), every)), shape=(n, len(every)))
-        self._matrix = self._assembled()
-        self._factor = Factor(self._matrix, definite=True)
+        self._factor = Factor(self._assembled(), definite=True)
 
     @property
     def n_cells(self) -> int:

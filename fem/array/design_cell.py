@@ -7,7 +7,6 @@ refined until the answer of an array of its copies is as accurate as asked.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -216,7 +215,7 @@ class DesignCell:
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad
-        self.seconds = dict.fromkeys(("mesh", "condense", "couple"), 0.0)  #: by the clock
+        self._watch = Stopwatch("mesh", "condense", "couple")
         self._bodies: list[Rubber] = []
         self._cells: dict[tuple[int, Free], CondensedCell] = {}
         self._sides: dict[tuple[int, Free], CellSides] = {}
@@ -239,12 +238,11 @@ class DesignCell:
 
     def tetrahedra(self, level: int) -> Rubber:
         """The cell's body on the mesh of a level."""
-        start = perf_counter()
         while len(self._bodies) <= level:
             if self._bodies:
                 self._adapted.refine(self._adapted.solve(Stopwatch()).indicators, np.inf)
             self._bodies.append(self._adapted.body)
-        self.seconds["mesh"] += perf_counter() - start
+        self._watch.spent("mesh")
         return self._bodies[level]
 
     def condensed(self, level: int, degree: int, free: Free = ()) -> CondensedCell:
@@ -255,6 +253,7 @@ class DesignCell:
         known = self._cells.get((level, free))
         if known is None or known.ports.degree < degree:
             known = self._cells[level, free] = self._condensed(level, degree, free)
+        self._watch.spent("condense")
         return known.of_degree(degree)
 
     def _condensed(self, level: int, degree: int, free: Free) -> CondensedCell:
@@ -334,10 +333,7 @@ class DesignCell:
         highest degree changed, of tetrahedra a fraction of what the highest two did: the last is small now and then.
         """
         coarse, fine, degree = stage
-        start, meshed_before = perf_counter(), self.seconds["mesh"]
         one, two = self.kinds(coarse, COMPARED_DEGREE), self.kinds(fine, degree)
-        condensed = perf_counter()
-        self.seconds["condense"] += condensed - start - (self.seconds["mesh"] - meshed_before)
         factor, low = self.error_factor(coarse, fine), _of_degree(two, COMPARED_DEGREE)
         cells: tuple[tuple[float, Kinds], ...]
         if self.is_grid:
@@ -355,15 +351,15 @@ class DesignCell:
             found = plain + step
             of_levels = MESH_EXTRAPOLATION_ERROR * difference(plain, found)
             of_ports = MESH_PORTS * difference(answer(_of_degree(two, degree - 2)) + step, found)
-        self.seconds["couple"] += perf_counter() - condensed
+        self._watch.spent("couple")
         finest = next(iter(two.values()))
         line = (
             f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {finest.unknowns} unknowns in the cell, "
             f"{finest.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the cell, {of_ports:.1e} of "
             "the ports"
         )
-        refined = RefinedCell(cells=cells, error_estimate=of_levels + of_ports, steps=(line,), seconds=self.seconds)
-        return refined, found
+        seconds, error = self._watch.seconds, of_levels + of_ports
+        return RefinedCell(cells=cells, error_estimate=error, steps=(line,), seconds=seconds), found
 
     def error_factor(self, coarse: int, fine: int) -> float:
         """Error of the finer of two levels over their change."""

@@ -24,6 +24,8 @@ CONDUCTED = {
     "conducted_influence_mm_per_n": ((*CONDUCTED_DIMS, "load_row", "load_col", "load_axis"), "mm/N"),
     "conducted_sign": (CONDUCTED_DIMS, "1"),
 }
+#: attributes of a response file that are fields of the response, and their types
+ATTRIBUTES = {"mesh_hash": str, "method": str, "error_estimate": float, "residual": float, "unknowns": int}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,12 +99,9 @@ def write_response(response: ArrayResponse, path: Path) -> None:
         "design": design_to_toml(response.design),
         "recipe": response.cache_key,
         "content_hash": response.content_hash,
-        "mesh_hash": response.mesh_hash,
-        "method": response.method,
-        "error_estimate": response.error_estimate,
-        "residual": response.residual,
-        "unknowns": response.unknowns,
-    } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
+        **{name: getattr(response, name) for name in ATTRIBUTES},
+        **{f"seconds_{step}": seconds for step, seconds in response.seconds.items()},
+    }
     variables = {"influence_mm_per_n": Named(INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
     if response.conducted is not None:
         labels["pillar"] = list(layout.pillar_names)
@@ -123,17 +122,13 @@ def read_response(path: Path) -> ArrayResponse:
             design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
             influence_mm_per_n=data.data_vars["influence_mm_per_n"].values,
             conducted=_conducted(data, path),
-            residual=float(data.attrs["residual"]),
-            unknowns=int(data.attrs["unknowns"]),
-            mesh_hash=data.attrs["mesh_hash"],
-            method=data.attrs["method"],
-            error_estimate=float(data.attrs["error_estimate"]),
             seconds={
                 key.removeprefix("seconds_"): float(value)
                 for key, value in data.attrs.items()
                 if key.startswith("seconds_")
             },
             cache_key=str(data.attrs["recipe"]),
+            **{name: made(data.attrs[name]) for name, made in ATTRIBUTES.items()},
         )
         intact = response.content_hash == data.attrs["content_hash"]
     except KeyError as error:
