@@ -215,6 +215,7 @@ class DesignCell:
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad
+        self._places = [()] if self.is_grid else places(design.array.rows, design.array.cols)
         self._watch = Stopwatch("mesh", "condense", "couple")
         self._bodies: list[Rubber] = []
         self._cells: dict[tuple[int, Free], CondensedCell] = {}
@@ -291,14 +292,9 @@ class DesignCell:
             cell=cell, field=Field(places=where, body=system.body, displacement_mm=moved, loaded_mm=loaded)
         )
 
-    @property
-    def _places(self) -> list[Free]:
-        return places(self.design.array.rows, self.design.array.cols)
-
     def kinds(self, level: int, degree: int) -> Kinds:
         """The cell of every place in the design's array; grids have one for all."""
-        found = [()] if self.is_grid else self._places
-        return {free: self.condensed(level, degree, free) for free in found}
+        return {free: self.condensed(level, degree, free) for free in self._places}
 
     def refined(
         self,
