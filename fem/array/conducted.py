@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from fem.array.coupled_cells import CoupledArray, TruncatedArray
 from fem.array.design_cell import MAX_TESTED, CellInterior, DesignCell
@@ -24,7 +23,6 @@ from fem.conduction.potentials import (
     strain_derivatives,
     unit_conductors,
 )
-from fem.kernel.field import slopes_at
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
 
@@ -42,14 +40,8 @@ def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplit
     `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
     """
     moved = interior.field.displacement_mm[:, :, : len(amplitudes)] @ amplitudes
-    slopes = _slopes(interior, points_mm) @ moved.reshape(len(moved), -1)
+    slopes = interior.field.slopes(points_mm) @ moved.reshape(len(moved), -1)
     return np.asarray(slopes).reshape(3, len(points_mm), 3, -1).transpose(1, 2, 0, 3)
-
-
-def _slopes(interior: CellInterior, points_mm: FloatArray) -> sp.csr_matrix:
-    """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
-    field = interior.field
-    return slopes_at(field.body, *field.places.located(points_mm))
 
 
 def conducted_pillars(
@@ -204,7 +196,7 @@ def _first_derivatives(
     for conductor in (conductors.coarse, conductors.fine):
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
-        slopes = _slopes(interior, conductor.mesh.points_mm)
+        slopes = interior.field.slopes(conductor.mesh.points_mm)
         nodal = [slopes.T @ np.concatenate(np.moveaxis(weight, 2, 0)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
     return conductors.extrapolated(*found)
