@@ -321,6 +321,16 @@ class SensorDesign(Sound):
         """True if pillars and matrix are of one rubber, so that pillars need no mesh of their own."""
         return self.pillar_material.settled == self.matrix_material
 
+    @property
+    def body(self) -> "SensorDesign":
+        """The same without reference pillars, which stand beside the slab: what is cast and bends."""
+        return self if self.unit.body is self.unit else replace(self, unit=self.unit.body)
+
+
+def lone_unit(design: SensorDesign) -> SensorDesign:
+    """The design with one unit, whose slab is the cell."""
+    return replace(design, array=replace(design.array, rows=1, cols=1))
+
 
 def bent(design: SensorDesign) -> SensorDesign:
     """What bends of a sensor: no references, resistivity or contacts of its own, rubber that remembers nothing."""

@@ -48,10 +48,11 @@ def mean_compliance(targets_mm: ArrayLike, loads_mm: ArrayLike, material: Materi
     2e-11 for a 12 mm pad and a 2 mm electrode 100 mm apart, 2e-7 at 1 m.
     """
     target, load = np.broadcast_arrays(_rectangles(targets_mm), _rectangles(loads_mm))
+    areas = (target[..., 2:] - target[..., :2]).prod(axis=-1) * (load[..., 2:] - load[..., :2]).prod(axis=-1)
     X = _edge_pairs(target[..., 0::2], load[..., 0::2])[..., :, None]
     Y = _edge_pairs(target[..., 1::2], load[..., 1::2])[..., None, :]
     xx, yy, xy, gx, gy = (
-        np.einsum("...ab,a,b->...", kernel, EDGE_PAIRS, EDGE_PAIRS) / (_area(target) * _area(load))
+        np.einsum("...ab,a,b->...", kernel, EDGE_PAIRS, EDGE_PAIRS) / areas
         for kernel in _edge_kernels(*np.broadcast_arrays(X, Y))
     )
     nu, (_, G) = material.poisson, material.lame_mpa
@@ -98,10 +99,6 @@ def _rectangles(rectangles_mm: ArrayLike) -> FloatArray:
     if not (rectangles[..., 2:] > rectangles[..., :2]).all():
         raise HalfspaceError("a rectangle is empty: x1 must be above x0 and y1 above y0.")
     return rectangles
-
-
-def _area(rectangles: FloatArray) -> FloatArray:
-    return (rectangles[..., 2] - rectangles[..., 0]) * (rectangles[..., 3] - rectangles[..., 1])
 
 
 MAX_DISTANCE = 30.0  #: heights beyond which nothing is felt: the slowest share of a response falls as exp(−0.74 r/h)
@@ -177,6 +174,16 @@ def layer_mean_compliance(
     flat = np.zeros((len(felt), 3, 3))  # what is not felt is 0, not the rounding of two large numbers
     flat[felt] = compliance.reshape(-1, 3, 3)[felt] + rest / (2 * np.pi * G * height_mm)
     return flat.reshape(compliance.shape)
+
+
+def influence_range(design: SensorDesign, share: float) -> int:
+    """Pitches beyond which a pad moves a pad of the endless layer by less than a share of what it moves itself."""
+    half, steps = design.pad.size_mm / 2, np.arange(64) * design.array.pitch_mm
+    targets = np.stack([steps - half, np.full(64, -half), steps + half, np.full(64, half)], axis=1)
+    loads = np.broadcast_to([-half, -half, half, half], (64, 4))
+    moved = layer_mean_compliance(targets, loads, design.unit.height_mm, design.matrix_material)
+    size = np.linalg.norm(moved, axis=(1, 2))
+    return int(np.flatnonzero(size >= share * size[0])[-1]) + 1
 
 
 def layer_response(design: SensorDesign) -> ArrayResponse:

@@ -10,32 +10,28 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
-from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import CellInterior, design_interior, functionals, pad_plate
+from fem.array.coupled_cells import CoupledArray, TruncatedArray
+from fem.array.design_cell import MAX_TESTED, CellInterior, DesignCell
 from fem.array.response import ConductedPillars
-from fem.array.substructured import MAX_TESTED, expanded, influence_range, reduced, representatives
 from fem.conduction.potentials import (
     Conductor,
     Piezoresistivity,
+    UnitConductors,
     pillars_per_mm,
     second_derivatives,
     strain_derivatives,
-    unit_accuracy,
-    unit_conductances,
     unit_conductors,
 )
-from fem.kernel.field import slopes_at
-from geometry.design import SensorDesign, Unit
-from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, rest_lengths
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes
 
 MODES = 40  #: of the displacement gradient, for second derivatives
 COMPONENTS = 8  #: of a pillar's polynomial in loads on pads, at most; see `ConductedPillars`
 SHEAR = 0.2  #: of a pad's pressure: its usual shear, the protocols' friction
 USUAL = np.array([SHEAR, SHEAR, 1.0])  #: loads along x, y, z, relative to each other
 SPREAD = 2500  #: points that choose the modes
-TRUNCATION = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `substructured`
+TRUNCATION = 1e-4  #: of a pad's own influence: what is smaller is left out, as in `solving`
 
 
 def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplitudes: FloatArray) -> FloatArray:
@@ -44,14 +40,8 @@ def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplit
     `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
     """
     moved = interior.field.displacement_mm[:, :, : len(amplitudes)] @ amplitudes
-    slopes = _slopes(interior, points_mm) @ moved.reshape(len(moved), -1)
+    slopes = interior.field.slopes(points_mm) @ moved.reshape(len(moved), -1)
     return np.asarray(slopes).reshape(3, len(points_mm), 3, -1).transpose(1, 2, 0, 3)
-
-
-def _slopes(interior: CellInterior, points_mm: FloatArray) -> sp.csr_matrix:
-    """Rows that take nodal values to derivatives at points (k, 3): all by x, then by y, then by z, (3 k, n)."""
-    field = interior.field
-    return slopes_at(field.body, *field.places.located(points_mm))
 
 
 def conducted_pillars(
@@ -63,18 +53,17 @@ def conducted_pillars(
     the name of each step as it begins. Errors are those of `fem.conduction.meshes.unit_hexahedra`, and a
     `GeometryError` or `SolverError` if a mesh or an answer cannot be trusted.
     """
-    radius = influence_range(design, TRUNCATION)
-    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
-    interior = design_interior(design, functionals(design), pad_plate(design), progress)
-    accurate = reduced(influence_mm_per_n, rows, cols).reshape(rows * cols, -1, 3, 3 * rows * cols)
+    array = TruncatedArray.of(design, TRUNCATION)
+    rows, cols = array.smaller
+    accurate = array.reduced(influence_mm_per_n).reshape(rows * cols, -1, 3, 3 * rows * cols)
+    interior = DesignCell(design).interior(progress)
     found = conducted_by_loads(design, interior, USUAL, accurate, (rows, cols), progress)
-    wide = design.array.rows, design.array.cols
     influence = found.influence_mm_per_n.reshape(*found.sign.shape, rows, cols, 3)
     return replace(
         found,
-        rest_mm=representatives(found.rest_mm, *wide),
-        influence_mm_per_n=expanded(influence, *wide, radius),
-        sign=representatives(found.sign, *wide),
+        rest_mm=array.representatives(found.rest_mm),
+        influence_mm_per_n=array.expanded(influence),
+        sign=array.representatives(found.sign),
     )
 
 
@@ -98,11 +87,11 @@ def conducted_by_loads(
     piezo = Piezoresistivity.of(design.electrics)
     progress("conduction")
     conductors = unit_conductors(design.unit)
-    at_rest = unit_conductances(design.unit)
-    amplitudes, parts = _modes(interior, conductors[0], design, usual)
-    first = _first_derivatives(interior, conductors, piezo, unit_accuracy(design.unit).beyond, m)
-    gradients = displacement_gradients(interior, conductors[0].mesh.points_mm, amplitudes)
-    second = second_derivatives(conductors[0], gradients, piezo)
+    at_rest = conductors.conductances()
+    amplitudes, parts = _modes(interior, conductors.coarse, shape, usual)
+    first = _first_derivatives(interior, conductors, piezo, m)
+    gradients = displacement_gradients(interior, conductors.coarse.mesh.points_mm, amplitudes)
+    second = second_derivatives(conductors.coarse, gradients, piezo)
     n_modes = second.shape[1]
     progress(f"coupling {rows} × {cols}")
     # of a cell's amplitudes: relative first derivatives of its pillars, parts of the modes, motion of its electrodes
@@ -135,21 +124,6 @@ def conducted_by_loads(
         sign=signs,
         error_estimate=float(at_rest.error_estimate.max()),
     )
-
-
-def with_references(found: ConductedPillars, unit: Unit) -> ConductedPillars:
-    """The same with a unit's reference pillars in their places: of eq. 1 at rest, whatever the loads."""
-    if unit.body is unit:
-        return found
-    loaded, shape = [*unit.layout.loaded], found.influence_mm_per_n.shape
-    wide = (*shape[:2], len(unit.layout.pillars), *shape[3:])
-    rest_mm, influence, sign = np.zeros(wide[:4]), np.zeros(wide), np.ones(wide[:4])
-    rest_mm[..., 0] = rest_lengths(unit)
-    for every, own in zip(
-        (rest_mm, influence, sign), (found.rest_mm, found.influence_mm_per_n, found.sign), strict=True
-    ):
-        every[:, :, loaded] = own
-    return replace(found, rest_mm=rest_mm, influence_mm_per_n=influence, sign=sign)
 
 
 def _components(
@@ -186,7 +160,7 @@ def _components(
 
 
 def _modes(
-    interior: CellInterior, conductor: Conductor, design: SensorDesign, usual: FloatArray
+    interior: CellInterior, conductor: Conductor, shape: tuple[int, int], usual: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement gradients that loads excite most where current flows.
 
@@ -200,8 +174,8 @@ def _modes(
     n, m = interior.cell.stiffness.shape[0] + len(usual), len(usual)
     gradients = displacement_gradients(interior, mesh.points_mm[some], np.eye(n))
     rows = (gradients * np.sqrt(weight)[:, None, None, None]).reshape(-1, n)
-    shape = [min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols)]
-    snapshots = CoupledArray(interior.cell, *shape).seen(np.eye(n), range(m))[0] * usual
+    tested = CoupledArray(interior.cell, *(min(MAX_TESTED, count) for count in shape))
+    snapshots = tested.seen(np.eye(n), range(m))[0] * usual
     value, vector = np.linalg.eigh(rows.T @ rows)
     value, vector = value[value > 1e-12 * value[-1]], vector[:, value > 1e-12 * value[-1]]
     to_energy = np.sqrt(value)[:, None] * vector.T
@@ -211,24 +185,18 @@ def _modes(
 
 
 def _first_derivatives(
-    interior: CellInterior,
-    conductors: tuple[Conductor, Conductor],
-    piezo: Piezoresistivity,
-    beyond: float,
-    m: int,
+    interior: CellInterior, conductors: UnitConductors, piezo: Piezoresistivity, m: int
 ) -> FloatArray:
     """Relative first derivatives of the pillars' resistances by the cell's amplitudes, (n_pillars, n_amplitudes).
 
-    Of ports and the first m functionals. From both meshes; `beyond` is how much of their difference is added to the
-    finer one's.
+    Of ports and the first m functionals.
     """
     n = interior.cell.stiffness.shape[0] + m
     found = []
-    for conductor in conductors:
+    for conductor in (conductors.coarse, conductors.fine):
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
-        slopes = _slopes(interior, conductor.mesh.points_mm)
+        slopes = interior.field.slopes(conductor.mesh.points_mm)
         nodal = [slopes.T @ np.concatenate(np.moveaxis(weight, 2, 0)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
-    coarse, fine = found
-    return fine + beyond * (fine - coarse)
+    return conductors.extrapolated(*found)

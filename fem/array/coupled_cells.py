@@ -4,13 +4,17 @@ Cells that touch share the modes of their common face and edges, so the array is
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fem.array.cell import CondensedCell, Free
+from fem.array.closed_forms import influence_range
 from fem.kernel.factor import Factor, checked_solve
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 Kinds = Mapping[Free, CondensedCell]  #: the cell of each place; of () wherever there is none of its own
@@ -58,8 +62,7 @@ class CoupledArray:
         self._dofs = (self._blocks[..., None] * self._size + np.arange(self._size)).reshape(rows * cols, -1)
         every, n = np.arange(self._dofs.size), self._n_blocks * self._size
         self._gather = sp.csr_matrix((np.ones(len(every)), (self._dofs.ravel(), every)), shape=(n, len(every)))
-        self._matrix = self._assembled()
-        self._factor = Factor(self._matrix, definite=True)
+        self._factor = Factor(self._assembled(), definite=True)
 
     @property
     def n_cells(self) -> int:
@@ -104,9 +107,11 @@ class CoupledArray:
 
     def _seen(self, functionals: Sequence[FloatArray], loads: Sequence[int]) -> tuple[FloatArray, float]:
         """The same, each kind of cells by functionals of its own."""
-        n_ports, residual = self._dofs.shape[1], 0.0
+        n_ports, residual, every = self._dofs.shape[1], 0.0, np.arange(self.n_cells)
         found = np.empty((self.n_cells, len(functionals[0]), self.n_cells, len(loads)))
-        for loaded, forces in self._unit_loads(loads):
+        at_once = max(1, COLUMNS // len(loads))  # bounds the memory
+        for loaded in np.split(every, every[at_once::at_once]):
+            forces = self._unit_forces(loaded, loads)
             q, misfit = self.port_displacements(forces)
             for rows, (_, own) in zip(functionals, self._kinds, strict=True):
                 moved = rows[:, :n_ports] @ q[own] + rows[:, n_ports:] @ forces[own][:, loads]
@@ -116,19 +121,12 @@ class CoupledArray:
             residual = max(residual, misfit)
         return found, residual
 
-    def _unit_loads(self, loads: Sequence[int]) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
-        """Some cells, and forces (n_cells, m, k) of 1 N on each of some loads of each; few at once, for the memory."""
-        at_once = max(1, COLUMNS // len(loads))
-        for first in range(0, self.n_cells, at_once):
-            loaded = np.arange(first, min(first + at_once, self.n_cells))
-            each = np.zeros((self.n_cells, self._n_functionals, len(loaded), len(loads)))
-            for number, load in enumerate(loads):
-                each[loaded, load, np.arange(len(loaded)), number] = 1.0
-            yield loaded, each.reshape(self.n_cells, self._n_functionals, -1)
-
-    @property
-    def _n_functionals(self) -> int:
-        return self._kinds[0][0].transfer.shape[1]
+    def _unit_forces(self, loaded: NDArray[np.int64], loads: Sequence[int]) -> FloatArray:
+        """Forces (n_cells, m, k) of 1 N on each of some loads of each of some cells."""
+        each = np.zeros((self.n_cells, self._kinds[0][0].transfer.shape[1], len(loaded), len(loads)))
+        for number, load in enumerate(loads):
+            each[loaded, load, np.arange(len(loaded)), number] = 1.0
+        return each.reshape(*each.shape[:2], -1)
 
     def derivatives(
         self,
@@ -143,13 +141,9 @@ class CoupledArray:
         With K q = L f and u = Lᵀ q + C f, du = dLᵀ q + q̂ᵀ (dL f − dS q) + dC f, where q̂ answers a force on what is
         observed.
         """
-        seen, n = [*loads, *observed], self.n_cells
-        forces = np.zeros((n, self._n_functionals, n, len(seen)))
-        for number in range(n):
-            forces[number, seen, number, np.arange(len(seen))] = 1.0
-        q, residual = self.port_displacements(forces.reshape(*forces.shape[:2], -1))
+        seen, n, own = [*loads, *observed], self.n_cells, np.arange(self.n_cells)
+        q, residual = self.port_displacements(self._unit_forces(own, seen))
         by_load, by_observed = np.split(q.reshape(n, -1, n, len(seen)), [len(loads)], axis=3)
-        own = np.arange(n)
         found = np.empty((len(changes), n, len(observed), n, len(loads)))
         for du, (dS, dL, dC) in zip(found, changes, strict=True):
             pulled = (dS @ by_load.reshape(n, dS.shape[0], -1)).reshape(by_load.shape)
@@ -210,3 +204,65 @@ def endless_influence(cell: CondensedCell, wide: int) -> FloatArray:
     influence = np.fft.irfft2(spectrum, s=(wide, wide), axes=(0, 1))
     influence[0, 0] += cell.compliance
     return influence
+
+
+@dataclass(frozen=True)
+class TruncatedArray:
+    """An array whose pads move nothing beyond a radius, put together from a smaller one: units deep inside are alike.
+
+    Units farther than the radius from a rim answer like the smaller array's middle ones. Influences have shape
+    (rows, cols, n, 3, rows, cols, 3).
+    """
+
+    rows: int
+    cols: int
+    radius: int  #: in pitches
+
+    @classmethod
+    def of(cls, design: SensorDesign, share: float) -> Self:
+        """A design's array without influence below a share of a pad's own."""
+        return cls(design.array.rows, design.array.cols, influence_range(design, share))
+
+    @property
+    def smaller(self) -> tuple[int, int]:
+        """Rows and columns of the smaller array, at most 2·radius + 1."""
+        most = 2 * self.radius + 1
+        return min(self.rows, most), min(self.cols, most)
+
+    def expanded(self, influence: FloatArray) -> FloatArray:
+        """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
+        if influence.shape[:2] == (self.rows, self.cols):
+            return influence
+        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, 3))
+        for i, i_small, i_seen, i_own in self._alike(self.rows, influence.shape[0]):
+            for j, j_small, j_seen, j_own in self._alike(self.cols, influence.shape[1]):
+                whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]
+        return whole
+
+    def reduced(self, influence: FloatArray) -> FloatArray:
+        """Influence of the smaller array, some middle units left out; `expanded` undoes it."""
+        rows, cols = self.smaller
+        small = np.empty((rows, cols, *influence.shape[2:4], rows, cols, 3))
+        up, right = influence.shape[0] - rows, influence.shape[1] - cols
+        for i, j in np.ndindex(rows, cols):
+            y, x = up * (i > rows // 2), right * (j > cols // 2)
+            small[i, j] = influence[i + y, j + x, :, :, y : y + rows, x : x + cols]
+        return small
+
+    def representatives(self, values: FloatArray) -> FloatArray:
+        """Values of the array's units, the first two axes, from those of the smaller one."""
+        wide = zip((self.rows, self.cols), values.shape[:2], strict=True)
+        return values[np.ix_(*([_representative(i, count, small) for i in range(count)] for count, small in wide))]
+
+    def _alike(self, count: int, small: int) -> Iterator[tuple[int, int, slice, slice]]:
+        """Units of a row of `count`, the one of a row of `small` that each is like, and both's units within reach."""
+        for index in range(count):
+            like = _representative(index, count, small)
+            before, after = min(self.radius, like), min(self.radius, small - 1 - like) + 1
+            yield index, like, slice(index - before, index + after), slice(like - before, like + after)
+
+
+def _representative(index: int, count: int, small: int) -> int:
+    """The unit of a row of `small` that lies as deep inside as one of a row of `count`, or in the middle."""
+    middle = small // 2
+    return index if index <= middle else max(middle, small - (count - index))

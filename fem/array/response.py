@@ -3,17 +3,18 @@
 The body is linear, so samples are superpositions of unit loads. `solving.py` computes the response.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from common.errors import FileFormatError
 from common.storage.files import digest
 from common.storage.netcdf import Content, Named, labelled, read_netcdf, write_netcdf
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_from_toml, design_to_toml
-from geometry.layout import AXES, FloatArray
+from geometry.layout import AXES, FloatArray, rest_lengths
 
 CONDUCTED_DIMS = ("row", "col", "pillar", "component")
 INFLUENCE_DIMS = ("row", "col", "electrode", "axis", "load_row", "load_col", "load_axis")
@@ -23,6 +24,8 @@ CONDUCTED = {
     "conducted_influence_mm_per_n": ((*CONDUCTED_DIMS, "load_row", "load_col", "load_axis"), "mm/N"),
     "conducted_sign": (CONDUCTED_DIMS, "1"),
 }
+#: attributes of a response file that are fields of the response, and their types
+ATTRIBUTES = {"mesh_hash": str, "method": str, "error_estimate": float, "residual": float, "unknowns": int}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,6 +51,19 @@ class ConductedPillars:
     def content_hash(self) -> str:
         return digest(self.rest_mm, self.influence_mm_per_n, self.sign)
 
+    def with_references(self, unit: Unit) -> Self:
+        """The same with a unit's reference pillars in their places: of eq. 1 at rest, whatever the loads."""
+        if unit.body is unit:
+            return self
+        shape, influence_shape = list(self.sign.shape), list(self.influence_mm_per_n.shape)
+        shape[2] = influence_shape[2] = len(unit.layout.pillars)
+        rest_mm, influence, sign = np.zeros(shape), np.zeros(influence_shape), np.ones(shape)
+        rest_mm[..., 0] = rest_lengths(unit)
+        loaded = [*unit.layout.loaded]
+        rest_mm[:, :, loaded], influence[:, :, loaded] = self.rest_mm, self.influence_mm_per_n
+        sign[:, :, loaded] = self.sign
+        return replace(self, rest_mm=rest_mm, influence_mm_per_n=influence, sign=sign)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArrayResponse:
@@ -69,6 +85,11 @@ class ArrayResponse:
     def content_hash(self) -> str:
         return digest(self.influence_mm_per_n, *([] if self.conducted is None else [self.conducted.content_hash]))
 
+    def of_design(self, design: SensorDesign) -> Self:
+        """The same as that of another design with this body, which may have reference pillars beside it."""
+        conducted = None if self.conducted is None else self.conducted.with_references(design.unit)
+        return replace(self, design=design, conducted=conducted)
+
 
 def write_response(response: ArrayResponse, path: Path) -> None:
     """Write a response file, whole or not at all."""
@@ -78,12 +99,9 @@ def write_response(response: ArrayResponse, path: Path) -> None:
         "design": design_to_toml(response.design),
         "recipe": response.cache_key,
         "content_hash": response.content_hash,
-        "mesh_hash": response.mesh_hash,
-        "method": response.method,
-        "error_estimate": response.error_estimate,
-        "residual": response.residual,
-        "unknowns": response.unknowns,
-    } | {f"seconds_{step}": seconds for step, seconds in response.seconds.items()}
+        **{name: getattr(response, name) for name in ATTRIBUTES},
+        **{f"seconds_{step}": seconds for step, seconds in response.seconds.items()},
+    }
     variables = {"influence_mm_per_n": Named(INFLUENCE_DIMS, response.influence_mm_per_n, {"units": "mm/N"})}
     if response.conducted is not None:
         labels["pillar"] = list(layout.pillar_names)
@@ -104,17 +122,13 @@ def read_response(path: Path) -> ArrayResponse:
             design=design_from_toml(data.attrs["design"], f"{path}, attribute 'design'"),
             influence_mm_per_n=data.data_vars["influence_mm_per_n"].values,
             conducted=_conducted(data, path),
-            residual=float(data.attrs["residual"]),
-            unknowns=int(data.attrs["unknowns"]),
-            mesh_hash=data.attrs["mesh_hash"],
-            method=data.attrs["method"],
-            error_estimate=float(data.attrs["error_estimate"]),
             seconds={
                 key.removeprefix("seconds_"): float(value)
                 for key, value in data.attrs.items()
                 if key.startswith("seconds_")
             },
             cache_key=str(data.attrs["recipe"]),
+            **{name: made(data.attrs[name]) for name, made in ATTRIBUTES.items()},
         )
         intact = response.content_hash == data.attrs["content_hash"]
     except KeyError as error:

@@ -18,10 +18,18 @@ from common.errors import DesignError
 from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CondensedCell, PortModes, condense
-from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import cell_lines, cell_mirrors, functionals, grid_system, pad_plate, quadrature_lines
+from fem.array.coupled_cells import CoupledArray, TruncatedArray
+from fem.array.design_cell import (
+    PADS,
+    cell_lines,
+    cell_mirrors,
+    electrode_means,
+    functionals,
+    grid_system,
+    pad_plate,
+    quadrature_lines,
+)
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
-from fem.array.substructured import MATRICES, PADS, electrode_means, expanded, influence_range
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.shares import pillar_shares
@@ -110,15 +118,12 @@ def _derivatives(
 ) -> dict[str, FloatArray]:
     """∂B/∂θ of all parameters but those of `SCALES`, each (rows, cols, n_upper, 3, rows, cols, 3)."""
     nominal, changes = cell_changes(design, deviations, progress)
-    radius = influence_range(design, TRUNCATION)
-    rows, cols = (min(count, 2 * radius + 1) for count in (design.array.rows, design.array.cols))
+    array = TruncatedArray.of(design, TRUNCATION)
+    rows, cols = array.smaller
     progress(f"coupling {rows} × {cols}")
     found, _ = CoupledArray(nominal, rows, cols).derivatives(list(changes.values()), PADS, electrode_means(design))
-    shape = (rows, cols, -1, 3, rows, cols, 3)
-    return {
-        name: expanded(du.reshape(shape), design.array.rows, design.array.cols, radius)
-        for name, du in zip(changes, found, strict=True)
-    }
+    blocks = found.reshape(len(found), rows, cols, -1, 3, rows, cols, 3)
+    return {name: array.expanded(du) for name, du in zip(changes, blocks, strict=True)}
 
 
 def cell_changes(
@@ -162,7 +167,9 @@ def _sides(design: SensorDesign, name: str, step: float) -> list[tuple[SensorDes
 def _slope(one: tuple[CondensedCell, float], other: tuple[CondensedCell, float]) -> Change:
     (plus, above), (minus, below) = one, other
     width = above - below
-    dS, dL, dC = ((getattr(plus, name) - getattr(minus, name)) / width for name in MATRICES)
+    dS, dL, dC = (
+        (getattr(plus, name) - getattr(minus, name)) / width for name in ("stiffness", "transfer", "compliance")
+    )
     return dS, dL, dC
 
 

@@ -6,20 +6,27 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
+import numpy as np
+
 from common.errors import DesignError
-from common.storage.cache import kept
+from common.storage.cache import kept, kept_value
 from common.storage.files import digest
 from fem.array.closed_forms import layer_response
+from fem.array.coupled_cells import CoupledArray, Kinds, TruncatedArray
+from fem.array.design_cell import MAX_TESTED, PADS, DesignCell, RefinedCell, electrode_means
 from fem.array.response import ArrayResponse, read_response, write_response
-from fem.array.substructured import response_by_cells, usual_tolerance
-from geometry.design import Electrics, SensorDesign, bent
+from geometry.design import Electrics, SensorDesign, bent, lone_unit
+from geometry.layout import FloatArray
 
 VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
+CELL_VERSION = 7  #: the same of refined cells
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
     "layer": "closed form of an endless layer on a rigid base: exact but for rims and pillars of another rubber",
 }
+USUAL_TOLERANCES = 1e-3, 1e-2  #: on grids, on tetrahedra
+TRUNCATION = 0.1  #: fraction of the tolerance: influence smaller than this, relative to a pad's own, is left out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +44,7 @@ class ResponseSettings:
 
     def suited(self, design: SensorDesign) -> "ResponseSettings":
         """The same with the tolerance that the method will use: closed forms have none."""
-        usual = usual_tolerance(design, self.method == "tetrahedra")
+        usual = USUAL_TOLERANCES[self.method == "tetrahedra" or not design.is_homogeneous]
         return replace(self, tolerance=None if self.method == "layer" else self.tolerance or usual)
 
 
@@ -57,10 +64,10 @@ def array_response(
     cache_key = response_cache_key(design, settings)
 
     def make() -> ArrayResponse:
-        return replace(solve_response(_body(design), settings, progress, cached=True), cache_key=cache_key)
+        return replace(solve_response(design.body, settings, progress, cached=True), cache_key=cache_key)
 
     response, path, reused = kept("response.nc", cache_key, make, read_response, write_response)
-    return _of_design(response, design), path, reused
+    return response.of_design(design), path, reused
 
 
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
@@ -80,8 +87,6 @@ def solve_response(
     With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
     arrays of another size are made of the cell.
     """
-    if design.unit.body is not design.unit:
-        return _of_design(solve_response(_body(design), settings, progress, cached), design)
     settings, model = (settings or ResponseSettings()).suited(design), design.matrix_material.model
     if model != "linear":
         raise DesignError(
@@ -95,29 +100,129 @@ def solve_response(
         )
     if settings.method == "layer" and design.pad.kind == "stiff":
         raise DesignError("method 'layer' spreads loads evenly: stiff pads need 'cells', the default.")
+    body = design.body
     if design.electrics.is_conduction:
         from fem.array.conducted import conducted_pillars
 
-        plain = replace(design, electrics=Electrics())
+        plain = replace(body, electrics=Electrics())
         solve = (lambda *asked: array_response(*asked)[0]) if cached else solve_response
         moved, start = solve(plain, settings, progress), perf_counter()
-        conducted = conducted_pillars(design, moved.influence_mm_per_n, progress)
+        conducted = conducted_pillars(body, moved.influence_mm_per_n, progress)
         seconds = moved.seconds | {"conduct": perf_counter() - start}
-        return replace(moved, design=design, conducted=conducted, seconds=seconds)
-    if settings.tolerance is None:
-        return layer_response(design)
-    return response_by_cells(design, settings.tolerance, progress, cached, settings.method == "tetrahedra")
+        response = replace(moved, conducted=conducted, seconds=seconds)
+    elif settings.tolerance is None:
+        response = layer_response(body)
+    else:
+        response = _by_cells(body, settings.tolerance, progress, cached, settings.method == "tetrahedra")
+    return response.of_design(design)
 
 
-def _body(design: SensorDesign) -> SensorDesign:
-    """The same without reference pillars."""
-    return replace(design, unit=design.unit.body)
+def _by_cells(
+    design: SensorDesign, tolerance: float, progress: Callable[[str], None], cached: bool, from_cad: bool
+) -> ArrayResponse:
+    """Influence of every pad on every electrode, from one condensed cell, perhaps meshed from its CAD solids.
+
+    A large array is put together from one of 2m + 1 units a side, m the range in pitches beyond which influence is
+    below `TRUNCATION` of the tolerance: units farther than m from every rim answer alike.
+    """
+    array = TruncatedArray.of(design, TRUNCATION * tolerance)
+    rows, cols = array.smaller
+    refined = refined_cell(design, tolerance, cached, progress, from_cad)
+    seconds, start = dict.fromkeys(("mesh", "condense", "couple"), 0.0) | refined.seconds, perf_counter()
+    progress(f"coupling {rows} × {cols}")
+    residuals = [refined.residual]
+
+    def influence_of(kinds: Kinds) -> FloatArray:
+        found, misfit = CoupledArray(kinds, rows, cols).influence(PADS, electrode_means(design))
+        residuals.append(misfit)
+        return found
+
+    influence = refined.answered(influence_of).reshape(rows, cols, -1, 3, rows, cols, 3)
+    seconds["couple"] += perf_counter() - start
+    return ArrayResponse(
+        design=design,
+        influence_mm_per_n=array.expanded(influence),
+        error_estimate=refined.error_estimate,
+        residual=max(residuals),
+        unknowns=refined.finest.unknowns,
+        seconds=seconds,
+        method="tetrahedra" if from_cad else "cells",
+        steps=refined.steps,
+    )
 
 
-def _of_design(response: ArrayResponse, design: SensorDesign) -> ArrayResponse:
-    """A body's response as that of a design, which may have reference pillars beside it."""
-    if response.conducted is None:
-        return replace(response, design=design)
-    from fem.array.conducted import with_references
+def cell_cache_key(design: SensorDesign, tolerance: float, from_cad: bool = False) -> str:
+    """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
+    array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
+    cell = replace(bent(design), array=array, electrics=Electrics())
+    return digest("cell", CELL_VERSION, cell, tolerance, *(["CAD"] if from_cad else []))
 
-    return replace(response, design=design, conducted=with_references(response.conducted, design.unit))
+
+def refined_cell(
+    design: SensorDesign,
+    tolerance: float,
+    cached: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
+    from_cad: bool = False,
+) -> RefinedCell:
+    """The refined cell of a design's response; with `cached` from the cache if it is there, and left there.
+
+    A few megabytes spare arrays of the same cell its mesh and its condensation. The error is estimated on an array of
+    at most `MAX_TESTED` rows and columns.
+    """
+    rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
+
+    def influence(cells: Kinds) -> FloatArray:
+        return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
+
+    def make() -> RefinedCell:
+        return DesignCell(design, from_cad=from_cad).refined(tolerance, influence, block_error, progress)[0]
+
+    if not cached:
+        return make()
+    key = cell_cache_key(design, tolerance, from_cad)
+    return kept_value(RefinedCell, "cell.npz", key, make, seconds={})[0]
+
+
+def block_error(influence: FloatArray, reference: FloatArray) -> float:
+    """Largest difference of any unit's block from a reference's, relative to the loaded unit's own block.
+
+    Both have shape (rows, cols, n_observed, rows, cols, n_loads), observed first.
+    """
+    difference = np.linalg.norm(influence - reference, axis=(2, 5))
+    own = np.linalg.norm(np.einsum("ijoijl->ijol", reference), axis=(2, 3))
+    return float((difference / own).max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitCheck:
+    """Difference between the cell of an array's response and a unit solved by `--method tetrahedra`."""
+
+    difference: float  #: of the electrodes' displacements per newton on the pad, relative to the response's own
+    stated: float  #: sum of the errors that both estimate
+    unknowns: int  #: of the unit
+    file: Path  #: the unit's response, if the cache could keep it
+    reused: bool  #: whether it was there already
+
+
+def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda step: None) -> UnitCheck:
+    """Compare the refined cell of a design's response, standing alone, with the unit by `--method tetrahedra`.
+
+    The one is of hexahedra where there is one rubber, the other of CAD solids meshed by pytetwild. `progress` is called
+    with the name of each step as it begins. A `GeometryError` or `SolverError` says that a mesh or an answer cannot be
+    trusted.
+    """
+    unit, path, reused = array_response(lone_unit(design), ResponseSettings(method="tetrahedra"), progress)
+    progress("cell")
+    tolerance = ResponseSettings().suited(design).tolerance
+    assert tolerance is not None  # cells have one
+    refined = refined_cell(design, tolerance, cached=True)
+    alone_mm_per_n = refined.answered(lambda kinds: next(iter(kinds.values())).free_compliance)
+    ours = alone_mm_per_n[electrode_means(design)][:, PADS]
+    return UnitCheck(
+        difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),
+        stated=refined.error_estimate + unit.error_estimate,
+        unknowns=unit.unknowns,
+        file=path,
+        reused=reused,
+    )

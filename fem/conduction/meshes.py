@@ -78,6 +78,9 @@ class Joint:
     axes: FloatArray  #: X, Y and t as rows, (3, 3)
     width_mm: float  #: of both
     polygon: float  #: of round ones, corners of the polygon that is meshed, in terms of the radius; 1 of square ones
+    at_mm: FloatArray  #: middle of the electrode in the unit's frame, (3,)
+    electrode_mm: float  #: side of the electrode
+    height_mm: float  #: of the unit
 
 
 def unit_hexahedra(
@@ -92,11 +95,8 @@ def unit_hexahedra(
     Where a pillar is cut the lines of one half may cross those of the other: the values there follow one polynomial of
     the elements' order, which suits both.
     """
-    layout, centres, joints = unit.layout, electrode_centres(unit), _joints(unit, round_across)
-    parts = [
-        at + _swept(unit, joint, levels, strained, round_across) @ joint.axes
-        for at, joint in zip(centres, joints, strict=True)
-    ]
+    layout, joints = unit.layout, _joints(unit, round_across)
+    parts = [joint.at_mm + _swept(joint, levels, strained, round_across) @ joint.axes for joint in joints]
     basis = joined(parts, order)
     nodes, part = basis.doflocs.T, np.empty(basis.N, dtype=np.int64)
     part[basis.element_dofs] = np.repeat(np.arange(len(parts)), [len(each) for each in parts])
@@ -110,7 +110,7 @@ def unit_hexahedra(
         return found, np.clip((nodes[found] - middle)[:, :2] / (joint.polygon * half_mm), -1.0, 1.0)
 
     e = np.full(2, unit.electrode_mm / 2)
-    terminals = [within([k], at, e, joint)[0] for k, (at, joint) in enumerate(zip(centres, joints, strict=True))]
+    terminals = [within([k], joint.at_mm, e, joint)[0] for k, joint in enumerate(joints)]
     cuts = zip(layout.pillar_terminals, pillar_ends(unit).mean(axis=1), pillar_sections(unit) / 2, strict=True)
     constraint = _constraint(basis, [within(own, at, half, joints[own[0]]) for own, at, half in cuts])
     return Hexahedra(basis, terminals, layout.pillar_terminals, constraint)
@@ -142,7 +142,7 @@ def _constraint(basis: Basis, cuts: list[tuple[IntArray, FloatArray]]) -> sp.csr
 
 def _joints(unit: Unit, round_across: int) -> list[Joint]:
     """What lies about each electrode; refusals as of `unit_hexahedra`."""
-    layout, ends, joints = unit.layout, pillar_ends(unit)[..., :2], []
+    layout, ends, centres, joints = unit.layout, pillar_ends(unit)[..., :2], electrode_centres(unit), []
     if (turned := leans_both_ways(unit)).any():
         names = [name for name, is_turned in zip(layout.pillar_names, turned, strict=True) if is_turned]
         raise DesignError(
@@ -176,6 +176,9 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
                 axes=axes,
                 width_mm=width,
                 polygon=_corner_ratio(round_across) if is_round else 1.0,
+                at_mm=centres[number],
+                electrode_mm=unit.electrode_mm,
+                height_mm=unit.height_mm,
             )
         )
     # an oblique pillar must part from an upright one above the middle of its height, and touch no other
@@ -197,32 +200,32 @@ def _corner_ratio(across: int) -> float:
     return math.sqrt(math.pi / (across * math.sin(math.pi / across)))
 
 
-def _swept(unit: Unit, joint: Joint, levels: int, strained: bool, round_across: int) -> FloatArray:
+def _swept(joint: Joint, levels: int, strained: bool, round_across: int) -> FloatArray:
     """A joint's figure swept across: corners by X, Y and t, (n, 2, 2, 2, 3)."""
-    half, e = joint.polygon * joint.width_mm / 2, joint.polygon * unit.electrode_mm / 2
+    half, e = joint.polygon * joint.width_mm / 2, joint.polygon * joint.electrode_mm / 2
     if joint.polygon > 1:
         across = half * np.sin(np.linspace(-np.pi / 2, np.pi / 2, round_across + 1))
     else:
         across = _across(half, e, max(levels - 2, 0), strained)
     if not joint.run_mm:
-        columns, end = _across(half, e, levels, strained), unit.height_mm / 2
+        columns, end = _across(half, e, levels, strained), joint.height_mm / 2
         depth = _between(0.0, end, half, levels if e < half * (1 - 1e-6) else 0, longest=LONGEST * 2 * half)
         quads = _cells(np.broadcast_to(columns, (len(depth), len(columns))), depth)
     else:
-        quads = _figure(unit, levels, joint.upright, joint.run_mm, half, e)
+        quads = _figure(joint, levels, half, e)
     corners = np.empty((len(quads), len(across) - 1, 2, 2, 2, 3))
     corners[..., 0], corners[..., 2] = quads[:, None, :, None, :, 0], quads[:, None, :, None, :, 1]
     corners[..., 1] = np.column_stack([across[:-1], across[1:]])[None, :, None, :, None]
     if joint.polygon > 1:
-        corners = _rounded(corners, unit, joint, half)
+        corners = _rounded(corners, joint, half)
     return corners.reshape(-1, 2, 2, 2, 3)
 
 
-def _rounded(corners: FloatArray, unit: Unit, joint: Joint, half: float) -> FloatArray:
+def _rounded(corners: FloatArray, joint: Joint, half: float) -> FloatArray:
     """The same corners of a figure swept across round pillars: at Y it is smaller by the half chord over half."""
     X, Y, t = np.moveaxis(corners, -1, 0)
     size = np.sqrt(np.maximum(1 - (Y / half) ** 2, 0.0))
-    run, h, depth, moved = joint.run_mm, unit.height_mm, t, size * X
+    run, h, depth, moved = joint.run_mm, joint.height_mm, t, size * X
     if run:
         is_oblique = np.ones(len(corners), dtype=bool)
         if joint.upright:
@@ -263,15 +266,15 @@ def _between(
     return start + np.concatenate(filled)
 
 
-def _figure(unit: Unit, levels: int, upright: bool, run: float, half: float, e: float) -> FloatArray:
+def _figure(joint: Joint, levels: int, half: float, e: float) -> FloatArray:
     """Quadrilaterals of the pillars at an electrode, (n, 2, 2, 2): corners by X and t, then X and t."""
-    h, w = unit.height_mm, 2 * half
+    run, h, w = joint.run_mm, joint.height_mm, 2 * half
     a, b, c = run / h, w * np.hypot(run, h) / h / 2, w / 2
     is_rimmed = e < b * (1 - 1e-6)
     rimmed = levels if is_rimmed else 0
     lines = partial(_between, scale=w / 2)
     down = partial(lines, longest=LONGEST * w)
-    if not upright:
+    if not joint.upright:
         columns = _across(b, e, levels, False) if is_rimmed else lines(-b, b, at_end=levels)
         depth = down(0.0, h / 2, at_start=levels)
         return _cells(a * depth[:, None] + columns, depth)

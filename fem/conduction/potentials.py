@@ -155,6 +155,42 @@ def pillars_per_mm(matrix_mm: FloatArray, pairs: Sequence[tuple[int, int]]) -> F
     return np.asarray(-1 / matrix_mm[..., one, other])
 
 
+@dataclass(frozen=True, eq=False)
+class UnitConductors:
+    """A unit's pillars on a coarser and on a finer mesh, from whose answers the limit is extrapolated."""
+
+    coarse: Conductor
+    fine: Conductor
+    accuracy: Accuracy
+
+    def extrapolated(self, coarse: FloatArray, fine: FloatArray) -> FloatArray:
+        """The limit of the answers on both meshes."""
+        return fine + self.accuracy.beyond * (fine - coarse)
+
+    def conductances(
+        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+    ) -> Conductances:
+        """Conductances at rest or deformed; parameters as of `unit_conductances`."""
+        coarse, fine = (one.conductances(deformation, piezoresistivity) for one in (self.coarse, self.fine))
+        pairs = self.fine.mesh.pairs
+        change = np.abs(pillars_per_mm(coarse, pairs) / pillars_per_mm(fine, pairs) - 1)
+        matrix_mm = self.extrapolated(coarse, fine)
+        return Conductances(matrix_mm=matrix_mm, error_estimate=self.accuracy.left * change, pairs=pairs)
+
+
+@cache
+def unit_conductors(unit: Unit, strained: bool = False) -> UnitConductors:
+    """The pillars of a unit without references on the meshes that they need."""
+    if any(one.is_round for one in unit.layout.pillars):
+        accuracy = ROUND
+    elif unit.electrode_mm < max(pillar_widths(unit)):
+        accuracy = NARROW
+    else:
+        accuracy = STRAINED if strained else AT_REST
+    coarse, fine = (Conductor(unit_hexahedra(unit, *mesh)) for mesh in (accuracy.coarse, accuracy.fine))
+    return UnitConductors(coarse, fine, accuracy)
+
+
 def unit_conductances(
     unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
 ) -> Conductances:
@@ -163,30 +199,7 @@ def unit_conductances(
     `deformation` takes points (n, 3) at rest in the unit's frame [mm] to ∂x/∂X (n, 3, 3); default: at rest. A
     `DesignError` as of `unit_hexahedra`, and if a pillar is deformed inside out.
     """
-    unit = unit.body
-    conductors, pairs = unit_conductors(unit, strained=deformation is not None), unit.layout.pillar_terminals
-    coarse, fine = (conductor.conductances(deformation, piezoresistivity) for conductor in conductors)
-    accuracy = unit_accuracy(unit)
-    change = np.abs(pillars_per_mm(coarse, pairs) / pillars_per_mm(fine, pairs) - 1)
-    return Conductances(
-        matrix_mm=fine + accuracy.beyond * (fine - coarse), error_estimate=accuracy.left * change, pairs=pairs
-    )
-
-
-def unit_accuracy(unit: Unit, strained: bool = False) -> Accuracy:
-    """What a unit's pillars need."""
-    if any(one.is_round for one in unit.layout.pillars):
-        return ROUND
-    if unit.electrode_mm < max(pillar_widths(unit)):
-        return NARROW
-    return STRAINED if strained else AT_REST
-
-
-@cache
-def unit_conductors(unit: Unit, strained: bool = False) -> tuple[Conductor, Conductor]:
-    """The pillars of a unit on the coarser and on the finer mesh."""
-    accuracy = unit_accuracy(unit, strained)
-    return Conductor(unit_hexahedra(unit, *accuracy.coarse)), Conductor(unit_hexahedra(unit, *accuracy.fine))
+    return unit_conductors(unit.body, strained=deformation is not None).conductances(deformation, piezoresistivity)
 
 
 def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:

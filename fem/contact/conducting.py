@@ -8,7 +8,7 @@ import numpy as np
 from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.conducted import USUAL, conducted_by_loads
-from fem.array.meshed import design_interior, pad_plate
+from fem.array.design_cell import DesignCell
 from fem.array.response import ConductedPillars
 from fem.contact.tiles import cell_rectangles, cell_strips, tiles_per_pitch
 from geometry.design import SensorDesign
@@ -34,7 +34,7 @@ def conducted_by_tiles(
     usual = np.outer(np.where(np.outer(plate, plate), 1.0, BETWEEN), USUAL).ravel()
 
     def make() -> ConductedPillars:
-        interior = design_interior(design, cell_rectangles(design), pad_plate(design), progress)
+        interior = DesignCell(design, cell_rectangles(design)).interior(progress)
         accurate = on_electrodes.reshape(*on_electrodes.shape[:5], rows, tiles, cols, tiles)
         accurate = accurate.transpose(0, 1, 2, 3, 5, 7, 6, 8, 4).reshape(rows * cols, -1, 3, rows * cols * n_loads)
         exact = accurate.astype(np.float64)

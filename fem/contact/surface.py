@@ -26,18 +26,16 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
-from fem.array.conducted import with_references
 from fem.array.coupled_cells import CoupledArray, endless_influence
-from fem.array.meshed import (
+from fem.array.design_cell import (
+    COMPARED_DEGREE,
     GRID_DEGREE,
     GRID_LEVEL,
     MESH_DEGREE,
     MESH_LEVEL,
     DesignCell,
-    pad_plate,
 )
 from fem.array.response import ConductedPillars
-from fem.array.substructured import COMPARED_DEGREE
 from fem.contact.conducting import conducted_by_tiles
 from fem.contact.tiles import (
     MIN_TILES,
@@ -124,7 +122,7 @@ def surface_compliance(
     if design.electrics.is_conduction:
         moved, path, had = surface_compliance(replace(design, electrics=Electrics()), progress)
         conducted, key, reused = conducted_by_tiles(plain, moved.on_electrodes, progress)
-        made = replace(moved, design=design, conducted=with_references(conducted, design.unit), cache_key=key)
+        made = replace(moved, design=design, conducted=conducted.with_references(design.unit), cache_key=key)
         return made, path, had and reused
     cache_key = digest("surface", VERSION, plain)
 
@@ -179,13 +177,13 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
     ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
     progress("cells")
-    source = DesignCell(design, cell_rectangles(design), pad_plate(design))
+    source = DesignCell(design, cell_rectangles(design))
     own = plain = own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
         matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), [design.matrix_material])
         plain = CellSides.of(System(matrix), source.rectangles).cell(MESH_DEGREE)
     elif source.plate is not None:
-        plain = _extrapolated(DesignCell(design, source.rectangles))
+        plain = _extrapolated(DesignCell(design, source.rectangles, has_plate=False))
     progress(f"coupling {rows} × {cols}")
     moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))

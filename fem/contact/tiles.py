@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.array.meshed import lone_unit
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, lone_unit
 from geometry.layout import FloatArray, electrode_squares
 
 TILES_PER_HEIGHT = 4.0

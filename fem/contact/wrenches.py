@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import DesignCell, pad_plate
+from fem.array.design_cell import DesignCell, pad_plate
 from fem.array.response import ConductedPillars
 from fem.contact.surface import own_cell, require_pressable, surface_compliance
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch
@@ -41,7 +41,7 @@ def moved_by_wrenches(
             bears = np.flatnonzero(on_tiles.any(axis=1))
             idle = np.setdiff1d(np.arange(tiles**2), bears // 3)
             squares, on_tiles = np.delete(squares, idle, axis=0), on_tiles[bears]
-        cell = own_cell(DesignCell(design, squares, pad_plate(design)))
+        cell = own_cell(DesignCell(design, squares))
         n_seen = cell.transfer.shape[1] - len(on_tiles)
         taken = np.zeros((cell.transfer.shape[1], N_LOADS + n_seen))
         taken[: len(on_tiles), :N_LOADS], taken[len(on_tiles) :, N_LOADS:] = on_tiles, np.eye(n_seen)

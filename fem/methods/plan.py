@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fem.kernel.mirrors import Mirror, flipped_points, flipped_rectangles
-from fem.scene.on_cells import has_alike_plates
+from fem.methods.cell_scene import has_alike_plates
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
 from geometry.layout import AXES, FloatArray

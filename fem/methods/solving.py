@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from fem.methods.cell_scene import solve_by_cells
 from fem.methods.plan import Plan, make_plan
 from fem.scene.scene import Pillar, Scene
-from fem.scene.solution import Solution, Stopwatch
+from fem.scene.solution import FiniteSolution, Solution, Stopwatch
 
 LARGE_SHARE = 0.2  #: of a body's least extent: a probe that moves farther has left linear elasticity
 
@@ -39,16 +40,29 @@ def follow(plan: Plan, scene: Scene, field: bool = False) -> Solution:
 
         return solve_finite(scene, plan.mirrors, field)
     if plan.method == "cells":
-        from fem.methods.cell_scene import solve_by_cells
-
         return solve_by_cells(scene)
     if plan.method in ("tetrahedra", "finite on tetrahedra"):
-        from fem.methods.on_tetrahedra import solve_on_tetrahedra
-
-        return solve_on_tetrahedra(scene, plan, field)
+        return _on_tetrahedra(scene, plan, field)
     from fem.methods.box_refinement import solve_on_boxes
 
     return solve_on_boxes(scene, plan, field)
+
+
+def _on_tetrahedra(scene: Scene, plan: Plan, with_field: bool) -> Solution:
+    """Solve a scene on tetrahedra, the plan's prisms as regions of their own, as `solve_adaptively`."""
+    from fem.methods.adaptive import solve_adaptively
+    from fem.scene.tetrahedra import AdaptedTetrahedra
+
+    watch = Stopwatch()
+    mesh = AdaptedTetrahedra(scene, plan.regions)
+    steps = [f"{mesh} {'from the cache' if mesh.is_kept else 'by the mesher'}"]
+    watch.spent("mesh")
+    found, last = solve_adaptively(scene, mesh, watch, steps, with_field), mesh.equilibrium
+    if last is None:
+        return found
+    told = {name: getattr(last, name) for name in ("work_mj", "least_j", "iterations")}
+    unchecked = () if last.is_stable else ("stability not checked",)
+    return FiniteSolution(**vars(found) | told | {"load_steps": last.steps, "steps": found.steps + unchecked})
 
 
 def beyond_linear(scene: Scene, solution: Solution) -> str:

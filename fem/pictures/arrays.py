@@ -14,12 +14,12 @@ import numpy as np
 
 from common.errors import DesignError, SceneError
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import CellInterior, design_interior, lone_unit, pad_plate
+from fem.array.design_cell import CellInterior, DesignCell
 from fem.kernel.field import Field
 from fem.kernel.loads import FollowerLoad, Load, StiffLoad
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Probe, Scene, Sensor
-from geometry.design import SensorDesign
+from geometry.design import SensorDesign, lone_unit
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
 
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
@@ -134,12 +134,12 @@ def solve_array_field(
     limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
     rectangles = pad_squares(lone_unit(design)) if rectangles_mm is None else rectangles_mm
-    plate = pad_plate(design) if rectangles_mm is None else None
-    interior = design_interior(design, rectangles, plate, progress)
+    cell = DesignCell(design, rectangles)
+    interior = cell.interior(progress)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(
-        design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=plate is not None
+        design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=cell.plate is not None
     )
 
 

@@ -14,7 +14,7 @@ from skfem.refdom import RefHex
 from vtkmodules.vtkCommonDataModel import vtkQuadraticTetra, vtkTriQuadraticHexahedron
 
 from common.storage.files import vtk_content, write_bytes
-from fem.array.meshed import cell_lines, lone_unit
+from fem.array.design_cell import cell_lines
 from fem.kernel.elements import hexahedra
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.field import Field, same_places, unfolded
@@ -24,12 +24,12 @@ from fem.kernel.reference import tabulated
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.meshes.grid import Grid
+from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
-from fem.scene.on_cells import design_of_cells, forces_on_cells
 from fem.scene.scene import Scene, Sensor, regions_at
-from geometry.design import Unit
+from geometry.design import Unit, lone_unit
 from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
 from geometry.prism import Prism, unit_prisms
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from common.errors import SceneError
 from common.quantity import is_finite, quantity
 from fem.kernel.loads import LIMITS_MM, Checked, DeadLoad, Load, Rectangle, StiffLoad, rectangle_of
-from geometry.design import Material, SensorDesign
+from geometry.design import Material, SensorDesign, lone_unit
 from geometry.layout import FloatArray
 from geometry.prism import Pair, Prism, Triple, pillar_prisms, prisms_at, slab_prism
 
@@ -94,8 +94,7 @@ class Sensor:
         if self.kind not in ("unit", "array"):
             raise SceneError(f"kind={reprlib.repr(self.kind)} must be 'unit' or 'array'.")
         if self.kind == "unit":
-            alone = replace(self.design, array=replace(self.design.array, rows=1, cols=1))
-            object.__setattr__(self, "design", alone)
+            object.__setattr__(self, "design", lone_unit(self.design))
 
     @property
     def outline(self) -> Prism:

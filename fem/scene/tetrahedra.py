@@ -21,6 +21,7 @@ from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import checked_solve
 from fem.kernel.field import Field, rows_at
 from fem.kernel.loads import FollowerLoad, at_rest
+from fem.kernel.newton import Equilibrium, find_equilibrium
 from fem.kernel.reference import IntArray, tabulated
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
@@ -59,8 +60,11 @@ class AdaptedTetrahedra:
     """A scene on Taylor-Hood tetrahedra; `regions` are those that need one of their own.
 
     `rectangles` (k, 4) of the top face are to be resolved beside those of loads and probes. The coarse mesh is
-    `mesh_scene`'s unless another is given.
+    `mesh_scene`'s unless another is given. At finite strain it is refined where the answer at small strain errs: the
+    sum of that one's indicators is what the errors are taken to be proportional to.
     """
+
+    equilibrium: Equilibrium | None = None  #: on the last mesh, at finite strain
 
     def __init__(
         self,
@@ -145,11 +149,17 @@ class AdaptedTetrahedra:
         ]
         watch.spent("assemble")
         indicators = np.sqrt(of_answer * of_duals).sum(axis=0)
+        energy_mj, residual = 0.5 * float(forces[:, 0] @ x[:, 0]), max(residual, dual_residual)
+        if not scene.is_linear:
+            self.equilibrium = found = find_equilibrium(System(body, scene.loads))
+            watch.spent("solve")
+            u, energy_mj, residual = found.state.u, found.stored_mj, found.residual
+            probes = np.asarray(rows @ u)
         self.history.append((float(indicators.sum()), probes))
         return MeshAnswer(
             probes=probes,
-            energy_mj=0.5 * float(forces[:, 0] @ x[:, 0]),
-            residual=max(residual, dual_residual),
+            energy_mj=energy_mj,
+            residual=residual,
             unknowns=matrix.shape[0],
             indicators=indicators,
             field=lambda: Field(places=Tetrahedra(body.basis.mesh), body=body, displacement_mm=u),

@@ -40,7 +40,7 @@ ALONE = """
 import sys, time
 from dataclasses import replace
 from pathlib import Path
-import fem.methods.box_refinement, fem.methods.cell_scene, fem.methods.on_tetrahedra
+import fem.array.design_cell, fem.methods.box_refinement, fem.scene.tetrahedra
 from fem.kernel.factor import Factor
 from fem.methods.solving import solve_scene
 from fem.scene.scene_file import read_scene

@@ -10,9 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from fem.array.closed_forms import mean_compliance
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import DesignCell, lone_unit
+from fem.array.design_cell import PADS, DesignCell
 from fem.array.solving import ResponseSettings, solve_response
-from fem.array.substructured import PADS
 from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.loads import FollowerLoad
@@ -21,7 +20,7 @@ from fem.kernel.system import System
 from fem.methods.solving import solve_scene
 from fem.scene.scene import Block, Inclusion, Pair, Pillar, Scene, Triple
 from fem.scene.solution import Solution, largest_error
-from geometry.design import Array, Material, Pad, SensorDesign, Unit
+from geometry.design import Array, Material, Pad, SensorDesign, Unit, lone_unit
 from geometry.layout import AXES, FloatArray, pad_squares
 from geometry.mesh import TetMesh, smallest_dihedral_deg
 from studies.bench.savings import solved_without

@@ -30,9 +30,9 @@ OTHERWISE = {
 }
 #: for time, too: a coarse cell, a coarse field and small pictures; how well they are solved is not on trial
 COARSE = {
-    "array.substructured.GRID_STAGES": {"soft": ((1, 2, 6),) * 3},
-    "array.meshed.GRID_LEVEL": 1,
-    "array.meshed.GRID_DEGREE": 4,
+    "array.design_cell.GRID_STAGES": {"soft": ((1, 2, 6),) * 3},
+    "array.design_cell.GRID_LEVEL": 1,
+    "array.design_cell.GRID_DEGREE": 4,
     "pictures.deformation.HIGH_PX": 440,
 }
 MADE = {

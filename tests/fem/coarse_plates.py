@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor
+from fem.conduction.potentials import AT_REST, Conductor, UnitConductors
 from fem.contact import SurfaceCompliance
 from fem.contact import surface as surface_module
 from fem.contact.conducting import conducted_by_tiles
@@ -22,10 +22,10 @@ def coarse(design: SensorDesign, level: int, degree: int) -> Iterator[None]:
     conductor = Conductor(unit_hexahedra(design.unit, 2, 1)) if design.electrics.is_conduction else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(level, degree))
-        patch.setattr("fem.array.meshed.GRID_LEVEL", level)
-        patch.setattr("fem.array.meshed.GRID_DEGREE", degree)
+        patch.setattr("fem.array.design_cell.GRID_LEVEL", level)
+        patch.setattr("fem.array.design_cell.GRID_DEGREE", degree)
         for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-            patch.setattr(name, lambda unit, strained=False: (conductor, conductor))
+            patch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
         patch.setattr("fem.contact.conducting.kept_value", lambda hint, kind, key, make: (make(), None, False))
         yield
 

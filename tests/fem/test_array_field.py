@@ -7,7 +7,7 @@ import pytest
 
 from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import DesignCell, functionals
+from fem.array.design_cell import DesignCell
 from fem.array.solving import array_response
 from fem.pictures.arrays import solve_array_field
 from geometry.design import Array, Material, SensorDesign, Unit
@@ -73,13 +73,13 @@ def test_every_section_carries_the_whole_load(field, state):
 def test_pillars_of_another_rubber_are_seen(shared_cache, monkeypatch):
     """One unit with hard pillars: exact means of the electrodes on the same mesh, and stress on each side of a wall."""
     monkeypatch.setattr("fem.meshes.tetrahedra.EDGES_ACROSS", 1.5)  # coarse: both routes take the same mesh
-    monkeypatch.setattr("fem.array.meshed.MESH_LEVEL", 0)
-    monkeypatch.setattr("fem.array.meshed.MESH_DEGREE", 2)
+    monkeypatch.setattr("fem.array.design_cell.MESH_LEVEL", 0)
+    monkeypatch.setattr("fem.array.design_cell.MESH_DEGREE", 2)
     alone, hard = Array(rows=1, cols=1), Material(young_mpa=12.0, poisson=0.45)
     design = replace(DESIGN, array=alone, unit=Unit(pillar_width_mm=3.0, layout=UPRIGHT), pillar_material=hard)
     field = solve_array_field(design)
     state = field.state(np.array([[0.1, 0.0, -1.0]]))
-    cell = DesignCell(design, functionals(design)).condensed(0, 2)
+    cell = DesignCell(design).condensed(0, 2)
     influence, _ = CoupledArray(cell, 1, 1).influence(range(3), range(3, 6))
     expected = (influence[0, 0, :, 0, 0] @ state.force_n[0]).reshape(1, 3)
     for number, centre in enumerate(upper_electrodes(design.unit)):

@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 
 from common.errors import DesignError
-from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import DesignCell, functionals, pad_plate
-from fem.array.solving import ResponseSettings, array_response, response_cache_key, solve_response
-from fem.array.substructured import block_error, cells_of_stage, expanded, influence_range
-from fem.array.unit_check import check_unit
+from fem.array.closed_forms import influence_range
+from fem.array.coupled_cells import CoupledArray, TruncatedArray
+from fem.array.design_cell import DesignCell
+from fem.array.solving import (
+    ResponseSettings,
+    array_response,
+    block_error,
+    check_unit,
+    response_cache_key,
+    solve_response,
+)
 from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
 from studies import bench
 
@@ -67,14 +73,12 @@ def test_estimates_cover_errors_over_designs(pitch_mm, poisson, changes, shared_
     def answer(cells):
         return CoupledArray(cells, 2, 2).influence(range(3), range(3, 9))[0]
 
-    source = DesignCell(design, functionals(design), pad_plate(design))
+    source = DesignCell(design)
     stages = ((1, 2, 6), (2, 3, 7)) if design.is_homogeneous else ((0, 1, 5), (0, 2, 7))
-    (_, coarse, of_coarse), (_, fine, of_fine) = (
-        cells_of_stage(source, stage, answer, block_error) for stage in stages
-    )
-    error, estimate = block_error(coarse, fine), sum(of_coarse)
+    (first, coarse), (second, fine) = (source.at_stage(stage, answer, block_error) for stage in stages)
+    error, estimate = block_error(coarse, fine), first.error_estimate
     assert error < estimate < 10 * error
-    assert sum(of_fine) < estimate
+    assert second.error_estimate < estimate
 
 
 def test_the_usual_response_is_as_accurate_as_it_says(shared_cache):
@@ -93,7 +97,7 @@ def test_far_units_are_put_together_from_fewer(monkeypatch, shared_cache):
     """A row of 12 from one of 2·4 + 1: what is left out and what is taken from the middle is below 1 % of 2e-2."""
     design = SensorDesign(array=Array(rows=1, cols=12))
     near = solve_response(design, ResponseSettings(tolerance=2e-2))
-    monkeypatch.setattr("fem.array.substructured.TRUNCATION", 0.0)
+    monkeypatch.setattr("fem.array.solving.TRUNCATION", 0.0)
     all_of_it = solve_response(design, ResponseSettings(tolerance=2e-2))
     monkeypatch.undo()
     assert influence_range(design, 2e-3) < 6
@@ -105,7 +109,7 @@ def test_far_units_are_put_together_from_fewer(monkeypatch, shared_cache):
 def test_unrolling_keeps_offsets_and_rims():
     """At the first corner, the last, in the middle; nothing beyond the radius."""
     small = np.random.default_rng(0).normal(size=(5, 5, 2, 3, 5, 5, 3))
-    whole = expanded(small, 8, 8, radius=2)
+    whole = TruncatedArray(8, 8, radius=2).expanded(small)
     for (i, j, k, m), (a, b, c, d) in {
         (0, 1, 1, 0): (0, 1, 1, 0), (7, 6, 6, 7): (4, 3, 3, 4), (5, 3, 4, 4): (3, 1, 2, 2),
     }.items():  # fmt: skip
@@ -145,8 +149,7 @@ def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, shared_cache):
 
 def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(shared_cache, monkeypatch):
     """Both coarse, apart by less than they estimate together; found again at once."""
-    monkeypatch.setattr("fem.array.unit_check.usual_tolerance", lambda design: 0.1)
-    monkeypatch.setattr("fem.array.solving.usual_tolerance", lambda design, from_cad: 0.1)
+    monkeypatch.setattr("fem.array.solving.USUAL_TOLERANCES", (0.1, 0.1))
     unit = check_unit(UNIT)
     assert 1e-4 < unit.difference < unit.stated < 0.05
     assert check_unit(UNIT) == replace(unit, reused=True)

@@ -7,7 +7,7 @@ import pytest
 
 from fem.array.cell import CellSides, PortModes, condense
 from fem.array.coupled_cells import CoupledArray, places
-from fem.array.meshed import grid_system
+from fem.array.design_cell import grid_system
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.mirrors import QUARTER
 from fem.meshes.grid import mirrored

@@ -9,14 +9,13 @@ import pytest
 
 from dataset.resistance import rest_resistances
 from fem.array.closed_forms import layer_response
-from fem.array.conducted import with_references
 from fem.array.coupled_cells import CoupledArray
-from fem.array.meshed import DesignCell, functionals, pad_plate
+from fem.array.design_cell import DesignCell
 from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, pillars_per_mm, unit_conductances
+from fem.conduction.potentials import AT_REST, Conductor, UnitConductors, pillars_per_mm, unit_conductances
 from fem.contact.surface import Patch, PatchCompliance, endless_surface
 from fem.finite.samples import SampleSolver
 from fem.kernel.factor import Factor, checked_solve
@@ -54,19 +53,19 @@ def conduct_coarsely(unit, monkeypatch):
     """Let one coarse mesh of a unit serve as all of its meshes."""
     conductor = Conductor(unit_hexahedra(unit, 2, 1))
     for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-        monkeypatch.setattr(name, lambda unit, strained=False: (conductor, conductor))
+        monkeypatch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
 
 
 def test_conduction_has_every_pillar_and_a_file_keeps_a_layout_of_one_s_own(tmp_path, monkeypatch, shared_cache):
     """On coarse meshes; references read as eq. 1 has them, whatever the loads."""
-    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)  # of conduction alone
-    monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)  # of conduction alone
+    monkeypatch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
     conduct_coarsely(UNIT, monkeypatch)
     found = solve_response(replace(PAPERS, unit=UNIT, array=Array(rows=1, cols=1), electrics=CONDUCTION), SETTINGS)
     assert found.influence_mm_per_n.shape == (1, 1, 3, 3, 1, 1, 3)
     conducted = found.conducted
-    beside = with_references(
-        conducted, Unit(layout=replace(FOUR, pillars=(replace(BESIDE.pillars[3], foot="L1", top="U3"), *FOUR.pillars)))
+    beside = conducted.with_references(
+        Unit(layout=replace(FOUR, pillars=(replace(BESIDE.pillars[3], foot="L1", top="U3"), *FOUR.pillars)))
     )
     assert (beside.rest_mm[..., 0, 0] == np.sqrt(300.0)).all()
     assert not beside.influence_mm_per_n[:, :, 0].any()
@@ -147,7 +146,7 @@ def test_a_pillar_is_as_stiff_as_its_area_and_its_second_moment_say(is_round):
         pillar_material=Material(young_mpa=E, poisson=0.0),
         matrix_material=Material(young_mpa=1e-8 * E, poisson=0.0),
     )
-    body = DesignCell(design, functionals(design), pad_plate(design)).tetrahedra(0)
+    body = DesignCell(design).tetrahedra(0)
     load = StiffLoad(center_mm=(0.0, 0.0), size_mm=(12.0, 12.0), force_n=(0.0, 0.0, -3.0), moment_nmm=(0.0, 5.0, 0.0))
     system = System(body, [load])
     x, _ = checked_solve(Factor(system.rest_matrix(), upper=True), system.full_loads)
@@ -167,7 +166,7 @@ def test_round_pillars_that_cross_make_few_cells_more_than_square_ones():
         replace(PAPERS, unit=Unit(layout=layout), pillar_material=Material(young_mpa=0.5))
         for layout in (LAYOUTS["six-pillar"], round_of(LAYOUTS["six-pillar"]))
     )
-    bodies = [DesignCell(design, functionals(design)).tetrahedra(0) for design in (square, round_one)]
+    bodies = [DesignCell(design).tetrahedra(0) for design in (square, round_one)]
     assert bodies[1].n_nodes < 2.5 * bodies[0].n_nodes
 
 
@@ -214,7 +213,7 @@ def images(places, turn):
 def coupled(name, kind):
     """Displacements of pads and electrodes of 2 × 2 units by forces on them, (4, 1 + n_upper, 3) twice [mm/N]."""
     design = replace(PAPERS, unit=Unit(layout=LAYOUTS[name]), pad=Pad(kind=kind), array=Array(rows=2, cols=2))
-    cell = DesignCell(design, functionals(design), pad_plate(design)).condensed(1, 4)
+    cell = DesignCell(design).condensed(1, 4)
     n = 3 * (1 + len(design.unit.layout.upper))
     return design, CoupledArray(cell, 2, 2).influence(range(n), range(n))[0].reshape(4, n // 3, 3, 4, n // 3, 3)
 

@@ -44,7 +44,7 @@ def test_fields_of_every_method_are_drawn_as_they_are(planned):
 def test_a_sensor_s_scene_is_its_array_under_the_same_load(monkeypatch):
     """The middle pad as a load of the scene: the same field as by the pads of the design, on a coarse cell."""
     for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
-        monkeypatch.setattr(f"fem.array.meshed.{name}", value)
+        monkeypatch.setattr(f"fem.array.design_cell.{name}", value)
     middle = Probe(name="middle", kind="mean", center_mm=(0.0, 0.0), size_mm=(2.0, 2.0))
     design = SensorDesign(array=Array(rows=1, cols=2))
     pressed = DeadLoad(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))

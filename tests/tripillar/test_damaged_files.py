@@ -9,8 +9,8 @@ import pytest
 from common.storage.cache import read_value, write_value
 from common.storage.journal import Journal
 from common.storage.seal import MARK
-from fem.array import substructured
 from fem.array.cell import CondensedCell, PortModes
+from fem.array.design_cell import RefinedCell
 from fem.array.response import read_response, write_response
 from geometry import FileFormatError
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
@@ -22,11 +22,11 @@ FLIPS = 60
 
 
 def a_cell(path):
-    matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in substructured.MATRICES}
+    matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in ("stiffness", "transfer", "compliance")}
     cell = CondensedCell(ports=PortModes(7.5, 10.0, 2), **matrices, unknowns=100, residual=1e-12)
-    refined = substructured.RefinedCell(cells=((1.0, {(): cell}),), error_estimate=1e-3, steps=("one", "two"))
+    refined = RefinedCell(cells=((1.0, {(): cell}),), error_estimate=1e-3, steps=("one", "two"))
     write_value(refined, path)
-    return lambda path: read_value(substructured.RefinedCell, path)
+    return lambda path: read_value(RefinedCell, path)
 
 
 def a_response(path):

@@ -52,8 +52,8 @@ def house(tmp_path, shared_cache, monkeypatch):
     monkeypatch.setattr("tripillar.pipeline.stage.array_response", lambda *_: (known, tmp_path / "none", False))
     monkeypatch.setattr(saving, "FRAMES", 2)
     monkeypatch.setattr(saving, "HELD", 1)
-    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)
-    monkeypatch.setattr("fem.array.meshed.GRID_DEGREE", 4)
+    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)
+    monkeypatch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
     return tmp_path
 
 

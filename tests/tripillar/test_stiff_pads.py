@@ -60,7 +60,7 @@ def off_rigid(points_mm, moved_mm):
 
 def test_plates_are_drawn_plane_and_carry_their_electrodes(monkeypatch):
     """Each moves as a rigid body with both of its upper electrodes, loaded or not; on a coarse grid, too."""
-    monkeypatch.setattr("fem.array.meshed.GRID_LEVEL", 1)
+    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)
     field = solve_array_field(PAIR)
     parts = sensor_parts(field, field.state(TRACTION), stress=False)
     assert list(parts)[-1] == "plates"  # of soft ones: pads

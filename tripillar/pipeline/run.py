@@ -23,7 +23,7 @@ from decoupler.model.model_file import model_cache_key, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
-from fem.array.unit_check import check_unit
+from fem.array.solving import check_unit
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
 from geometry.mould import write_cad

@@ -6,9 +6,8 @@ from itertools import chain
 
 from common.pool import Pool
 from common.storage.journal import Journal
-from fem.array.meshed import lone_unit
-from fem.array.solving import ResponseSettings, response_cache_key
-from fem.array.substructured import cell_cache_key
+from fem.array.solving import ResponseSettings, cell_cache_key, response_cache_key
+from geometry.design import lone_unit
 from geometry.mesh import mesh_cache_key, suited_settings
 from tripillar.sweep.judge import row_of, row_with
 from tripillar.sweep.rows import Row

@@ -17,7 +17,6 @@ from fem.conduction import unit_conductances
 from fem.conduction.potentials import pillars_per_mm
 from fem.finite.samples import gradients
 from fem.finite.solving import solve_finite
-from fem.kernel.field import slopes_at
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
@@ -103,7 +102,7 @@ def deformed(pressed: Pressed) -> Deformed:
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    slopes = slopes_at(field.body, *field.places.located(places.reshape(-1, 3) + centre))
+    slopes = field.slopes(places.reshape(-1, 3) + centre)
     F = np.eye(3) + gradients(slopes, field.displacement_mm[None])[0]
     moved = np.array([found.probes[name] for name in Unit().layout.upper_names])
     return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, design.unit))

@@ -160,7 +160,7 @@ def squeezed(points, share=1.0):
 
 def test_rotation_changes_nothing_and_derivatives_at_rest_follow_the_solve():
     """Of the coarse mesh: a turned sensor reads the same; central differences over 1e-4 leave their square."""
-    conductor, piezo = unit_conductors(Unit())[0], Piezoresistivity(along=2.0, across=0.5)
+    conductor, piezo = unit_conductors(Unit()).coarse, Piezoresistivity(along=2.0, across=0.5)
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     strained = conductor.conductances(squeezed, piezo)

@@ -175,8 +175,9 @@ def test_verdicts_turn_with_the_numbers(computed):
 
 def test_the_command_writes_the_whole_report_and_again_nothing(response, computed, tmp_path, capsys, monkeypatch):
     # how finely figure 7 is solved and drawn, and how small files are, is not on trial
-    coarse = {"array.meshed.GRID_LEVEL": 1, "array.meshed.GRID_DEGREE": 4, "pictures.deformation.HIGH_PX": 440}
-    for name, value in (coarse | {"pictures.deformation.WIDE_PX": {1: (496, 688)}}).items():
+    coarse = {"array.design_cell.GRID_LEVEL": 1, "array.design_cell.GRID_DEGREE": 4}
+    small = {"pictures.deformation.HIGH_PX": 440, "pictures.deformation.WIDE_PX": {1: (496, 688)}}
+    for name, value in (coarse | small).items():
         monkeypatch.setattr(f"fem.{name}", value)
     monkeypatch.setattr("studies.charts.save_small", lambda image, path: image.convert("RGB").save(path))
     monkeypatch.setattr(command, "respond", lambda design, bars: (None, response))
