@@ -1,10 +1,11 @@
 """A rigid indenter pressed into the array's top, and dragged along it: contact by shape.
 
 In: a design, a shape, a depth. Out: tractions on the top, forces on every unit, displacements of the electrodes. In the
-order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex body, solid of an STL file), `surface.py`
-(how the top gives way under tractions, cached, and on the fine grid of one contact), `indentation.py` (what is asked
-and what is known of a contact), `balance.py` (how one increment of it is solved), `driver.py` (increment by increment
-on a grid: open this file first), `stepping.py` (the same as fast as simulators move a shape).
+order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex body, solid of an STL file), `tiles.py`
+(grids on the top), `surface.py` (how the top gives way under tractions, cached, and on the fine grid of one contact),
+`indentation.py` (what is asked and what is known of a contact), `balance.py` (how one increment of it is solved),
+`driver.py` (increment by increment on a grid: open this file first), `stepping.py` (the same as fast as simulators
+move a shape).
 """
 
 from fem.contact.driver import press

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fem.contact.surface import Patch
+from fem.contact.tiles import Patch
 from fem.kernel.factor import SolverError
 from geometry.layout import FloatArray
 

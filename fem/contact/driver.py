@@ -15,8 +15,8 @@ from common.errors import require_type
 from fem.contact.balance import State
 from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation
 from fem.contact.shapes import Shape
-from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance, overlaps, surface_compliance
-from fem.contact.tiles import lined_grid
+from fem.contact.surface import PatchCompliance, SurfaceCompliance, surface_compliance
+from fem.contact.tiles import Patch, lined_grid, overlaps
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 

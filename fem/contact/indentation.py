@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from common.errors import TriPillarError
 from fem.contact.shapes import Shape
-from fem.contact.surface import FINER_DEGREE, UP, Patch, PatchCompliance, SurfaceCompliance
+from fem.contact.surface import FINER_DEGREE, UP, PatchCompliance, SurfaceCompliance
+from fem.contact.tiles import Patch
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray

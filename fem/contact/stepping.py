@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fem.contact.driver import PILE_UP, Pose, Touch, on_top
 from fem.contact.indentation import Contact, ContactError, Indentation, require_friction
 from fem.contact.shapes import Shape
-from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance
-from fem.contact.tiles import lined_grid
+from fem.contact.surface import PatchCompliance, SurfaceCompliance
+from fem.contact.tiles import Patch, lined_grid
 from geometry.layout import FloatArray
 
 ACROSS = 10  #: cells along the shorter side of the first window

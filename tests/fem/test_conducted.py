@@ -14,7 +14,7 @@ from fem.array.response import ArrayResponse, ConductedPillars, read_response, w
 from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
-from fem.contact.conducting import COMPONENTS
+from fem.contact.surface import COMPONENTS
 from fem.contact.tiles import cell_rectangles
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS, electrode_squares, pad_squares
