@@ -129,15 +129,14 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A strip that is
     too short has lines.
     """
-    own, counts = _own(places_mm, strips), np.array([strip.tiles for strip in strips])
-    before = np.concatenate([[0], np.cumsum(counts)])
-    start, stop = before[own.min()], before[own.max() + 1]
-    found = np.zeros((len(places_mm), stop - start))
+    own, ends = _own(places_mm, strips), np.cumsum([0, *(strip.tiles for strip in strips)])
+    found = np.zeros((len(places_mm), ends[-1]))
     for number in np.unique(own):
-        here, strip = own == number, strips[number]
-        found[here, before[number] - start : before[number + 1] - start] = _in_strip(places_mm[here], strip, degree)
+        here = own == number
+        found[here, ends[number] : ends[number + 1]] = _in_strip(places_mm[here], strips[number], degree)
     used = np.flatnonzero(found.any(axis=0))
-    return found[:, used[0] : used[-1] + 1], slice(int(start + used[0]), int(start + used[-1] + 1))
+    tiles = slice(int(used[0]), int(used[-1] + 1))
+    return found[:, tiles], tiles
 
 
 def plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
