@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import require_type
-from fem.contact.balance import Pose, Touch
-from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation, require_friction
+from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation, Pose, Touch, require_friction
 from fem.contact.shapes import Shape
 from fem.contact.surface import PatchCompliance, SurfaceCompliance, surface_compliance
 from fem.contact.tiles import Patch, lined_grid
