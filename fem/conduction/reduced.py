@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, pulled_back, unit_conductances
+from fem.conduction.potentials import INERT, Conductor, Piezoresistivity, pillars_per_mm, pulled_back, unit_conductances
 from fem.kernel.reference import IntArray
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, pillar_widths
@@ -47,7 +47,7 @@ class ReducedConduction:
     slopes: FloatArray  #: ∇φ at the points (n, 3, N) [1/mm]; the first potentials are of all electrodes but the last
     share: FloatArray  #: (k, k): conductances at rest of the two finest meshes, extrapolated, over the reduced ones
 
-    def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+    def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity = INERT) -> FloatArray:
         """Conductances (..., k, k) between the electrodes times ρ [mm] from ∂x/∂X (..., n, 3, 3) at `points_mm`.
 
         Errors as of `pulled_back`.
@@ -95,7 +95,7 @@ def mended(F: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> tuple[Flo
 
 
 def reduced_conduction(
-    unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity | None = None
+    unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity = INERT
 ) -> ReducedConduction:
     """The reduced conduction of a unit's pillars: a minute of processor time. Errors as of `unit_hexahedra`."""
     unit = unit.body

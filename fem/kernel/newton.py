@@ -60,17 +60,22 @@ class UnreachableLoadError(SolverError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equilibrium:
-    """A body in equilibrium with its loads."""
+    """A body in equilibrium with its loads, or where the search for one ended."""
 
     state: State
     residual: float  #: unbalanced forces, relative to the loads
     least_j: float  #: least ratio of deformed to original volume at any point of integration
     iterations: int  #: of Newton's method, failed steps included
-    steps: int  #: load steps that converged
-    stored_mj: float  #: energy in the rubber
-    work_mj: float  #: of the loads; NaN where they have no potential
     #: True if its tangent is definite; None where nothing counts eigenvalues: pressures, moments, no PARDISO
     is_stable: bool | None = None
+    steps: int = 0  #: load steps that converged
+    stored_mj: float = 0.0  #: energy in the rubber
+    work_mj: float = 0.0  #: of the loads; NaN where they have no potential
+
+    @property
+    def is_found(self) -> bool:
+        """Whether forces balance, and it is not known to be unstable."""
+        return self.residual <= RESIDUAL and self.is_stable is not False
 
     @property
     def energy_imbalance(self) -> float:
@@ -229,18 +234,6 @@ def _work(path: Path) -> float:
     return float(s[-1] * g[-1] - below.sum())
 
 
-@dataclass(frozen=True, eq=False)
-class _Tried:
-    state: State
-    misfit: Misfit
-    iterations: int
-    is_stable: bool | None  #: of an equilibrium
-
-    @property
-    def converged(self) -> bool:
-        return self.misfit.residual <= RESIDUAL and self.is_stable is not False
-
-
 def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibrium:
     """Load a body from rest to its full loads.
 
@@ -249,52 +242,43 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
     """
     factor = factor or system.new_factor()
     state, reached, step = system.rest(), 0.0, 1.0
-    path, tried = Path(), None
-    iterations = steps = 0
+    found, path = Equilibrium(state=state, residual=0.0, least_j=1.0, iterations=0, is_stable=True), Path()
     if system.misfit(state, 1.0).size == 0.0:
-        return Equilibrium(
-            state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, is_stable=True
-        )
+        return found
+    iterations = steps = 0
     while reached < 1.0:
         step = min(step, 1.0 - reached)
-        tried = _equilibrium_at(system, factor, state, reached + step, path)
-        iterations += tried.iterations
-        is_reached = tried.converged
+        found = _equilibrium_at(system, factor, state, reached + step, path)
+        iterations += found.iterations
+        is_reached = found.is_found
         if is_reached:
-            reached_g = system.own_displacement(tried.state), system.slope(factor, tried.state)
-            ahead, stored = [*path, (reached + step, *reached_g)], system.stored_mj(tried.state)
+            reached_g = system.own_displacement(found.state), system.slope(factor, found.state)
+            ahead, stored = [*path, (reached + step, *reached_g)], system.stored_mj(found.state)
             is_reached = not (system.symmetric and abs(_work(ahead) - stored) > JUMPED * stored)
         if not is_reached:
             step /= 2
             if step < MIN_STEP:
-                raise _refusal(system, reached, tried)
+                raise _refusal(system, reached, found)
             continue
-        reached, state, path = reached + step, tried.state, ahead
+        reached, state, path = reached + step, found.state, ahead
         steps, step = steps + 1, 2 * step
-    assert tried is not None  # the load is not 0
-    return Equilibrium(
-        state=state,
-        residual=tried.misfit.residual,
-        least_j=tried.misfit.least_j,
-        iterations=iterations,
-        steps=steps,
-        stored_mj=stored,
-        work_mj=_work(path) if system.symmetric else np.nan,
-        is_stable=tried.is_stable,
-    )
+    work = _work(path) if system.symmetric else np.nan
+    return replace(found, iterations=iterations, steps=steps, stored_mj=stored, work_mj=work)
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: Path) -> _Tried:
+def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: Path) -> Equilibrium:
     """Newton's method at one load, from a state in equilibrium with a smaller one; begins the path with its slope."""
     misfit = system.misfit(state, load_factor)
     start, before = misfit.residual, np.inf
     tangent: Linearised | None = None
+    is_stable: bool | None = None
     for iteration in range(MAX_ITERATIONS + 1):
         rested = _rested(system, state, load_factor, RESTED * misfit.size)
         if rested is not state:
             state, misfit = rested, system.misfit(rested, load_factor)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, system.is_stable(factor, state, load_factor, misfit))
+            is_stable = system.is_stable(factor, state, load_factor, misfit)
+            break
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
         chord = tangent is not None and misfit.residual**2 <= RESIDUAL * before  # the last tangent serves, taken twice
@@ -312,7 +296,8 @@ def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: f
             before = misfit.residual
             state = _damped(system, state, *tangent.balancing(state, misfit))
             misfit = system.misfit(state, load_factor)
-    return _Tried(state, misfit, iteration, None)
+    residual, least_j = misfit.residual, misfit.least_j
+    return Equilibrium(state=state, residual=residual, least_j=least_j, iterations=iteration, is_stable=is_stable)
 
 
 def _damped(system: System, state: State, change: FloatArray, pressures: FloatArray) -> State:
@@ -394,7 +379,7 @@ def _unstable(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.zeros(0), np.zeros((len(matrix), 0))
 
 
-def _refusal(system: System, reached: float, worst: _Tried) -> UnreachableLoadError:
+def _refusal(system: System, reached: float, worst: Equilibrium) -> UnreachableLoadError:
     j = system.body.volume_ratios(worst.state.u).min(axis=1)
     least, element = float(j.min()), int(j.argmin())
     x, y, z = system.body.centres_mm[element]
@@ -404,7 +389,7 @@ def _refusal(system: System, reached: float, worst: _Tried) -> UnreachableLoadEr
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
     what = "equilibrium"
-    is_equilibrium = worst.misfit.residual <= RESIDUAL
+    is_equilibrium = worst.residual <= RESIDUAL
     if is_equilibrium:
         what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
     return UnreachableLoadError(
