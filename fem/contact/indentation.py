@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
 from fem.contact.shapes import Shape
-from fem.contact.surface import FINER_DEGREE, UP, PatchCompliance, SurfaceCompliance
+from fem.contact.surface import UP, PatchCompliance, SurfaceCompliance
 from fem.contact.tiles import Patch, overlaps
 from fem.kernel.factor import SolverError
 from fem.levels import SAFETY, richardson_factor
@@ -27,6 +27,7 @@ STICK_LIMIT = 1 - 1e-3  #: of the largest friction: below, a cell sticks
 OPEN, SLIP, STICK = range(3)
 
 RATE = 1.0  #: least rate at which forces converge with cells and increments
+FINER_DEGREE = 4  #: of polynomials between tiles that tell how much is lost there
 #: error of forces over the root mean square, under the pressure, of what polynomials of `FINER_DEGREE` between tiles
 #: change, relative to the depth; of electrodes over what these change there. Both from 250 random contacts on four
 #: sensors, by tiles a third as large

@@ -38,6 +38,7 @@ from fem.contact.tiles import (
     Patch,
     Strip,
     cell_rectangles,
+    faces,
     layer_spectrum,
     levers,
     plate_tiles,
@@ -62,7 +63,6 @@ STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's sid
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
-FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
 COMPONENTS = 12  #: of a pillar's polynomial: with 8, of loads on pads, a turned plate loses 0.1 % of a resistance
 BETWEEN = 0.1  #: usual force on a tile between plates, over that on a plate's
 CONDUCTION_VERSION = 3  #: raise when the same design gives other polynomials
@@ -405,22 +405,11 @@ class PatchCompliance:
 
     @cached_property
     def _faces(self) -> sp.csr_matrix | None:
-        """From displacements of tiles (3·ny·nx,) to those of the faces of plates above them; None on bare rubber.
-
-        A face stands its thickness t above the underside: it moves by −t ∂u_z/∂x along x as that turns, and likewise
-        along y. The transpose takes forces on faces to the underside, with their moments.
-        """
+        """As `faces` of these tiles; None on bare rubber."""
         if not self.surface.has_plates:
             return None
-        (sx, nx), (sy, ny) = (
-            (levers(self.surface.strips(axis), own[1]), own[0].shape[1])
-            for axis, own in enumerate((self._columns, self._rows))
-        )
-        on_x, on_y = (sp.diags_array((slopes != 0).any(axis=1).astype(float)) for slopes in (sx, sy))
-        t, one = self.surface.design.pad.plate.thickness_mm, sp.eye(nx * ny)
-        return sp.block_array(
-            [[one, None, -t * sp.kron(on_y, sx)], [None, one, -t * sp.kron(sy, on_x)], [None, None, one]], format="csr"
-        )
+        x, y = (levers(self.surface.strips(k), own) for k, (_, own) in enumerate((self._columns, self._rows)))
+        return faces(x, y, self.surface.design.pad.plate.thickness_mm)
 
     @cached_property
     def _layer(self) -> tuple[FloatArray, tuple[int, int]]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy import fft
 
@@ -115,6 +116,18 @@ def levers(strips: list[Strip], tiles: slice) -> FloatArray:
     same = (own[:, None] == own) & plate
     off = same * (middles - (same @ middles / np.maximum(same.sum(axis=1), 1))[:, None])
     return off / np.maximum((off**2).sum(axis=1), 1e-12)[:, None]
+
+
+def faces(slopes_x: FloatArray, slopes_y: FloatArray, thickness_mm: float) -> sp.csr_matrix:
+    """From displacements of tiles (3·ny·nx,) to those of the faces of plates above them, by `levers` along x and y.
+
+    A face stands its thickness t above the underside: it moves by −t ∂u_z/∂x along x as that turns, and likewise along
+    y. The transpose takes forces on faces to the underside, with their moments.
+    """
+    on_x, on_y = (sp.diags_array((slopes != 0).any(axis=1).astype(float)) for slopes in (slopes_x, slopes_y))
+    t, one = thickness_mm, sp.eye(len(slopes_x) * len(slopes_y))
+    turned = -t * sp.kron(on_y, slopes_x), -t * sp.kron(slopes_y, on_x)
+    return sp.block_array([[one, None, turned[0]], [None, one, turned[1]], [None, None, one]], format="csr")
 
 
 def edges(strips: list[Strip]) -> FloatArray:
