@@ -13,13 +13,13 @@ from fem.array.meshed import design_interior, pad_plate
 from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
 from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
+from fem.conduction.potentials import INERT, Conductor, Piezoresistivity, pillars_per_mm, second_derivatives
 from fem.contact.surface import COMPONENTS
 from fem.contact.tiles import cell_rectangles
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS, electrode_squares, pad_squares
 
-COARSE, INERT = Conductor(unit_hexahedra(Unit(), 2, 1)), Piezoresistivity()
+COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
 
 
 def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT, conductor: Conductor = COARSE) -> np.ndarray:
