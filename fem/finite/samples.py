@@ -121,7 +121,7 @@ class PreloadedArray:
         rest, k = self.base(0.0), self.design.n_units
         loads = np.zeros((len(force_n), rest.system.n_blocks, 3))
         loads[:, -2 * k : -k] = force_n.reshape(len(force_n), k, 3)
-        change, n = rest.solve(loads), len(rest.system.free)
+        (change, _), n = rest.changes(loads, np.zeros(1)), len(rest.system.free)
         u = rest.system.nodal_change(rest.state.rotation, change)
         spin = change[:, n + k :] / rest.system.plates.half_mm[:, None]
         return State(u=u, p=np.zeros(0), shift=change[:, n : n + k], turn=skew(spin))

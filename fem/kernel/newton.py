@@ -122,24 +122,19 @@ class Linearised:
         factor.factor(matrix)
         return cls(system, state, factor, parts)
 
-    def solve(self, unbalanced: FloatArray) -> FloatArray:
-        """Changes of the unknowns (m, n_blocks, 3) by forces on them, of the same shape; no continuous pressures."""
-        flat = np.ascontiguousarray(unbalanced.reshape(len(unbalanced), -1).T)
-        return self.factor.solve(flat).T.reshape(unbalanced.shape)
-
     def changes(self, unbalanced: FloatArray, missing: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Changes of the unknowns, and of jumping pressures (m, n_elements, k) of which these are missing."""
-        motions = self.solve(unbalanced)
+        """Changes of the unknowns by forces on them (m, n_blocks, 3), and of the pressures, of which these are missing.
+
+        Jumping pressures have (m, n_elements, k). Of continuous ones (m, n_mixed) `missing` are those of `Misfit`.
+        """
+        m, n_mixed = len(unbalanced), self.system.n_mixed
+        flat = np.hstack([unbalanced.reshape(m, -1), *([missing] if n_mixed else [])])
+        y = self.factor.solve(np.ascontiguousarray(flat.T)).T
+        motions = y[:, : y.shape[1] - n_mixed].reshape(unbalanced.shape)
+        if n_mixed:
+            return motions, y[:, -n_mixed:]
         nodal = self.system.nodal_change(self.state.rotation, motions)
         return motions, missing + self.parts.pressure_changes(nodal)
-
-    def balancing(self, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
-        """Changes of the unknowns (n_blocks, 3) and of the pressures of one state that balance its forces."""
-        if not self.system.body.is_mixed:
-            motions, pressures = self.changes(misfit.unbalanced[None], (misfit.pressures - state.p)[None])
-            return motions[0], pressures[0]
-        both = self.factor.solve(np.concatenate([misfit.unbalanced.ravel(), misfit.pressures])[:, None])[:, 0]
-        return both[: -self.system.n_mixed].reshape(-1, 3), both[-self.system.n_mixed :]
 
     def stepped(self, steps: FloatArray) -> State:
         """The deformed bodies after steps (m, n)."""
@@ -294,7 +289,9 @@ def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: f
             path.append((0.0, 0.0, system.slope(factor, state)))
         for _ in range(1 + chord):
             before = misfit.residual
-            state = _damped(system, state, *tangent.balancing(state, misfit))
+            missing = misfit.pressures if system.body.is_mixed else misfit.pressures - state.p
+            (motions,), (pressures,) = tangent.changes(misfit.unbalanced[None], missing[None])
+            state = _damped(system, state, motions, pressures)
             misfit = system.misfit(state, load_factor)
     residual, least_j = misfit.residual, misfit.least_j
     return Equilibrium(state=state, residual=residual, least_j=least_j, iterations=iteration, is_stable=is_stable)
