@@ -13,7 +13,7 @@ from common.errors import require_type
 from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation, Pose, Touch, require_friction
 from fem.contact.shapes import Shape
 from fem.contact.surface import PatchCompliance, SurfaceCompliance, surface_compliance
-from fem.contact.tiles import Patch, lined_grid
+from fem.contact.tiles import Patch, lined_grid, span
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -158,9 +158,8 @@ def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells:
 
 def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
     """Corners of the cells of a patch that touch, and some beside them."""
-    columns, rows = np.flatnonzero(touching.any(axis=0)), np.flatnonzero(touching.any(axis=1))
-    first = np.maximum([columns[0] - MARGIN, rows[0] - MARGIN], 0)
-    last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
+    first, last = span(touching)
+    first, last = np.maximum(first - MARGIN, 0), np.minimum(last + MARGIN, [patch.nx, patch.ny])
     low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
     return low + first * cell, low + last * cell
 
@@ -252,7 +251,7 @@ class Stepper:
         if depth_mm <= 0:
             return None, None
         reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
-        window = last.cells if last else self._around(place[:2] - reach, place[:2] + reach)
+        window = last.cells if last else self._window(place[:2] - reach, place[:2] + reach)
         if window is None:
             return None, None
         begun = last or Touch.at_rest(pose, window, self.friction)
@@ -273,7 +272,7 @@ class Stepper:
 
         def coarse() -> Contact:
             patch, rim = begun.cells.patch, WINDOW_MARGIN * np.array(begun.cells.patch.cell_mm)
-            half = self._around(patch.low_mm + rim, patch.high_mm - rim, self._grid_of(patch) - 1)
+            half = self._window(patch.low_mm + rim, patch.high_mm - rim, self._grid_of(patch) - 1)
             assert half is not None
             return begun.on(half).moved(pose, STEP_TOLERANCE, depth_mm).contact(path, coarse)
 
@@ -284,7 +283,7 @@ class Stepper:
         whole = np.rint(self._slab_mm / patch.cell_mm)
         return next(number for number, cells in enumerate(self._grids) if (cells == whole).all())
 
-    def _around(self, low_mm: FloatArray, high_mm: FloatArray, grid: int | None = None) -> PatchCompliance | None:
+    def _window(self, low_mm: FloatArray, high_mm: FloatArray, grid: int | None = None) -> PatchCompliance | None:
         """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
         if (corners := on_top(self.surface.design, low_mm, high_mm)) is None:
             return None
@@ -318,15 +317,15 @@ class Stepper:
         whole = self._grids[grid]
         cell_mm = self._slab_mm / whole
         first = np.rint((origin + self._slab_mm / 2) / cell_mm).astype(int)
-        low, high = np.array([np.flatnonzero(touching.any(axis=axis))[[0, -1]] for axis in (0, 1)]).T
+        low, high = span(touching)
         if self.surface.has_plates:
             far_low, far_high = (
                 np.floor((over_mm + far - origin) / cell_mm).astype(int) for far in (-reach_mm, reach_mm)
             )
             low = np.minimum(low, np.maximum(far_low, -first))
-            high = np.maximum(high, np.minimum(far_high, whole - 1 - first))
-        inside = (low > 0) | (first == 0), (high < count - 1) | (first + count == whole)
-        along = max(np.ptp(np.flatnonzero(after.any(axis=axis))) + 1 for axis in (0, 1))
+            high = np.maximum(high, np.minimum(far_high + 1, whole - first))
+        inside = (low > 0) | (first == 0), (high < count) | (first + count == whole)
+        along = np.subtract(*span(after)[::-1]).max()
         across = after.sum() / along
         is_coarse = across < MIN_ACROSS and 2 * along <= ALONG - BLOCK and grid < len(self._grids) - 1
         is_coarse &= 2 * count.max() <= WIDEST
@@ -334,4 +333,4 @@ class Stepper:
         if np.all(inside) and not is_coarse and not is_fine:
             return None
         grid += int(is_coarse) - int(is_fine)
-        return self._around(origin + low * cell_mm, origin + (high + 1) * cell_mm, grid)
+        return self._window(origin + low * cell_mm, origin + high * cell_mm, grid)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from common.errors import TriPillarError
 from fem.contact.shapes import Shape
 from fem.contact.surface import UP, PatchCompliance, SurfaceCompliance
-from fem.contact.tiles import Patch, overlaps
+from fem.contact.tiles import Patch, overlaps, span
 from fem.kernel.factor import SolverError
 from fem.levels import SAFETY, richardson_factor
 from geometry.design import SensorDesign
@@ -203,8 +203,8 @@ class Contact(Indentation):
     @property
     def steepness(self) -> float:
         """Depth over half the contact's smaller extent along x or y; of a sphere about its slope at the edge."""
-        extents = [np.ptp(np.flatnonzero((self.state != OPEN).any(axis=axis))) + 1 for axis in (0, 1)]
-        return float(2.0 * self.depth_mm / (np.array(extents) * self.patch.cell_mm).min())
+        first, last = span(self.state != OPEN)
+        return float(2.0 * self.depth_mm / ((last - first) * self.patch.cell_mm).min())
 
     @property
     def sticking(self) -> float:

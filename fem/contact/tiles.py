@@ -178,6 +178,12 @@ def _in_strip(places_mm: FloatArray, strip: Strip, degree: int) -> FloatArray:
     return found
 
 
+def span(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First column and row of those (ny, nx) that hold some cells, and the first ones beyond them, (2,) each."""
+    first, last = np.array([np.flatnonzero(cells.any(axis=axis))[[0, -1]] for axis in (0, 1)]).T
+    return first, last + 1
+
+
 def overlaps(ends: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Shares (n, m) of cells between ends (n + 1,) in others, and times their arms about these others' middles."""
     inside = np.clip(ends[:, None], others[:-1], others[1:])

@@ -188,7 +188,8 @@ class Linearised:
                 count[sample] += 1
                 with np.errstate(over="ignore"):  # an iterate that runs away is halved
                     size = float(np.linalg.norm(g * weight))
-                is_halved[sample] = not np.isfinite(size) or (own and size > MAX_CHANGE_GROWTH * own[-1].size)
+                has_grown = len(own) > 0 and size > MAX_CHANGE_GROWTH * own[-1].size
+                is_halved[sample] = has_grown or not np.isfinite(size)
                 if is_halved[sample]:
                     x[sample] = (x[sample] + (own[-1].step if own else 0.0)) / 2
                     continue
@@ -247,8 +248,8 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
         iterations += found.iterations
         is_reached = found.is_found
         if is_reached:
-            reached_g = system.own_displacement(found.state), system.slope(factor, found.state)
-            ahead, stored = [*path, (reached + step, *reached_g)], system.stored_mj(found.state)
+            g, slope = system.own_displacement(found.state), system.slope(factor, found.state)
+            ahead, stored = [*path, (reached + step, g, slope)], system.stored_mj(found.state)
             is_reached = not (system.symmetric and abs(_work(ahead) - stored) > JUMPED * stored)
         if not is_reached:
             step /= 2
