@@ -8,7 +8,7 @@ grid of one contact.
 
 Stiff pads are plates: their tiles move as rigid bodies, in elements that bond them to the rubber. There the difference
 is all there is, and the layer answers on the rubber between plates alone. Tiles and the polynomials between them end at
-the edges of plates.
+the edges of plates. By conduction the pillars' resistances are polynomials of the forces on the tiles.
 """
 
 from collections.abc import Callable, Iterator

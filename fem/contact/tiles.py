@@ -59,10 +59,9 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
 
 def cell_rectangles(design: SensorDesign) -> FloatArray:
     """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
-    lines = [edges(cell_strips(design, axis)) for axis in (0, 1)]
-    y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
-    y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
-    return np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(lone_unit(design))])
+    x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
+    tiles = np.stack(np.broadcast_arrays(x[:-1], y[:-1, None], x[1:], y[1:, None]), axis=-1)
+    return np.vstack([tiles.reshape(-1, 4), electrode_squares(lone_unit(design))])
 
 
 def plate_tiles(design: SensorDesign) -> NDArray[np.bool_]:

@@ -46,7 +46,9 @@ PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where ch
 AT_ONCE = 40_000  #: points of integration whose stress is worked on at a time: more would leave the cache
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
-Path = list[tuple[float, float, float]]  #: fractions of the full load f, g = f · u there [mJ], and dg by the fraction
+LoadPath = list[
+    tuple[float, float, float]
+]  #: fractions of the full load f, g = f · u there [mJ], and dg by the fraction
 Unwanted = Callable[[State], NDArray[np.bool_]]  #: states of m samples to booleans (m,): of those that need no answer
 
 
@@ -222,7 +224,7 @@ def _accelerated(seen: list[_Iterate], weight: FloatArray) -> FloatArray:
     return np.asarray(last.change - share @ (differences + last.step - np.stack([one.step for one in seen[:-1]])))
 
 
-def _work(path: Path) -> float:
+def _work(path: LoadPath) -> float:
     """∫ s dg along a path of fractions s, with g a cubic in every step that has the known values and slopes."""
     s, g, d = np.array(path).T
     h = np.diff(s)
@@ -238,7 +240,7 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
     """
     factor = factor or system.new_factor()
     state, reached, step = system.rest(), 0.0, 1.0
-    found, path = Equilibrium(state=state, residual=0.0, least_j=1.0, iterations=0, is_stable=True), Path()
+    found, path = Equilibrium(state=state, residual=0.0, least_j=1.0, iterations=0, is_stable=True), LoadPath()
     if system.misfit(state, 1.0).size == 0.0:
         return found
     iterations = steps = 0
@@ -262,7 +264,7 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
     return replace(found, iterations=iterations, steps=steps, stored_mj=stored, work_mj=work)
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: Path) -> Equilibrium:
+def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: LoadPath) -> Equilibrium:
     """Newton's method at one load, from a state in equilibrium with a smaller one; begins the path with its slope."""
     misfit = system.misfit(state, load_factor)
     start, before = misfit.residual, np.inf
