@@ -259,7 +259,7 @@ class State:
         apart_mm: FloatArray,
         friction: float,
         tolerance: float,
-        slack_mm: float = np.inf,
+        slack_mm: float,
     ) -> "State":
         """Forces of contact, sought from these, with a shape that is apart (k, ny, nx) from rubber at rest.
 

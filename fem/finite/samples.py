@@ -138,20 +138,20 @@ class PreloadedArray:
         """Rows (3 n, n_nodes) of `slopes_at` at points (n, 3) [mm]."""
         return slopes_at(self.body, *self.grid.located(points_mm))
 
-    def solve(self, preload_mpa: float, force_n: FloatArray, tolerance: float, unwanted: Unwanted) -> Relaxed:
+    def solve(self, preload_mpa: float, force_n: FloatArray, unwanted: Unwanted) -> Relaxed:
         """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
 
         Samples that are not wanted keep the change they had.
         """
         base = self.base(preload_mpa)
-        found = base.relaxed(force_n, tolerance, MAX_ITERATIONS, unwanted=unwanted)
-        for number in np.flatnonzero(found.change > tolerance):
+        found = base.relaxed(force_n, TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
+        for number in np.flatnonzero(found.change > TOLERANCE):
             own = slice(number, number + 1)
             for _ in range(RENEWALS):
-                if found.change[number] <= tolerance or unwanted(found.state.part(np.array([number])))[0]:
+                if found.change[number] <= TOLERANCE or unwanted(found.state.part(np.array([number])))[0]:
                     break
                 about = Linearised.at(base.system, found.state.part(int(number)), self._factor)
-                last = about.relaxed(force_n[own], tolerance, MAX_ITERATIONS, unwanted=unwanted)
+                last = about.relaxed(force_n[own], TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
                 for name, values in vars(last.state).items():
                     getattr(found.state, name)[own] = values
                 found.change[own] = last.change
@@ -247,7 +247,7 @@ class SampleSolver:
 
     def _solved(self, preload: float, force_n: FloatArray) -> tuple[Relaxed, NDArray[np.bool_], Relaxed | None]:
         """Samples on the coarse grid, which of them have settled, and these on the finer one."""
-        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._is_unwanted)
+        coarse = self.coarse.solve(preload, force_n, self._is_unwanted)
         on = coarse.change <= TOLERANCE
         if not on.any():
             return coarse, on, None

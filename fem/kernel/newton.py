@@ -46,9 +46,7 @@ PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where ch
 AT_ONCE = 40_000  #: points of integration whose stress is worked on at a time: more would leave the cache
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
-LoadPath = list[
-    tuple[float, float, float]
-]  #: fractions of the full load f, g = f · u there [mJ], and dg by the fraction
+LoadPath = list[tuple[float, float, float]]  #: fractions of the full load f, g = f · u there [mJ], and its slope
 Unwanted = Callable[[State], NDArray[np.bool_]]  #: states of m samples to booleans (m,): of those that need no answer
 
 
