@@ -279,9 +279,9 @@ class Stepper:
         return touch.contact(path, coarse), touch
 
     def _grid_of(self, patch: Patch) -> int:
-        """Number of the grid that a window is part of."""
-        whole = np.rint(self._slab_mm / patch.cell_mm)
-        return next(number for number, cells in enumerate(self._grids) if (cells == whole).all())
+        """Number of the grid that a window is part of: each has more cells along x than the one before."""
+        along_x = round(self._slab_mm[0] / patch.cell_mm[0])
+        return next(number for number, (nx, _) in enumerate(self._grids) if nx == along_x)
 
     def _window(self, low_mm: FloatArray, high_mm: FloatArray, grid: int | None = None) -> PatchCompliance | None:
         """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
