@@ -17,7 +17,8 @@ from dataset.indentation import drawn_press
 from dataset.resistance import largest_strains
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, Solid, surface_compliance
-from fem.contact.surface import Patch, SurfaceCompliance
+from fem.contact.surface import SurfaceCompliance
+from fem.contact.tiles import Patch
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 

@@ -20,7 +20,7 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
-from fem.contact.wrenches import N_LOADS, moved_by_wrenches
+from fem.contact.surface import N_LOADS, moved_by_wrenches
 from geometry.design import SensorDesign, bent
 from geometry.layout import FloatArray
 

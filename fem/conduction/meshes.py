@@ -169,13 +169,16 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
         lean = away * leans[obliques].sum(axis=0)
         axes = np.zeros((3, 3))
         axes[:, [int(lean[1] != 0), int(lean[1] == 0), 2]] = np.diag([-1.0 if lean.sum() < 0 else 1.0, 1.0, away])
+        polygon = 1.0
+        if is_round:  # of twice as many sides as elements across, and the circle's area
+            polygon = math.sqrt(math.pi / (round_across * math.sin(math.pi / round_across)))
         joints.append(
             Joint(
                 upright=bool(uprights),
                 run_mm=float(np.abs(lean).max()),
                 axes=axes,
                 width_mm=width,
-                polygon=_corner_ratio(round_across) if is_round else 1.0,
+                polygon=polygon,
                 at_mm=centres[number],
                 electrode_mm=unit.electrode_mm,
                 height_mm=unit.height_mm,
@@ -193,11 +196,6 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
             "eq. 1."
         )
     return joints
-
-
-def _corner_ratio(across: int) -> float:
-    """Of a circle's radius, that of the corners of a polygon of twice as many sides and the same area."""
-    return math.sqrt(math.pi / (across * math.sin(math.pi / across)))
 
 
 def _swept(joint: Joint, levels: int, strained: bool, round_across: int) -> FloatArray:

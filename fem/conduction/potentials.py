@@ -58,7 +58,10 @@ class Piezoresistivity:
         return cls(along=electrics.elastoresistance_along, across=electrics.elastoresistance_across)
 
 
-def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+INERT = Piezoresistivity()  #: none
+
+
+def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity = INERT) -> FloatArray:
     """Conductivity in the coordinates at rest, as a fraction of that at rest: (..., 3, 3), symmetric.
 
     J F⁻¹ F⁻ᵀ = J C⁻¹ with C = FᵀF of deformation gradients ∂x/∂X (..., 3, 3); with piezoresistivity
@@ -75,7 +78,7 @@ def pulled_back(F: FloatArray, piezoresistivity: Piezoresistivity | None = None)
         raise DesignError(f"a pillar is deformed inside out (J = {np.min(J):.3g}, must be above 0): lower the load.")
     C = F.swapaxes(-1, -2) @ F
     resistivity = C
-    if piezoresistivity is not None and piezoresistivity != Piezoresistivity():
+    if piezoresistivity != INERT:
         along, across = piezoresistivity.along, piezoresistivity.across
         E = (C - np.eye(3)) / 2
         volumetric = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
@@ -119,7 +122,7 @@ class Conductor:
         return Potentials(stiffness=stiffness, unknowns=phi, gradients=self.mesh.gradients(phi))
 
     def conductances(
-        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity = INERT
     ) -> FloatArray:
         """`Potentials.matrix` at rest or deformed."""
         if deformation is None:
@@ -192,7 +195,7 @@ def unit_conductors(unit: Unit, strained: bool = False) -> UnitConductors:
 
 
 def unit_conductances(
-    unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+    unit: Unit, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity = INERT
 ) -> Conductances:
     """Conductances between a unit's electrodes, references apart, at rest or deformed, extrapolated from two meshes.
 
@@ -202,13 +205,13 @@ def unit_conductances(
     return unit_conductors(unit.body, strained=deformation is not None).conductances(deformation, piezoresistivity)
 
 
-def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity = INERT) -> FloatArray:
     """First derivatives at rest of a unit's resistances over ρ by ∂uₐ/∂X_b at the mesh's points.
 
     Shape (n_pillars, n_points, 3, 3), volumes included: δR/ρ is their product's sum [1/mm]. R is self-adjoint:
     δ(1/R) = −∫ ∇φᵢ·δσ∇φⱼ dV, with the potentials at rest of the pillar's two electrodes.
     """
-    rest, mesh, piezo = conductor.at_rest, conductor.mesh, piezoresistivity or Piezoresistivity()
+    rest, mesh, piezo = conductor.at_rest, conductor.mesh, piezoresistivity
     derivatives = []
     for i, j in mesh.pairs:
         one, other = rest.gradients[..., i], rest.gradients[..., j]
@@ -222,7 +225,7 @@ def strain_derivatives(conductor: Conductor, piezoresistivity: Piezoresistivity 
 
 
 def second_derivatives(
-    conductor: Conductor, gradient: FloatArray, piezoresistivity: Piezoresistivity | None = None
+    conductor: Conductor, gradient: FloatArray, piezoresistivity: Piezoresistivity = INERT
 ) -> FloatArray:
     """Second-order part of conductances, relative: −Gᵢⱼ of a pillar is that at rest times 1 + r·a + aᵀ S a.
 
@@ -234,8 +237,7 @@ def second_derivatives(
     G₂ = ∫ ∇φᵢ·σ₂∇φⱼ − r(φᵢ)ᵀ K⁻¹ r(φⱼ) with r(φ) the residual of σ₁ ∇φ and K that of the potentials between the
     terminals.
     """
-    piezo = piezoresistivity or Piezoresistivity()
-    q, difference = piezo.across, piezo.along - piezo.across
+    q, difference = piezoresistivity.across, piezoresistivity.along - piezoresistivity.across
     p = 1 + difference / 2
     mesh, m = conductor.mesh, gradient.shape[3]
     rest = conductor.at_rest

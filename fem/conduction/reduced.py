@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import Conductor, Piezoresistivity, pulled_back, unit_conductances
+from fem.conduction.potentials import INERT, Conductor, Piezoresistivity, pillars_per_mm, pulled_back, unit_conductances
 from fem.kernel.reference import IntArray
 from geometry.design import Unit
-from geometry.layout import FloatArray, pillar_widths
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, pillar_widths
 from geometry.prism import unit_prisms
 
 MESH = (3, 1, True)  #: order, levels, and whether it is cut across; what it gets wrong at rest is put right
@@ -27,6 +28,10 @@ POINTS = 600  #: most points of the cubature
 RESIDUALS, RESIDUAL_WEIGHT = 12, 0.02
 AT_ONCE, MAX_ROUNDS = 40, 400  #: points taken together, and how often; a hundred times are enough for 600
 CANDIDATES = 12_000  #: points of the mesh from which they are taken
+#: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
+#: keeps far more than either
+TORN, WHOLE = 0.2, 0.8
+MIN_WEIGHT = 0.5  #: share of a pillar's volume below which a state is no answer
 
 #: points (n, 3) [mm] at rest in the unit's frame, each one's pillar and volume (n,), to deformations (n, 3, 3)
 Deformations = Callable[[FloatArray, IntArray, FloatArray], Iterator[FloatArray]]
@@ -42,7 +47,7 @@ class ReducedConduction:
     slopes: FloatArray  #: ∇φ at the points (n, 3, N) [1/mm]; the first potentials are of all electrodes but the last
     share: FloatArray  #: (k, k): conductances at rest of the two finest meshes, extrapolated, over the reduced ones
 
-    def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity | None = None) -> FloatArray:
+    def conductances(self, F: FloatArray, piezoresistivity: Piezoresistivity = INERT) -> FloatArray:
         """Conductances (..., k, k) between the electrodes times ρ [mm] from ∂x/∂X (..., n, 3, 3) at `points_mm`.
 
         Errors as of `pulled_back`.
@@ -58,9 +63,39 @@ class ReducedConduction:
         whole[:, m, m] = G.sum(axis=(1, 2))
         return (whole * self.share).reshape(*F.shape[:-3], *self.share.shape)
 
+    def ratios(
+        self, unit: Unit, gradient: FloatArray, electrode_mm: FloatArray, piezoresistivity: Piezoresistivity
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Resistances over eq. 1's (m, k, n_pillars) of m states of k units, and which are answers, (m,).
+
+        By ∂u/∂X (m, k, n, 3, 3) at `points_mm` and displacements (m, k, n_upper, 3) [mm] of the upper electrodes. In an
+        answer every pillar has kept `MIN_WEIGHT` of its volume; ratios of others are 1. Points under the edge of a
+        plate, where coarse grids tear the rubber, are blended with the mean of their pillar.
+        """
+        F, kept_volume = mended(np.eye(3) + gradient, self.pillar, self.weight_mm3)
+        good = np.asarray(kept_volume.all(axis=1))
+        along = pillar_vectors(unit) + electrode_mm[good][..., unit.layout.pillar_top, :]
+        ratios = np.ones((*electrode_mm.shape[:2], len(unit.layout.pillars)))
+        per_mm = pillars_per_mm(self.conductances(F[good], piezoresistivity), unit.layout.pillar_terminals)
+        ratios[good] = per_mm * pillar_volumes(unit) / (along**2).sum(axis=-1)
+        return ratios, good
+
+
+def mended(F: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Deformations (m, k, n, 3, 3) of points, torn ones blended with the mean of their pillar; which are answers."""
+    share = np.clip((np.linalg.det(F) - TORN) / (WHOLE - TORN), 0.0, 1.0)
+    weight = share**2 * (3 - 2 * share)  # a cubic without kinks, so that resistances have no jumps
+    volume = np.eye(pillar.max() + 1)[pillar] * weight_mm3[:, None]
+    total = weight @ volume  # (m, k, n_pillars)
+    of_whole = (weight[..., None, None] * F).reshape(*F.shape[:3], 9).swapaxes(2, 3) @ volume  # (m, k, 9, n_pillars)
+    mean = (of_whole / np.maximum(total, 1e-9)[:, :, None]).swapaxes(2, 3).reshape(*total.shape, 3, 3)[:, :, pillar]
+    blended = mean + weight[..., None, None] * (F - mean)
+    good = (total > MIN_WEIGHT * volume.sum(axis=0)).all(axis=2) & (np.linalg.det(blended) > 0).all(axis=2)
+    return blended, np.asarray(good)
+
 
 def reduced_conduction(
-    unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity | None = None
+    unit: Unit, deformations: Deformations, piezoresistivity: Piezoresistivity = INERT
 ) -> ReducedConduction:
     """The reduced conduction of a unit's pillars: a minute of processor time. Errors as of `unit_hexahedra`."""
     unit = unit.body

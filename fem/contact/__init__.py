@@ -1,16 +1,15 @@
 """A rigid indenter pressed into the array's top, and dragged along it: contact by shape.
 
 In: a design, a shape, a depth. Out: tractions on the top, forces on every unit, displacements of the electrodes. In the
-order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex body, solid of an STL file), `surface.py`
-(how the top gives way under tractions, cached, and on the fine grid of one contact), `indentation.py` (what is asked
-and what is known of a contact), `balance.py` (how one increment of it is solved), `driver.py` (increment by increment
-on a grid: open this file first), `stepping.py` (the same as fast as simulators move a shape).
+order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex body, solid of an STL file), `tiles.py`
+(grids on the top), `surface.py` (how the top gives way under tractions, cached, and on the fine grid of one contact),
+`indentation.py` (what is asked of a contact, one increment of it in balance, and what is known of it), `driver.py`
+(increment by increment, and as fast as simulators move a shape: open this file first).
 """
 
-from fem.contact.driver import press
+from fem.contact.driver import Stepper, press
 from fem.contact.indentation import Contact, ContactError, Indentation
 from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, about_z, read_solid
-from fem.contact.stepping import Stepper
 from fem.contact.surface import SurfaceCompliance, surface_compliance
 
 __all__ = [

@@ -1,22 +1,19 @@
 """Moves a shape over an array's top in increments, each balanced on a grid of cells: open this file first.
 
-`press` goes down and then along in a few of them, on a coarse grid and a fine one; a `Stepper` goes where it is told.
+`press` goes down and then along in a few of them, on a coarse grid and a fine one; a `Stepper` goes where it is told,
+as fast as simulators step.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from typing import Generic, TypeVar
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from common.errors import require_type
-from fem.contact.balance import State
-from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation
+from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation, Pose, Touch, require_friction
 from fem.contact.shapes import Shape
-from fem.contact.surface import Patch, PatchCompliance, SurfaceCompliance, overlaps, surface_compliance
-from fem.contact.tiles import lined_grid
+from fem.contact.surface import PatchCompliance, SurfaceCompliance, surface_compliance
+from fem.contact.tiles import Patch, lined_grid, span
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -26,117 +23,23 @@ NARROW = 0.5  #: of the cells of the longer side: so many a narrow contact has a
 PILE_UP = 2.05  #: depths below which a shape may touch: 2 in the limit of a thin incompressible layer
 MARGIN = 1  #: coarse cells around the contact
 TOLERANCE, ON_THE_WAY = 1e-4, 1e-3  #: of forces, of the last increment of a press and of those before
-#: of the depth: how far shape and plate may be apart, or overlap, where they touch; rubber is so soft that forces tell
-SLACK = 1e-3
 PASSES = 3  #: over an increment of the slide, at most
-SMALL_STEP = 0.25  #: of a cell
-MAX_AHEAD = 1.5  #: of the last increment, that the next one is taken to go on like it
 MIN_MM = 1e-6  #: of a side of a patch
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Where a shape stands, and how it came there."""
-
-    shape: Shape
-    place_mm: FloatArray  #: (3,): of its origin, from the array's middle, above the undeformed top
-    #: (3,): of its surface along the top, and of its depth, since the last pose
-    step_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
-    spin_rad: float = 0.0  #: about z since then
-
-    @property
-    def depth_mm(self) -> float:
-        """How far its lowest point is below the undeformed top."""
-        return float(-self.place_mm[2] - self.shape.lowest_mm)
-
-    def then(self, shape: Shape, place_mm: FloatArray) -> "Pose":
-        """The next pose; what the shape's `turn` changed drags the rubber along."""
-        pose = Pose(shape, place_mm)
-        step = np.array([*(place_mm - self.place_mm)[:2], pose.depth_mm - self.depth_mm])
-        if (shape.turn == self.shape.turn).all():
-            return replace(pose, step_mm=step)
-        x, y, z = Rotation.from_matrix(shape.turn @ self.shape.turn.T).as_rotvec()
-        rolled = place_mm[2] * np.array([-y, x, 0.0])  # the top lies below its origin by that
-        return replace(pose, step_mm=step + rolled, spin_rad=float(z))
-
-
-Cells = TypeVar("Cells", bound=PatchCompliance)
-Others = TypeVar("Others", bound=PatchCompliance)
-
-
-@dataclass(frozen=True, eq=False)
-class Touch(Generic[Cells]):
-    """A shape in balance with the cells of a grid: what its next increment goes on from."""
-
-    pose: Pose
-    cells: Cells
-    friction: float
-    state: State
-    before: State  #: of the increment before, on these cells
-    drag_mm: FloatArray = field(default_factory=lambda: np.zeros(2))  #: of the rubber along, as heights were taken
-    above_mm: FloatArray = field(default_factory=lambda: np.zeros(0))  #: as of `Contact`
-
-    @classmethod
-    def at_rest(cls, pose: Pose, cells: Cells, friction: float) -> "Touch[Cells]":
-        """Before anything touches."""
-        state = State.at_rest(cells.patch, friction)
-        return cls(pose, cells, friction, state, state)
-
-    def moved(
-        self,
-        pose: Pose,
-        tolerance: float,
-        deepest_mm: float,
-        guess: State | None = None,
-        drag_mm: FloatArray | None = None,
-        passes: int = 1,
-    ) -> "Touch[Cells]":
-        """The balance after the shape has moved there in one increment, to a tolerance of the largest force of a cell.
-
-        Plates and the shape are apart where they touch by at most `SLACK` of the deepest place on the way. The rubber
-        goes along, so that over it the shape is elsewhere: by a drag that is guessed, default: the last, and found in
-        at most so many passes. Forces are looked for from a guess, default: the last ones.
-        """
-        patch, before, after = self.cells.patch, self.state, guess or self.state
-        drag = before.drag_mm if drag_mm is None else drag_mm
-        x, y = patch.x_mm - pose.place_mm[0], patch.y_mm[:, None] - pose.place_mm[1]
-        step = pose.step_mm[:2]
-        if pose.spin_rad:
-            step = np.stack(np.broadcast_arrays(step[0] - pose.spin_rad * y, step[1] + pose.spin_rad * x))
-        step = step.reshape(2, *(step.shape[1:] or (1, 1)))  # and the rubber does not yet follow
-        slip = -before.moved_mm[:-1] - step[: len(before.moved_mm) - 1]
-        slack_mm = SLACK * deepest_mm if self.cells.surface.has_plates else np.inf
-        for _ in range(passes):  # again if it slipped past the rubber farther than assumed
-            used, above = drag, pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm + self.cells.below_mm
-            apart = np.stack([*slip, above])
-            after = after.balanced(self.cells.pressed_mm, apart, self.friction, tolerance, slack_mm)
-            drag = after.drag_mm
-            if np.abs(drag - used).max() < SMALL_STEP * min(patch.cell_mm):
-                break
-        return Touch(pose, self.cells, self.friction, after, before, used, above)
-
-    def ahead(self, pose: Pose) -> State:
-        """Where the state comes to if it goes on as in the last increment, as far as the pose does: a first guess."""
-        last = self.pose.step_mm
-        share = np.clip(np.vdot(last, pose.step_mm) / (np.vdot(last, last) + np.finfo(float).tiny), 0.0, MAX_AHEAD)
-        now, before = self.state, self.before
-        force, moved = now.force_n - before.force_n, now.moved_mm - before.moved_mm
-        return State(now.force_n + share * force, now.moved_mm + share * moved, now.rate)
-
-    def on(self, cells: Others) -> "Touch[Others]":
-        """The same on other cells: its forces, and how they displace these."""
-        (columns, _), (rows, _) = (overlaps(self.cells.patch.ends(k), cells.patch.ends(k)) for k in (0, 1))
-        force = rows.T @ self.state.force_n @ columns
-        state = State(force, cells.pressed_mm(force))
-        return Touch(self.pose, cells, self.friction, state, state)
-
-    def contact(self, path: Indentation, coarse: Callable[[], Contact]) -> Contact:
-        """What is known of the contact at the end of a path, with the same on a coarser grid."""
-        given = {one.name: getattr(path, one.name) for one in fields(Indentation)}
-        return Contact(
-            **given, surface=self.cells.surface, patch=self.cells.patch, cell_force_n=self.state.whole_n,
-            above_mm=self.above_mm, coarse=coarse,
-        )  # fmt: skip
+#: of a `Stepper`
+ACROSS = 10  #: cells along the shorter side of the first window
+MIN_ACROSS, MAX_ACROSS = 6.0, 15.0  #: cells across a contact in the mean, between which its grid is kept
+ALONG = 48  #: cells along it, at most
+#: grids have about 2 to this cells along the longer side of the slab; under plates, whose edges their lines meet, more
+COARSEST, FINEST = 3, 11
+WIDEST = 256  #: cells along a window with several contacts, as plates have them: it is not made finer than that
+BLOCK = 8  #: windows have whole numbers of blocks of so many cells
+WINDOW_MARGIN = 2  #: cells around the contact, of a window that is chosen anew
+NORMAL, MAX_SECANTS = 0.01, 20  #: error of a normal force that is asked for, and steps of a search for its depth
+FIRST_DEPTH = 0.01  #: of that search, in heights of the slab
+POWER, MIN_POWER = 1.5, 0.5  #: of the depth, that a force is of a ball, and that it has at least
+MIN_NORMAL, MAX_LOG = 1e-3, 1.5  #: of the force, that counts as found; of the depth's logarithm, in one step
+MAX_WINDOWS = 8  #: that are tried in a step
+STEP_TOLERANCE = 3e-3  #: of forces, relative to the largest of a cell
 
 
 def press(
@@ -192,27 +95,27 @@ def press(
     start, half_mm = np.array(at_mm), shape.half_extents_mm(PILE_UP * depth_mm)
     end = start + slide_mm
     wide = _patch(design, np.minimum(start, end) - half_mm, np.maximum(start, end) + half_mm, cells // 2)
-    touched = np.zeros((0, 0), dtype=bool)
-    if wide is not None:
-        surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
-        coarse, touched = pressed(path, PatchCompliance(surface, wide), 1)
-    if wide is not None and touched.any():
-        fine = _patch(design, *_around(wide, touched), cells)
-        assert fine is not None  # it is part of the wide one
-        touch, touched = pressed(path, PatchCompliance(surface, fine), INCREMENTS)
+    x, y, _ = design.slab_mm
+    missed = ContactError(
+        f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
+        f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
+    )
+    if wide is None:
+        raise missed
+    surface = sensor if isinstance(sensor, SurfaceCompliance) else surface_compliance(sensor, progress)[0]
+    coarse, touched = pressed(path, PatchCompliance(surface, wide), 1)
     if not touched.any():
-        x, y, _ = design.slab_mm
-        raise ContactError(
-            f"the shape misses the sensor at at_mm={at_mm[0]:g},{at_mm[1]:g}, depth {depth_mm:g} mm: the top reaches "
-            f"from -{x / 2:g} to {x / 2:g} mm along x and from -{y / 2:g} to {y / 2:g} mm along y."
-        )
+        raise missed
+    fine = _patch(design, *_around(wide, touched), cells)
+    assert fine is not None  # it is part of the wide one
+    touch, touched = pressed(path, PatchCompliance(surface, fine), INCREMENTS)
+    if not touched.any():
+        raise missed
     on_coarse: Contact = coarse.contact(path, lambda: on_coarse)
     return touch.contact(path, lambda: on_coarse)
 
 
-def pressed(
-    path: Indentation, cells: PatchCompliance, increments: int
-) -> tuple[Touch[PatchCompliance], NDArray[np.bool_]]:
+def pressed(path: Indentation, cells: PatchCompliance, increments: int) -> tuple[Touch, NDArray[np.bool_]]:
     """Press and slide on a grid; also the cells (ny, nx) that touch at full depth, before or after the slide."""
     slide, whole = np.array(path.slide_mm, dtype=float), path.depth_mm
     stages = [(whole, slide)]
@@ -255,8 +158,179 @@ def _patch(design: SensorDesign, low_mm: FloatArray, high_mm: FloatArray, cells:
 
 def _around(patch: Patch, touching: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
     """Corners of the cells of a patch that touch, and some beside them."""
-    columns, rows = np.flatnonzero(touching.any(axis=0)), np.flatnonzero(touching.any(axis=1))
-    first = np.maximum([columns[0] - MARGIN, rows[0] - MARGIN], 0)
-    last = np.minimum([columns[-1] + 1 + MARGIN, rows[-1] + 1 + MARGIN], [patch.nx, patch.ny])
+    first, last = span(touching)
+    first, last = np.maximum(first - MARGIN, 0), np.minimum(last + MARGIN, [patch.nx, patch.ny])
     low, cell = np.array(patch.low_mm), np.array(patch.cell_mm)
     return low + first * cell, low + last * cell
+
+
+class Stepper:
+    """A shape in contact with an array's top, moved step by step; it remembers what sticks.
+
+    Coulomb's coefficient is from 0 to 2, or a `ContactError`.
+
+    Each step is an increment of `press`, from the forces of the step before, on a window of a grid that is fixed to the
+    top: cells that stick stay where they are however the shape moves. As the contact grows or shrinks the grid's cells
+    double or halve; forces go along. Steps of more than a tenth of the contact's width lose some of friction's past.
+    """
+
+    def __init__(self, surface: SurfaceCompliance, *, friction: float = 0.5) -> None:
+        require_friction(friction)
+        self.surface, self.friction = surface, friction
+        # grids that are fixed to the top, each twice as fine as the one before; the first is for estimates alone
+        self._slab_mm = np.array(surface.design.slab_mm[:2])
+        half_mm, coarsest = self._slab_mm / 2, 2**COARSEST * self._slab_mm / self._slab_mm.max()
+        wanted, self._grids = np.maximum(1, np.rint(coarsest).astype(int) // 2), list[FloatArray]()
+        for _ in range(COARSEST - 1, FINEST + 1):
+            ends = [lined_grid(surface.design, k, -half_mm[k], half_mm[k], int(wanted[k])) for k in (0, 1)]
+            self._grids.append(np.array([cells for _, _, cells in ends]))
+            wanted = 2 * self._grids[-1]
+        self.lift()
+
+    def lift(self) -> None:
+        """Take the shape off: what comes next is a new touch."""
+        self._last: Touch | None = None
+
+    def step(self, shape: Shape, place_mm: Sequence[float], normal_n: float | None = None) -> Contact | None:
+        """Move the shape and balance it; None where it does not touch.
+
+        Parameters
+        ----------
+        shape : Shape
+            As it stands now. What its `turn` changed since the last step drags the rubber along: a ball that rolls
+            does not slip.
+        place_mm : sequence of float
+            Of its origin, x, y and z: from the array's middle, above the undeformed top.
+        normal_n : float, optional
+            Normal force; the shape goes as deep as that takes, to 1 %, and its z is not looked at.
+
+        Raises
+        ------
+        ContactError
+            If the place is not of three finite numbers, it reaches the slab's base, or no depth has that force. Then,
+            as after a `SolverError`, the shape is still where it was.
+        """
+        place = np.array(place_mm, dtype=float)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise ContactError(f"place_mm={place_mm} must be three finite numbers: x, y, z.")
+        if normal_n is not None and not 0 <= normal_n < np.inf:
+            raise ContactError(f"normal_n={normal_n:g} must be 0 or more.")
+        found, self._last = self._stepped(shape, place) if normal_n is None else self._pressed(shape, place, normal_n)
+        return found
+
+    def _pressed(self, shape: Shape, place: FloatArray, normal_n: float) -> tuple[Contact | None, Touch | None]:
+        """The step at the depth that a normal force takes: by secants, the first one a power law."""
+        if not normal_n:
+            return None, None
+        height_mm, tried = self.surface.design.unit.height_mm, list[tuple[float, float]]()
+        depth_mm = self._last.pose.depth_mm if self._last else FIRST_DEPTH * height_mm
+        for _ in range(MAX_SECANTS):
+            if depth_mm >= height_mm:
+                break
+            found = contact, _ = self._stepped(shape, np.array([*place[:2], -depth_mm - shape.lowest_mm]))
+            found_n = 0.0 if contact is None else float(contact.cell_force_n[2].sum())
+            if abs(found_n - normal_n) <= NORMAL * normal_n:
+                return found
+            tried.append((np.log(depth_mm), np.log(max(found_n, MIN_NORMAL * normal_n) / normal_n)))
+            (x0, y0), (x1, y1) = tried[-2] if len(tried) > 1 else (tried[0][0] - 1.0, tried[0][1] - POWER), tried[-1]
+            slope = max((y1 - y0) / (x1 - x0), MIN_POWER) if x1 != x0 else POWER
+            depth_mm = float(np.exp(x1 - np.clip(y1 / slope, -MAX_LOG, MAX_LOG)))
+        raise ContactError(
+            f"normal_n={normal_n:g} is reached at no depth at {place[0]:g}, {place[1]:g} mm: press less."
+        )
+
+    def _stepped(self, shape: Shape, place: FloatArray) -> tuple[Contact | None, Touch | None]:
+        """The contact after a step from the last one, and what the next step goes on from; None of both if it lifts."""
+        design, last = self.surface.design, self._last
+        pose = last.pose.then(shape, place) if last else Pose(shape, place)
+        depth_mm = pose.depth_mm
+        if depth_mm >= design.unit.height_mm:
+            raise ContactError(
+                f"the shape is {depth_mm:g} mm deep: less than the slab's height, {design.unit.height_mm:g} mm."
+            )
+        if depth_mm <= 0:
+            return None, None
+        reach = np.array(shape.half_extents_mm(PILE_UP * depth_mm))
+        window = last.cells if last else self._window(place[:2] - reach, place[:2] + reach)
+        if window is None:
+            return None, None
+        begun = last or Touch.at_rest(pose, window, self.friction)
+        guess = begun.ahead(pose)
+        for left in reversed(range(MAX_WINDOWS)):
+            touch = begun.moved(pose, STEP_TOLERANCE, depth_mm, guess)
+            over = place[:2] - begun.state.drag_mm  # the rubber
+            better = self._better(begun, touch.state.touches, over, reach)
+            if better is None or not left:
+                break
+            begun, guess = begun.on(better), touch.on(better).state
+        if not touch.state.touches.any():
+            return None, None
+        at_mm, no_slide, friction = (float(place[0]), float(place[1])), (0.0, 0.0), self.friction
+        path = Indentation(
+            design=design, shape=shape, depth_mm=depth_mm, at_mm=at_mm, slide_mm=no_slide, friction=friction
+        )
+
+        def coarse() -> Contact:
+            patch, rim = begun.cells.patch, WINDOW_MARGIN * np.array(begun.cells.patch.cell_mm)
+            half = self._window(patch.low_mm + rim, patch.high_mm - rim, self._grid_of(patch) - 1)
+            assert half is not None
+            return begun.on(half).moved(pose, STEP_TOLERANCE, depth_mm).contact(path, coarse)
+
+        return touch.contact(path, coarse), touch
+
+    def _grid_of(self, patch: Patch) -> int:
+        """Number of the grid that a window is part of: each has more cells along x than the one before."""
+        along_x = round(self._slab_mm[0] / patch.cell_mm[0])
+        return next(number for number, (nx, _) in enumerate(self._grids) if nx == along_x)
+
+    def _window(self, low_mm: FloatArray, high_mm: FloatArray, grid: int | None = None) -> PatchCompliance | None:
+        """A window around a rectangle, or its part on the slab, None if it has none; on the grid that suits it."""
+        if (corners := on_top(self.surface.design, low_mm, high_mm)) is None:
+            return None
+        low, high = corners
+        if grid is None:
+            longer, size = int(self._slab_mm.argmax()), high - low
+            sizes = [self._slab_mm[longer] / cells[longer] for cells in self._grids[1:]]
+            wanted_mm = max(size.min() / ACROSS, size.max() / ALONG)
+            grid = 1 + int(np.abs(np.log2(np.array(sizes) / wanted_mm)).argmin())
+        whole, half_mm = self._grids[grid], self._slab_mm / 2
+        cell_mm = self._slab_mm / whole
+        first = np.floor((low + half_mm) / cell_mm).astype(int) - WINDOW_MARGIN
+        asked = np.ceil((high + half_mm) / cell_mm).astype(int) + WINDOW_MARGIN - first
+        count = np.minimum(BLOCK * np.ceil(asked / BLOCK).astype(int), whole)
+        first = np.clip(first - (count - asked) // 2, 0, whole - count)
+        (x0, y0), (x1, y1) = ((at * cell_mm - half_mm).tolist() for at in (first, first + count))
+        return PatchCompliance(self.surface, Patch((x0, y0), (x1, y1), *count.tolist()))
+
+    def _better(
+        self, begun: Touch, after: NDArray[np.bool_], over_mm: FloatArray, reach_mm: FloatArray
+    ) -> PatchCompliance | None:
+        """A window that suits what touches, (ny, nx), before and after a step; None if this one does.
+
+        Under plates it holds the whole rectangle in which the shape may touch: one plate after the other, not only what
+        lies beside.
+        """
+        if not after.any():
+            return None
+        patch, touching = begun.cells.patch, begun.state.touches | after
+        grid, count, origin = self._grid_of(patch), np.array([patch.nx, patch.ny]), np.array(patch.low_mm)
+        whole = self._grids[grid]
+        cell_mm = self._slab_mm / whole
+        first = np.rint((origin + self._slab_mm / 2) / cell_mm).astype(int)
+        low, high = span(touching)
+        if self.surface.has_plates:
+            far_low, far_high = (
+                np.floor((over_mm + far - origin) / cell_mm).astype(int) for far in (-reach_mm, reach_mm)
+            )
+            low = np.minimum(low, np.maximum(far_low, -first))
+            high = np.maximum(high, np.minimum(far_high + 1, whole - first))
+        inside = (low > 0) | (first == 0), (high < count) | (first + count == whole)
+        along = np.subtract(*span(after)[::-1]).max()
+        across = after.sum() / along
+        is_coarse = across < MIN_ACROSS and 2 * along <= ALONG - BLOCK and grid < len(self._grids) - 1
+        is_coarse &= 2 * count.max() <= WIDEST
+        is_fine = (across > MAX_ACROSS or along > ALONG) and grid > 1
+        if np.all(inside) and not is_coarse and not is_fine:
+            return None
+        grid += int(is_coarse) - int(is_fine)
+        return self._window(origin + low * cell_mm, origin + high * cell_mm, grid)

@@ -8,12 +8,12 @@ grid of one contact.
 
 Stiff pads are plates: their tiles move as rigid bodies, in elements that bond them to the rubber. There the difference
 is all there is, and the layer answers on the rubber between plates alone. Tiles and the polynomials between them end at
-the edges of plates.
+the edges of plates. By conduction the pillars' resistances are polynomials of the forces on the tiles.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
+from fem.array.conducted import USUAL, conducted_by_loads
 from fem.array.coupled_cells import CoupledArray, endless_influence
 from fem.array.design_cell import (
     COMPARED_DEGREE,
@@ -36,15 +37,18 @@ from fem.array.design_cell import (
     DesignCell,
 )
 from fem.array.response import ConductedPillars
-from fem.contact.conducting import conducted_by_tiles
 from fem.contact.tiles import (
     MIN_TILES,
+    MIRROR_X,
+    MIRROR_Y,
+    Patch,
     Strip,
     cell_rectangles,
-    cell_strips,
+    faces,
+    layer_spectrum,
     levers,
-    on_plates,
-    rubber_below_mm,
+    plate_tiles,
+    plated,
     shares,
     slab_strips,
     tiles_per_pitch,
@@ -52,7 +56,7 @@ from fem.contact.tiles import (
 from fem.kernel.elements import taylor_hood
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
-from geometry.design import Array, Electrics, Material, Pad, Plate, SensorDesign, bent
+from geometry.design import Electrics, Pad, Plate, SensorDesign, bent
 from geometry.layout import FloatArray, electrode_squares
 
 VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
@@ -62,13 +66,13 @@ PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds 
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
-#: sign of a force or a displacement in the mirror x = 0, and in y = 0
-MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
-SHARED = 16  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
-FINER_DEGREE = 4  #: of those that tell how much is lost between tiles
+COMPONENTS = 12  #: of a pillar's polynomial: with 8, of loads on pads, a turned plate loses 0.1 % of a resistance
+BETWEEN = 0.1  #: usual force on a tile between plates, over that on a plate's
+CONDUCTION_VERSION = 3  #: raise when the same design gives other polynomials
+N_LOADS = 6  #: of a plate, see `moved_by_wrenches`
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +143,33 @@ def _as_solved(design: SensorDesign) -> SensorDesign:
     return replace(bent(design), pad=pad)
 
 
+def conducted_by_tiles(
+    design: SensorDesign, on_electrodes: FloatArray, progress: Callable[[str], None] = lambda step: None
+) -> tuple[ConductedPillars, str, bool]:
+    """Conduction under forces on tiles, its cache key, and whether it was in the cache already.
+
+    Electrodes follow tiles as `SurfaceCompliance.on_electrodes` says. The influence has shape (rows, cols, n_pillars,
+    n_components, 3, ny, nx) [mm/N], float32. `progress` and errors are those of `fem.array.conducted`.
+    """
+    key = digest("contact conduction", CONDUCTION_VERSION, design)
+    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    cells, n_loads = (rows, cols, tiles, tiles, 3), 3 * tiles**2
+    usual = np.outer(np.where(plate_tiles(design), 1.0, BETWEEN), USUAL).ravel()
+
+    def make() -> ConductedPillars:
+        interior = DesignCell(design, cell_rectangles(design)).interior(progress)
+        accurate = on_electrodes.reshape(*on_electrodes.shape[:5], rows, tiles, cols, tiles)
+        accurate = accurate.transpose(0, 1, 2, 3, 5, 7, 6, 8, 4).reshape(rows * cols, -1, 3, rows * cols * n_loads)
+        exact = accurate.astype(np.float64)
+        found = conducted_by_loads(design, interior, usual, exact, (rows, cols), progress, COMPONENTS)
+        by_cell = found.influence_mm_per_n.astype(np.float32).reshape(*found.sign.shape, *cells)
+        influence = by_cell.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(*found.sign.shape, 3, rows * tiles, -1)
+        return replace(found, influence_mm_per_n=np.ascontiguousarray(influence))
+
+    found, _, reused = kept_value(ConductedPillars, "conducted.npz", key, make)
+    return found, key, reused
+
+
 def endless_surface(design: SensorDesign) -> SurfaceCompliance:
     """The same without what rims and pillars of another rubber add: an endless layer, in a second."""
     require_bare(design)
@@ -189,8 +220,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
     endless = endless_influence(plain, wide)[..., : len(loads)]
     if design.pad.kind == "stiff":  # the layer answers between plates, on tiles
-        plate = np.concatenate([np.full(strip.tiles, strip.is_plate) for strip in cell_strips(design, 0)])
-        has_layer = np.repeat(~np.outer(plate, plate).ravel(), 3)
+        has_layer = np.repeat(~plate_tiles(design).ravel(), 3)
         endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
         endless[..., ~has_layer] = 0.0
     for i, j, k, m in np.ndindex(rows, cols, rows, cols):
@@ -235,57 +265,55 @@ def _on_layer(design: SensorDesign, on_tiles: FloatArray, on_electrodes: FloatAr
     return SurfaceCompliance(design, on_tiles, on_electrodes, table, step)
 
 
-def overlaps(ends: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Shares (n, m) of cells between ends (n + 1,) in others, and times their arms about these others' middles."""
-    inside = np.clip(ends[:, None], others[:-1], others[1:])
-    share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
-    return share, share * ((inside[1:] + inside[:-1]) / 2 - (others[:-1] + others[1:]) / 2)
+def moved_by_wrenches(
+    design: SensorDesign, progress: Callable[[str], None] = lambda step: None
+) -> tuple[FloatArray, ConductedPillars | None]:
+    """Displacements (units, 6, rows·cols·k) by each load of each plate [mm/N, 1/N], and what conducts.
+
+    Loads are forces along x, y and z, positive in compression, on a plate's face, the moments (∫ x p, ∫ y p) of the
+    pressure p about its unit's middle, and the torque about z. Displacements are those of the electrodes,
+    k = n_upper·3, from the sensor's own cell alone: no endless layer bears on plates; by conduction those of the
+    components of pillars, k = n_pillars·n_components. Errors as of `surface_compliance`.
+    """
+    require_pressable(design)
+    rows, cols, tiles, on_tiles = design.array.rows, design.array.cols, tiles_per_pitch(design), _on_tiles(design)
+    conducted = surface_compliance(design, progress)[0].conducted if design.electrics.is_conduction else None
+    if conducted is not None:
+        cells = conducted.influence_mm_per_n.reshape(rows, cols, -1, 3, rows, tiles, cols, tiles)
+        by_load = on_tiles.reshape(tiles, tiles, 3, N_LOADS)
+        moved = np.einsum("ijeakrlc,rcam->klmije", cells, by_load, optimize=True)
+    else:
+        progress("cell")
+        squares = cell_rectangles(design)
+        if design.is_homogeneous:  # a mesh of tetrahedra has edges along all tiles
+            bears = np.flatnonzero(on_tiles.any(axis=1))
+            idle = np.setdiff1d(np.arange(tiles**2), bears // 3)
+            squares, on_tiles = np.delete(squares, idle, axis=0), on_tiles[bears]
+        cell = own_cell(DesignCell(design, squares))
+        n_seen = cell.transfer.shape[1] - len(on_tiles)
+        taken = np.zeros((cell.transfer.shape[1], N_LOADS + n_seen))
+        taken[: len(on_tiles), :N_LOADS], taken[len(on_tiles) :, N_LOADS:] = on_tiles, np.eye(n_seen)
+        cell = cell.loaded_by(taken)
+        progress(f"coupling {rows} × {cols}")
+        seen = range(N_LOADS, N_LOADS + n_seen)
+        moved = CoupledArray(cell, rows, cols).influence(range(N_LOADS), seen)[0].transpose(3, 4, 5, 0, 1, 2)
+    moved = np.ascontiguousarray(moved.reshape(design.n_units, N_LOADS, -1))
+    moved[:, :2] += design.pad.plate.thickness_mm * moved[:, 3:5]  # forces along x and y act on the plate's face
+    return moved, conducted
 
 
-@dataclass(frozen=True)
-class Patch:
-    """A rectangle of the top, divided into nx × ny equal cells. Forces and displacements on it have (3, ny, nx)."""
-
-    low_mm: tuple[float, float]
-    high_mm: tuple[float, float]
-    nx: int
-    ny: int
-
-    @property
-    def cell_mm(self) -> tuple[float, float]:
-        """Sides of a cell."""
-        return (self.high_mm[0] - self.low_mm[0]) / self.nx, (self.high_mm[1] - self.low_mm[1]) / self.ny
-
-    @property
-    def cell_mm2(self) -> float:
-        return self.cell_mm[0] * self.cell_mm[1]
-
-    def ends(self, axis: int) -> FloatArray:
-        """Ends of the cells along x (0) or y (1), (n + 1,)."""
-        return np.linspace(self.low_mm[axis], self.high_mm[axis], (self.nx, self.ny)[axis] + 1)
-
-    @property
-    def x_mm(self) -> FloatArray:
-        """Middles of the cells along x, (nx,)."""
-        return np.asarray(self.low_mm[0] + (np.arange(self.nx) + 0.5) * self.cell_mm[0], np.float64)
-
-    @property
-    def y_mm(self) -> FloatArray:
-        """Middles of the cells along y, (ny,)."""
-        return np.asarray(self.low_mm[1] + (np.arange(self.ny) + 0.5) * self.cell_mm[1], np.float64)
-
-    def unit_loads(self, force_n: FloatArray, array: Array) -> FloatArray:
-        """Load on each unit's share of the top, pitch × pitch, (rows, cols, 5); cells on a border are divided.
-
-        The force along x, y, z [N], and the moments of z about the share's middle, ∫ p (x − x₀) and ∫ p (y − y₀)
-        [N mm].
-        """
-        (sx, mx), (sy, my) = (
-            overlaps(self.ends(axis), np.linspace(-count / 2, count / 2, count + 1) * array.pitch_mm)
-            for axis, count in enumerate((array.cols, array.rows))
-        )
-        moments = sy.T @ force_n[2] @ mx, my.T @ force_n[2] @ sx
-        return np.concatenate([sy.T @ force_n @ sx, moments]).transpose(1, 2, 0)
+def _on_tiles(design: SensorDesign) -> FloatArray:
+    """Forces (tiles·3, 6) on a cell's tiles that add up to each load of its plate's underside."""
+    on = plate_tiles(design).ravel()
+    squares = cell_rectangles(design)[: len(on)]
+    x, y = (squares[on, :2] + squares[on, 2:]).T / 2
+    loads = np.zeros((N_LOADS, len(x), 3))
+    loads[0, :, 0] = loads[1, :, 1] = 1.0
+    loads[2:5, :, 2] = -np.ones_like(x), -x, -y
+    loads[5, :, 0], loads[5, :, 1] = -y, x
+    found = np.zeros((len(squares), 3, N_LOADS))
+    found[on] = np.linalg.pinv(loads.reshape(N_LOADS, -1)).reshape(-1, 3, N_LOADS)
+    return found.reshape(-1, N_LOADS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,37 +397,30 @@ class PatchCompliance:
 
     @cached_property
     def below_mm(self) -> FloatArray | float:
-        """How far the cells at rest lie below the top."""
-        return rubber_below_mm(self.surface.design, self.patch.x_mm, self.patch.y_mm)
+        """How far the cells (ny, nx) at rest lie below the top: 0 on plates and of bare rubber."""
+        thickness_mm = self.surface.design.pad.plate.thickness_mm
+        return 0.0 if self._plates is None else np.where(self._plates, 0.0, thickness_mm)
 
     @cached_property
     def _plates(self) -> NDArray[np.bool_] | None:
         """Cells on plates, (ny, nx); None on bare rubber."""
-        return on_plates(self.surface.design, self.patch.x_mm, self.patch.y_mm) if self.surface.has_plates else None
+        if not self.surface.has_plates:
+            return None
+        x, y = (plated(at, self.surface.strips(k)) for k, at in enumerate((self.patch.x_mm, self.patch.y_mm)))
+        return np.asarray(y[:, None] & x)
 
     @cached_property
     def _faces(self) -> sp.csr_matrix | None:
-        """From displacements of tiles (3·ny·nx,) to those of the faces of plates above them; None on bare rubber.
-
-        A face stands its thickness t above the underside: it moves by −t ∂u_z/∂x along x as that turns, and likewise
-        along y. The transpose takes forces on faces to the underside, with their moments.
-        """
+        """As `faces` of these tiles; None on bare rubber."""
         if not self.surface.has_plates:
             return None
-        (sx, nx), (sy, ny) = (
-            (levers(self.surface.strips(axis), own[1]), own[0].shape[1])
-            for axis, own in enumerate((self._columns, self._rows))
-        )
-        on_x, on_y = (sp.diags_array((slopes != 0).any(axis=1).astype(float)) for slopes in (sx, sy))
-        t, one = self.surface.design.pad.plate.thickness_mm, sp.eye(nx * ny)
-        return sp.block_array(
-            [[one, None, -t * sp.kron(on_y, sx)], [None, one, -t * sp.kron(sy, on_x)], [None, None, one]], format="csr"
-        )
+        x, y = (levers(self.surface.strips(k), own) for k, (_, own) in enumerate((self._columns, self._rows)))
+        return faces(x, y, self.surface.design.pad.plate.thickness_mm)
 
     @cached_property
     def _layer(self) -> tuple[FloatArray, tuple[int, int]]:
         design, (dx, dy) = self.surface.design, self.patch.cell_mm
-        return _layer_spectrum(  # patches of one grid have one
+        return layer_spectrum(  # patches of one grid have one
             self.patch.nx, self.patch.ny, round(dx, 9), round(dy, 9), design.unit.height_mm, design.matrix_material
         )
 
@@ -422,26 +443,3 @@ def _tabled(places_mm: FloatArray, middle_mm: float, step_mm: float) -> tuple[np
     at = (places_mm - middle_mm) / step_mm
     nodes = np.arange(int(np.floor(at.min())), int(np.floor(at.max())) + 2)
     return nodes, np.maximum(0.0, 1.0 - np.abs(at[:, None] - nodes))
-
-
-@lru_cache(maxsize=64)
-def _layer_spectrum(
-    nx: int, ny: int, dx: float, dy: float, height_mm: float, material: Material
-) -> tuple[FloatArray, tuple[int, int]]:
-    """Fourier transform of the layer's influence between cells, (3, 3, ...), and the size that forces are padded to."""
-    quarter = _layer_quarter(SHARED * -(-max(nx, ny) // SHARED), dx, dy, height_mm, material)[:, :, :ny, :nx]
-    my, mx = fft.next_fast_len(2 * ny - 1, real=True), fft.next_fast_len(2 * nx - 1, real=True)
-    whole = np.zeros((3, 3, my, mx))
-    whole[..., :ny, :nx] = quarter
-    whole[..., :ny, mx - nx + 1 :] = quarter[..., :0:-1] * np.outer(MIRROR_X, MIRROR_X)[..., None, None]
-    whole[..., my - ny + 1 :, :] = whole[..., ny - 1 : 0 : -1, :] * np.outer(MIRROR_Y, MIRROR_Y)[..., None, None]
-    return fft.rfft2(whole), (my, mx)
-
-
-@lru_cache(maxsize=32)
-def _layer_quarter(n: int, dx: float, dy: float, height_mm: float, material: Material) -> FloatArray:
-    """The layer's influence of a cell on those up to n rows and columns further, (3, 3, n, n)."""
-    x, y = np.arange(n) * dx, np.arange(n)[:, None] * dy
-    targets = np.stack(np.broadcast_arrays(x - dx / 2, y - dy / 2, x + dx / 2, y + dy / 2), axis=-1)
-    found = layer_mean_compliance(targets, np.array([-dx, -dy, dx, dy]) / 2, height_mm, material)
-    return found.transpose(2, 3, 0, 1)

@@ -1,11 +1,19 @@
-"""Tiles of an array's top along an axis, in strips that end at the edges of plates, and polynomials between tiles."""
+"""Grids on an array's top: tiles, in strips that end at the edges of plates, and the equal cells of a contact's patch.
 
+Polynomials run between the tiles of a strip. Between the cells of a patch an endless layer answers in closed form.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy import fft
 
-from geometry.design import SensorDesign, lone_unit
+from fem.array.closed_forms import layer_mean_compliance
+from geometry.design import Array, Material, SensorDesign, lone_unit
 from geometry.layout import FloatArray, electrode_squares
 
 TILES_PER_HEIGHT = 4.0
@@ -14,6 +22,9 @@ PLATE_TILES = 3  #: along a plate, whose motion needs two; those beside it are a
 MIN_BESIDE, MAX_BESIDE = 2, 4  #: from a plate to the side of its cell
 MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a grid's line
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
+#: sign of a force or a displacement in the mirror x = 0, and in y = 0
+MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+SHARED = 16  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 
 
 class Strip(NamedTuple):
@@ -47,10 +58,15 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
 
 def cell_rectangles(design: SensorDesign) -> FloatArray:
     """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
-    lines = [edges(cell_strips(design, axis)) for axis in (0, 1)]
-    y0, x0 = (each.ravel() for each in np.meshgrid(lines[1][:-1], lines[0][:-1], indexing="ij"))
-    y1, x1 = (each.ravel() for each in np.meshgrid(lines[1][1:], lines[0][1:], indexing="ij"))
-    return np.vstack([np.stack([x0, y0, x1, y1], axis=1), electrode_squares(lone_unit(design))])
+    x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
+    tiles = np.stack(np.broadcast_arrays(x[:-1], y[:-1, None], x[1:], y[1:, None]), axis=-1)
+    return np.vstack([tiles.reshape(-1, 4), electrode_squares(lone_unit(design))])
+
+
+def plate_tiles(design: SensorDesign) -> NDArray[np.bool_]:
+    """Which tiles of a cell lie on its plate, (tiles, tiles)."""
+    own = np.concatenate([np.full(strip.tiles, strip.is_plate) for strip in cell_strips(design, 0)])
+    return np.outer(own, own)
 
 
 def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
@@ -87,19 +103,6 @@ def lined_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, c
     return float(first * step - half), float(last * step - half), int(last - first)
 
 
-def on_plates(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
-    """Which places (ny, nx) lie on plates, of lines x (nx,) and y (ny,)."""
-    x, y = (_plated(places, slab_strips(design, axis, 0)) for axis, places in enumerate((x_mm, y_mm)))
-    return np.asarray(y[:, None] & x)
-
-
-def rubber_below_mm(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray | float:
-    """How far places (ny, nx) lie below the top: 0 on plates and of bare rubber."""
-    if design.pad.kind == "soft":
-        return 0.0
-    return np.where(on_plates(design, x_mm, y_mm), 0.0, design.pad.plate.thickness_mm)
-
-
 def levers(strips: list[Strip], tiles: slice) -> FloatArray:
     """Slope along the axis on each of some tiles, by the displacement up of all of them, (n, n) [1/mm].
 
@@ -107,10 +110,22 @@ def levers(strips: list[Strip], tiles: slice) -> FloatArray:
     """
     lines = edges(strips)
     middles = ((lines[:-1] + lines[1:]) / 2)[tiles]
-    own, plate = _own(middles, strips), _plated(middles, strips)
+    own, plate = _own(middles, strips), plated(middles, strips)
     same = (own[:, None] == own) & plate
     off = same * (middles - (same @ middles / np.maximum(same.sum(axis=1), 1))[:, None])
     return off / np.maximum((off**2).sum(axis=1), 1e-12)[:, None]
+
+
+def faces(slopes_x: FloatArray, slopes_y: FloatArray, thickness_mm: float) -> sp.csr_matrix:
+    """From displacements of tiles (3·ny·nx,) to those of the faces of plates above them, by `levers` along x and y.
+
+    A face stands its thickness t above the underside: it moves by −t ∂u_z/∂x along x as that turns, and likewise along
+    y. The transpose takes forces on faces to the underside, with their moments.
+    """
+    on_x, on_y = (sp.diags_array((slopes != 0).any(axis=1).astype(float)) for slopes in (slopes_x, slopes_y))
+    t, one = thickness_mm, sp.eye(len(slopes_x) * len(slopes_y))
+    turned = -t * sp.kron(on_y, slopes_x), -t * sp.kron(slopes_y, on_x)
+    return sp.block_array([[one, None, turned[0]], [None, one, turned[1]], [None, None, one]], format="csr")
 
 
 def edges(strips: list[Strip]) -> FloatArray:
@@ -125,18 +140,17 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     The same shares take a force to tiles, each spread over its own: its moments up to the degree stay. A strip that is
     too short has lines.
     """
-    own, counts = _own(places_mm, strips), np.array([strip.tiles for strip in strips])
-    before = np.concatenate([[0], np.cumsum(counts)])
-    start, stop = before[own.min()], before[own.max() + 1]
-    found = np.zeros((len(places_mm), stop - start))
+    own, ends = _own(places_mm, strips), np.cumsum([0, *(strip.tiles for strip in strips)])
+    found = np.zeros((len(places_mm), ends[-1]))
     for number in np.unique(own):
-        here, strip = own == number, strips[number]
-        found[here, before[number] - start : before[number + 1] - start] = _in_strip(places_mm[here], strip, degree)
+        here = own == number
+        found[here, ends[number] : ends[number + 1]] = _in_strip(places_mm[here], strips[number], degree)
     used = np.flatnonzero(found.any(axis=0))
-    return found[:, used[0] : used[-1] + 1], slice(int(start + used[0]), int(start + used[-1] + 1))
+    tiles = slice(int(used[0]), int(used[-1] + 1))
+    return found[:, tiles], tiles
 
 
-def _plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
+def plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
     """Which places (n,) lie on strips of plates."""
     return np.array([strip.is_plate for strip in strips])[_own(places_mm, strips)]
 
@@ -160,3 +174,85 @@ def _in_strip(places_mm: FloatArray, strip: Strip, degree: int) -> FloatArray:
         powers @ lagrange[1:] @ np.tri(degree + 2, degree + 1, -1)
     )
     return found
+
+
+def span(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First column and row of those (ny, nx) that hold some cells, and the first ones beyond them, (2,) each."""
+    first, last = np.array([np.flatnonzero(cells.any(axis=axis))[[0, -1]] for axis in (0, 1)]).T
+    return first, last + 1
+
+
+def overlaps(ends: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares (n, m) of cells between ends (n + 1,) in others, and times their arms about these others' middles."""
+    inside = np.clip(ends[:, None], others[:-1], others[1:])
+    share = np.diff(inside, axis=0) / np.diff(ends)[:, None]
+    return share, share * ((inside[1:] + inside[:-1]) / 2 - (others[:-1] + others[1:]) / 2)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A rectangle of the top, divided into nx × ny equal cells. Forces and displacements on it have (3, ny, nx)."""
+
+    low_mm: tuple[float, float]
+    high_mm: tuple[float, float]
+    nx: int
+    ny: int
+
+    @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Sides of a cell."""
+        return (self.high_mm[0] - self.low_mm[0]) / self.nx, (self.high_mm[1] - self.low_mm[1]) / self.ny
+
+    @property
+    def cell_mm2(self) -> float:
+        return self.cell_mm[0] * self.cell_mm[1]
+
+    def ends(self, axis: int) -> FloatArray:
+        """Ends of the cells along x (0) or y (1), (n + 1,)."""
+        return np.linspace(self.low_mm[axis], self.high_mm[axis], (self.nx, self.ny)[axis] + 1)
+
+    @property
+    def x_mm(self) -> FloatArray:
+        """Middles of the cells along x, (nx,)."""
+        return np.asarray(self.low_mm[0] + (np.arange(self.nx) + 0.5) * self.cell_mm[0], np.float64)
+
+    @property
+    def y_mm(self) -> FloatArray:
+        """Middles of the cells along y, (ny,)."""
+        return np.asarray(self.low_mm[1] + (np.arange(self.ny) + 0.5) * self.cell_mm[1], np.float64)
+
+    def unit_loads(self, force_n: FloatArray, array: Array) -> FloatArray:
+        """Load on each unit's share of the top, pitch × pitch, (rows, cols, 5); cells on a border are divided.
+
+        The force along x, y, z [N], and the moments of z about the share's middle, ∫ p (x − x₀) and ∫ p (y − y₀)
+        [N mm].
+        """
+        (sx, mx), (sy, my) = (
+            overlaps(self.ends(axis), np.linspace(-count / 2, count / 2, count + 1) * array.pitch_mm)
+            for axis, count in enumerate((array.cols, array.rows))
+        )
+        moments = sy.T @ force_n[2] @ mx, my.T @ force_n[2] @ sx
+        return np.concatenate([sy.T @ force_n @ sx, moments]).transpose(1, 2, 0)
+
+
+@lru_cache(maxsize=64)
+def layer_spectrum(
+    nx: int, ny: int, dx: float, dy: float, height_mm: float, material: Material
+) -> tuple[FloatArray, tuple[int, int]]:
+    """Fourier transform of the layer's influence between cells, (3, 3, ...), and the size that forces are padded to."""
+    quarter = _layer_quarter(SHARED * -(-max(nx, ny) // SHARED), dx, dy, height_mm, material)[:, :, :ny, :nx]
+    my, mx = fft.next_fast_len(2 * ny - 1, real=True), fft.next_fast_len(2 * nx - 1, real=True)
+    whole = np.zeros((3, 3, my, mx))
+    whole[..., :ny, :nx] = quarter
+    whole[..., :ny, mx - nx + 1 :] = quarter[..., :0:-1] * np.outer(MIRROR_X, MIRROR_X)[..., None, None]
+    whole[..., my - ny + 1 :, :] = whole[..., ny - 1 : 0 : -1, :] * np.outer(MIRROR_Y, MIRROR_Y)[..., None, None]
+    return fft.rfft2(whole), (my, mx)
+
+
+@lru_cache(maxsize=32)
+def _layer_quarter(n: int, dx: float, dy: float, height_mm: float, material: Material) -> FloatArray:
+    """The layer's influence of a cell on those up to n rows and columns further, (3, 3, n, n)."""
+    x, y = np.arange(n) * dx, np.arange(n)[:, None] * dy
+    targets = np.stack(np.broadcast_arrays(x - dx / 2, y - dy / 2, x + dx / 2, y + dy / 2), axis=-1)
+    found = layer_mean_compliance(targets, np.array([-dx, -dy, dx, dy]) / 2, height_mm, material)
+    return found.transpose(2, 3, 0, 1)

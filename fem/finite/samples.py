@@ -8,7 +8,7 @@ conduction are put right in the same way. What is left falls from the coarse gri
 nearly constant, and is extrapolated.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,19 +20,28 @@ from numpy.typing import NDArray
 from common.errors import DesignError
 from common.storage.cache import kept_value
 from common.storage.files import digest
-from fem.conduction.potentials import Piezoresistivity, pillars_per_mm, unit_conductances
-from fem.conduction.reduced import Deformations, ReducedConduction, reduced_conduction
-from fem.finite.preloads import PreloadedArray, Refinement, Unwanted
-from fem.kernel.chord import Chord, Relaxed
-from fem.kernel.system import State
+from fem.conduction.potentials import Piezoresistivity, unit_conductances
+from fem.conduction.reduced import Deformations, ReducedConduction, mended, reduced_conduction
+from fem.kernel.elements import hexahedra
+from fem.kernel.factor import Factor
+from fem.kernel.field import rows_at, slopes_at
+from fem.kernel.loads import StiffLoad
+from fem.kernel.newton import Linearised, Relaxed, Unwanted, find_equilibrium
+from fem.kernel.plates import skew, spins
+from fem.kernel.reference import IntArray, tabulated
+from fem.kernel.rubber import Rubber
+from fem.kernel.system import State, System
+from fem.meshes.grid import Grid
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres, upper_electrodes
 
 PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from whose tangents samples are solved
 TOLERANCE = 5e-5  #: relative change of the pads' motion by an iteration at which a sample ends
 #: most iterations on the finer grid: where rubber at pads' edges needs more, the answer is left as it is, and what it
 #: may be off by of the last change is stated
 FINER, STALLED = 5, 4.0
+MAX_ITERATIONS = 16  #: on the coarse grid with one tangent
+RENEWALS = 2  #: of the tangent, of samples that have not settled then
 AT_ONCE = 8  #: samples solved together, which bounds the memory
 #: lines of the grids, as shares of the pad and of the height
 COARSE = (0.5, 1.0), (0.5, 1.0)
@@ -42,11 +51,7 @@ FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
 EXTRAPOLATED, LEFT = 0.15, 0.4
 #: the same of ratios of resistances, from arrays of 2 × 2 units at strains to 0.3 and whole conduction on such a grid
 RATIO_EXTRAPOLATED, RATIO_LEFT = 0.2, 0.45
-#: share of its volume from which a pillar's point begins to count, and from which it counts in full: rubber of ν = 0.49
-#: keeps far more than either
-TORN, WHOLE = 0.2, 0.8
 PROBE_N = 0.1  #: force on a pad by which resistances are differentiated: strains of 1e-4, errors of their square
-MIN_WEIGHT = 0.5  #: share of a pillar's volume below which a state is no answer
 #: samples of 2 × 2 units whose deformations the reduced conduction is made of; their highest pressure over Young's
 #: modulus, and largest shear over pressure
 TYPICAL, HIGHEST, FRICTION = 12, 0.8, 0.3
@@ -54,7 +59,108 @@ LOWERED = 0.7  #: what of its load a typical sample keeps that has no answer
 TYPICAL_METHOD = 2  #: raise when the same design gives another reduced conduction
 REDUCED_ERROR = 2e-3  #: largest relative error of a resistance by few potentials and points, of 48 in other samples
 
-IntArray = NDArray[np.int64]
+#: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
+UnwantedMotion = Callable[[FloatArray], NDArray[np.bool_]]
+
+
+def array_grid(design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> Grid:
+    """The whole slab, with lines along the pads' edges, between units, and at shares of each pad and of the height."""
+    pitch, size = design.array.pitch_mm, design.pad.size_mm
+    lines = [design.unit.height_mm * np.array([0.0, *height])]
+    for count, offset in ((design.array.rows, design.pad.offset_y_mm), (design.array.cols, design.pad.offset_x_mm)):
+        low = pitch / 2 + offset - size / 2
+        unit = np.unique(np.round([low, *(low + size * share for share in pad), pitch], 9))
+        lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
+    return Grid(lines[::-1])
+
+
+class PreloadedArray:
+    """An array of k units of one rubber on one grid, its lines as of `array_grid`."""
+
+    def __init__(self, design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> None:
+        self.design, self.grid = design, array_grid(design, pad, height)
+        rubber = replace(design.matrix_material, model="neo-hookean")
+        self.body = Rubber.of(self.grid.mesh, hexahedra(2), [rubber])
+        offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
+        #: of the electrodes on their plates, (n_upper, 3)
+        self.arm = upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
+        self._bases: dict[float, Linearised] = {}
+
+    def base(self, preload_mpa: float) -> Linearised:
+        """The equilibrium under a uniform pressure on all pads, found once; `UnreachableLoadError` if there is none."""
+        if preload_mpa not in self._bases:
+            down = -preload_mpa * self.design.pad.size_mm**2
+            system = self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1)))
+            factor = system.new_factor()
+            self._bases[preload_mpa] = Linearised.at(system, find_equilibrium(system, factor).state, factor)
+        return self._bases[preload_mpa]
+
+    def system(self, force_n: FloatArray) -> System:
+        """The array under forces (k, 3) on its pads [N]."""
+        pad = self.design.pad
+        middles = unit_centres(self.design) + np.array([pad.offset_x_mm, pad.offset_y_mm])
+        loads = [
+            StiffLoad(center_mm=(x, y), size_mm=(pad.size_mm, pad.size_mm), force_n=(fx, fy, fz))
+            for (x, y), (fx, fy, fz) in zip(middles.tolist(), force_n.tolist(), strict=True)
+        ]
+        return System(self.body, loads)
+
+    def electrodes(self, state: State) -> FloatArray:
+        """Displacements (m, k, n_upper, 3) [mm] of the electrodes in m states."""
+        moved = np.einsum("mkij,ej->mkei", state.turn, self.arm)
+        return np.asarray(state.shift[:, :, None] + moved)
+
+    @cached_property
+    def influence(self) -> FloatArray:
+        """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
+        moved = self.linear(np.eye(3 * self.design.n_units))
+        return np.asarray(self.electrodes(moved).reshape(len(moved.u), -1).T)
+
+    def linear(self, force_n: FloatArray) -> State:
+        """Linear motions of the array at rest under forces (m, 3 k) on its pads [N]."""
+        rest, k = self.base(0.0), self.design.n_units
+        loads = np.zeros((len(force_n), rest.system.n_blocks, 3))
+        loads[:, -2 * k : -k] = force_n.reshape(len(force_n), k, 3)
+        (change, _), n = rest.changes(loads, np.zeros(1)), len(rest.system.free)
+        u = rest.system.nodal_change(rest.state.rotation, change)
+        spin = change[:, n + k :] / rest.system.plates.half_mm[:, None]
+        return State(u=u, p=np.zeros(0), shift=change[:, n : n + k], turn=skew(spin))
+
+    def forces_of(self, moved: FloatArray) -> FloatArray:
+        """Forces (m, 3 k) [N] that move the linear array most nearly by displacements (m, k, n_upper, 3) [mm]."""
+        return np.asarray(moved.reshape(len(moved), -1) @ self._inverse.T)
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.pinv(self.influence))
+
+    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+        """Rows (3 n, n_nodes) of `slopes_at` at points (n, 3) [mm]."""
+        return slopes_at(self.body, *self.grid.located(points_mm))
+
+    def solve(self, preload_mpa: float, force_n: FloatArray, unwanted: Unwanted) -> Relaxed:
+        """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
+
+        Samples that are not wanted keep the change they had.
+        """
+        base = self.base(preload_mpa)
+        found = base.relaxed(force_n, TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
+        for number in np.flatnonzero(found.change > TOLERANCE):
+            own = slice(number, number + 1)
+            for _ in range(RENEWALS):
+                if found.change[number] <= TOLERANCE or unwanted(found.state.part(np.array([number])))[0]:
+                    break
+                about = Linearised.at(base.system, found.state.part(int(number)), self._factor)
+                last = about.relaxed(force_n[own], TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
+                for name, values in vars(last.state).items():
+                    getattr(found.state, name)[own] = values
+                found.change[own] = last.change
+                found.iterations[own] += last.iterations
+        return found
+
+    @cached_property
+    def _factor(self) -> Factor:
+        return next(iter(self._bases.values())).system.new_factor()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +208,7 @@ class SampleSolver:
         design: SensorDesign,
         influence_mm_per_n: FloatArray | None = None,
         resistance_per_n: FloatArray | None = None,
-        unwanted: Unwanted | None = None,
+        unwanted: UnwantedMotion | None = None,
         typical: SensorDesign | None = None,
     ) -> None:
         if not design.is_homogeneous:
@@ -116,7 +222,8 @@ class SampleSolver:
         self._resistance_per_n = resistance_per_n
         self._loaded = [*design.unit.layout.loaded]
         self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
-        self._reader = PillarReader(design, typical or design) if design.electrics.is_conduction else None
+        self._piezo = Piezoresistivity.of(design.electrics)
+        self._reduced = typical_conduction(typical or design) if design.electrics.is_conduction else None
 
     def displacements(self, force_n: FloatArray) -> FiniteSamples:
         """Displacements of the electrodes under forces (m, k, 3) on the pads along x, y, z, down negative [N].
@@ -140,32 +247,50 @@ class SampleSolver:
 
     def _solved(self, preload: float, force_n: FloatArray) -> tuple[Relaxed, NDArray[np.bool_], Relaxed | None]:
         """Samples on the coarse grid, which of them have settled, and these on the finer one."""
-        coarse = self.coarse.solve(preload, force_n, TOLERANCE, self._is_unwanted)
+        coarse = self.coarse.solve(preload, force_n, self._is_unwanted)
         on = coarse.change <= TOLERANCE
         if not on.any():
             return coarse, on, None
-        start = self._refinement.steps(preload, coarse.state.part(np.flatnonzero(on)))
-        return coarse, on, Chord(self.fine.base(preload), force_n[on]).relax(TOLERANCE, FINER, start)
+        start = self._on_finer(preload, coarse.state.part(np.flatnonzero(on)))
+        return coarse, on, self.fine.base(preload).relaxed(force_n[on], TOLERANCE, FINER, start)
+
+    def _on_finer(self, preload: float, state: State) -> FloatArray:
+        """Steps (m, n) of `Linearised` from the preload on the finer grid to states of the coarse one.
+
+        Pressures are uniform in each element there.
+        """
+        (nodes, element, shown), base = self._of_finer, self.coarse.base(preload).state
+        system, m = self.fine.base(preload).system, len(state.u)
+        moved = (state.u - base.u).transpose(1, 0, 2).reshape(-1, 3 * m)
+        u = (nodes @ moved).reshape(-1, m, 3).swapaxes(0, 1)[:, system.free]
+        turned = spins(state.rotation @ base.rotation.swapaxes(-1, -2)) * system.plates.half_mm[:, None]
+        pressures = np.zeros((m, *system.body.pressures_shape))
+        pressures[..., 0] = np.einsum("mek,ek->me", (state.p - base.p)[:, element], shown)
+        return np.hstack([part.reshape(m, -1) for part in (u, state.shift - base.shift, turned, pressures)])
 
     @cached_property
-    def _refinement(self) -> Refinement:
-        return Refinement(self.coarse, self.fine)
+    def _of_finer(self) -> tuple[sp.csr_matrix, IntArray, FloatArray]:
+        """Rows of the coarse grid at the finer one's nodes; its elements at that one's middles, and pressures there."""
+        coarse, fine = self.coarse, self.fine
+        element, local = coarse.grid.located(fine.body.centres_mm)
+        rows = rows_at(coarse.body, *coarse.grid.located(fine.body.points_mm))
+        return rows, element, tabulated(coarse.body.pressure, local)[0].T
 
     def _together(self, preload: float, force_n: FloatArray) -> FiniteSamples:
         """Answers to some samples by one preload; the finer grid costs nothing where a sample has not settled."""
         coarse, on, fine = self._solved(preload, force_n)
-        rough = self._corrected(self.coarse, self.coarse.electrodes(coarse.state))
+        rough = self._corrected(self.coarse, coarse.state)
         moved, change, left = rough.copy(), coarse.change, np.full(len(force_n), np.inf)
         ratio = np.ones((*force_n.shape[:2], len(self.design.unit.layout.pillars)))
         ratio_error = np.zeros(len(force_n))
         if fine is not None:
             coarse.iterations[on] += fine.iterations
-            answers = self._corrected(self.fine, self.fine.electrodes(fine.state))
+            answers = self._corrected(self.fine, fine.state)
             difference = answers - rough[on]
             moved[on] = answers + EXTRAPOLATED * difference
             size = np.maximum(_norms(moved[on]), 1e-300)
             left[on] = np.hypot(LEFT * _norms(difference) / size, STALLED * fine.change)
-        if fine is not None and self._reader is not None:
+        if fine is not None and self._reduced is not None:
             less, sound = self._ratios(self.coarse, coarse.state.part(np.flatnonzero(on)))
             more, whole = self._ratios(self.fine, fine.state)
             loaded = ratio[on]
@@ -200,21 +325,28 @@ class SampleSolver:
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Of the coarse grid and of the finer one at the pillars' points."""
-        assert self._reader is not None
-        return self.coarse.slopes(self._reader.points_mm), self.fine.slopes(self._reader.points_mm)
+        assert self._reduced is not None
+        places = (unit_middles(self.design)[:, None] + self._reduced.points_mm).reshape(-1, 3)
+        return self.coarse.slopes(places), self.fine.slopes(places)
 
     def _ratios(self, array: PreloadedArray, state: State) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Ratios (m, k, n_loaded) of resistances by a grid, with the much finer linear response; which are answers."""
-        assert self._reader is not None
         moved = array.electrodes(state)
-        found, good = self._reader.ratios(gradients(self._slopes[array is self.fine], state.u), moved)
+        found, good = self._read(array, state.u, moved)
         if self._resistance_per_n is not None:
             changes = array.forces_of(moved) @ self._missing_ratios[array is self.fine].T
             found = found + changes.reshape(found.shape)
         return found, good
 
-    def _corrected(self, array: PreloadedArray, moved: FloatArray) -> FloatArray:
-        """Displacements (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
+    def _read(self, array: PreloadedArray, u: FloatArray, moved: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """`ReducedConduction.ratios` by nodes (m, n_nodes, 3) and electrodes (m, k, n_upper, 3) of a grid."""
+        assert self._reduced is not None
+        H = gradients(self._slopes[array is self.fine], u).reshape(*moved.shape[:2], -1, 3, 3)
+        return self._reduced.ratios(self.design.unit.body, H, moved, self._piezo)
+
+    def _corrected(self, array: PreloadedArray, state: State) -> FloatArray:
+        """Electrodes (m, k, n_upper, 3) with the much finer linear response in place of the grid's own."""
+        moved = array.electrodes(state)
         if self._influence is None:
             return moved
         added = self._influence.reshape(array.influence.shape) - array.influence
@@ -225,7 +357,6 @@ class SampleSolver:
         """What the coarse and the finer grid miss of the ratios per newton, (n_pillars k, 3 k) [1/N]."""
         assert self._influence is not None
         assert self._resistance_per_n is not None
-        assert self._reader is not None
         unit, k, n = self.design.unit.body, self.design.n_units, 3 * self.design.n_units
         rest = pillar_vectors(unit)
         own = self._influence.reshape(k, -1, 3, n)[:, unit.layout.pillar_top]
@@ -233,59 +364,23 @@ class SampleSolver:
         at_rest = unit_conductances(unit).pillars_per_mm * pillar_volumes(unit) / (rest**2).sum(axis=1)
         wanted = (self._resistance_per_n.reshape(k, -1, n)[:, self._loaded] - by_eq1) * at_rest[:, None]
         forces, found = PROBE_N * np.eye(n), []
-        for array, slopes in zip((self.coarse, self.fine), self._slopes, strict=True):
-            H = gradients(slopes, array.linear_fields(forces))
-            moved = (forces @ array.influence.T).reshape(n, k, -1, 3)
-            up, down = (self._reader.ratios(sign * H, sign * moved)[0] for sign in (1, -1))
+        for array in (self.coarse, self.fine):
+            u, moved = array.linear(forces).u, (forces @ array.influence.T).reshape(n, k, -1, 3)
+            up, down = (self._read(array, sign * u, sign * moved)[0] for sign in (1, -1))
             seen = (up - down).reshape(n, -1).T / (2 * PROBE_N)
             found.append(wanted.reshape(-1, n) - seen)
         return found[0], found[1]
 
-    def _is_unwanted(self, moved: FloatArray) -> NDArray[np.bool_]:
-        """Samples (m,) by displacements (m, k, n_upper, 3) of the coarse grid."""
+    def _is_unwanted(self, state: State) -> NDArray[np.bool_]:
+        """Which states (m,) of the coarse grid need no answer."""
         if self._unwanted is None:
-            return np.zeros(len(moved), dtype=bool)
-        return self._unwanted(self._corrected(self.coarse, moved))
-
-
-def _smooth_step(x: FloatArray, low: float, high: float) -> FloatArray:
-    """0 below, 1 above, and a cubic without kinks between."""
-    share = np.clip((x - low) / (high - low), 0.0, 1.0)
-    return np.asarray(share**2 * (3 - 2 * share))
+            return np.zeros(len(state.u), dtype=bool)
+        return self._unwanted(self._corrected(self.coarse, state))
 
 
 def _norms(moved: FloatArray) -> FloatArray:
     """Of each sample, (m,)."""
     return np.linalg.norm(moved.reshape(len(moved), -1), axis=1)
-
-
-class PillarReader:
-    """Conduction in the pillars of every unit of an array of k units, as its electrics say."""
-
-    def __init__(self, design: SensorDesign, typical: SensorDesign) -> None:
-        self.unit = design.unit.body
-        self._piezo, self._reduced = Piezoresistivity.of(design.electrics), typical_conduction(typical)
-        centres = np.pad(unit_centres(design), ((0, 0), (0, 1)))
-        #: places in the pillars where gradients are wanted, (k·n, 3)
-        self.points_mm = (centres[:, None] + self._reduced.points_mm).reshape(-1, 3)
-        self._shape = (len(centres), len(self._reduced.points_mm), 3, 3)
-
-    def ratios(self, gradient: FloatArray, electrode_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Resistances over eq. 1's (m, k, n_loaded), by ∂u/∂X (m, k·n, 3, 3) and displacements (m, k, n_upper, 3).
-
-        Also which states are answers, (m,): every pillar has kept `MIN_WEIGHT` of its volume; of others ratios are 1.
-        Points under the edge of a plate, where coarse grids tear the rubber, are blended with the mean of their pillar.
-        """
-        reduced = self._reduced
-        F, kept_volume = _mended(
-            np.eye(3) + gradient.reshape(len(gradient), *self._shape), reduced.pillar, reduced.weight_mm3
-        )
-        good = np.asarray(kept_volume.all(axis=1))
-        along = pillar_vectors(self.unit) + electrode_mm[good][..., self.unit.layout.pillar_top, :]
-        ratios = np.ones((*electrode_mm.shape[:2], len(self.unit.layout.pillars)))
-        per_mm = pillars_per_mm(reduced.conductances(F[good], self._piezo), self.unit.layout.pillar_terminals)
-        ratios[good] = per_mm * pillar_volumes(self.unit) / (along**2).sum(axis=-1)
-        return ratios, good
 
 
 def typical_conduction(design: SensorDesign) -> ReducedConduction:
@@ -317,13 +412,18 @@ def _typical_deformations(design: SensorDesign) -> Deformations:
     fields = solver.fields(force_n * (design.matrix_material.young_mpa * design.pad.size_mm**2))
 
     def deformations(points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
-        for centre in np.pad(unit_centres(design), ((0, 0), (0, 1))):
+        for centre in unit_middles(design):
             slopes = [array.slopes(points_mm + centre) for array in (solver.coarse, solver.fine)]
             for H in (gradients(rows, u) for field in fields for rows, u in zip(slopes, field, strict=True)):
-                F, good = _mended(np.eye(3) + H[:, None], pillar, weight_mm3)
+                F, good = mended(np.eye(3) + H[:, None], pillar, weight_mm3)
                 yield from F[good]
 
     return deformations
+
+
+def unit_middles(design: SensorDesign) -> FloatArray:
+    """Of all units on the base, (k, 3) [mm]."""
+    return np.pad(unit_centres(design), ((0, 0), (0, 1)))
 
 
 def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
@@ -331,15 +431,3 @@ def gradients(slopes: sp.csr_matrix, displacement_mm: FloatArray) -> FloatArray:
     m = len(displacement_mm)
     found = slopes @ displacement_mm.transpose(1, 0, 2).reshape(-1, 3 * m)
     return np.ascontiguousarray(found.reshape(3, -1, m, 3).transpose(2, 1, 3, 0))
-
-
-def _mended(F: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Deformations (m, k, n, 3, 3) of points, torn ones blended with the mean of their pillar; which are answers."""
-    weight = _smooth_step(np.linalg.det(F), TORN, WHOLE)  # so that resistances have no jumps
-    volume = np.eye(pillar.max() + 1)[pillar] * weight_mm3[:, None]
-    total = weight @ volume  # (m, k, n_pillars)
-    of_whole = (weight[..., None, None] * F).reshape(*F.shape[:3], 9).swapaxes(2, 3) @ volume  # (m, k, 9, n_pillars)
-    mean = (of_whole / np.maximum(total, 1e-9)[:, :, None]).swapaxes(2, 3).reshape(*total.shape, 3, 3)[:, :, pillar]
-    mended = mean + weight[..., None, None] * (F - mean)
-    good = (total > MIN_WEIGHT * volume.sum(axis=0)).all(axis=2) & (np.linalg.det(mended) > 0).all(axis=2)
-    return mended, np.asarray(good)

@@ -1,4 +1,4 @@
-"""Equilibrium under growing loads by Newton's method, in steps as large as converge.
+"""Equilibrium by Newton's method: of one load, in steps as large as converge, or of many by a tangent that is kept.
 
 The pressure of each element is an iterate of its own: a step moves it to what the linearised volume asks for, and the
 tangent takes it from there. With the pressure of the displacements instead, nearly incompressible rubber needs twice as
@@ -8,15 +8,24 @@ tangent has an eigenvalue below 0 is unstable, and is not taken.
 No change takes more than a part of an element's volume: J → 0 at the edges of plates, where W grows like −ln J, and
 Newton's method on a logarithm converges from the steep side only. The few elements that such an edge squeezes come to
 rest by themselves before each step, or the whole body would wait for them.
+
+With a tangent that is kept (the chord method) an iteration costs one evaluation of the forces and one solve. Alone such
+iterations diverge at large loads; Anderson's acceleration takes of the last ones the combination whose change is least
+(Walker & Ni, SIAM J. Numer. Anal. 49 (2011) 1715).
 """
 
-from dataclasses import dataclass, field, replace
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from fem.kernel.factor import Factor, FactorMemoryError, SolverError
 from fem.kernel.loads import FollowerLoad, StiffLoad
+from fem.kernel.reference import IntArray
 from fem.kernel.rubber import Tangent
 from fem.kernel.system import Misfit, State, System
 from geometry.layout import FloatArray
@@ -30,6 +39,15 @@ KEPT_VOLUME = 0.2  #: of every point's volume, at least, that a change leaves
 DAMPINGS = 0.6 ** np.arange(12)  #: of a change that leaves less
 SQUEEZED = 0.2  #: least J below which elements come to rest by themselves before each iteration
 RESTS, RESTED = 25, 1e-6  #: iterations of these, and the unbalanced forces they leave, of the loads
+#: of many loads by one tangent
+DEPTH = 6  #: earlier iterates that are combined
+MAX_CHANGE_GROWTH = 2.0  #: of the change that is asked for, before a step is halved
+PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where changes are measured
+AT_ONCE = 40_000  #: points of integration whose stress is worked on at a time: more would leave the cache
+NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
+
+LoadPath = list[tuple[float, float, float]]  #: fractions of the full load f, g = f · u there [mJ], and its slope
+Unwanted = Callable[[State], NDArray[np.bool_]]  #: states of m samples to booleans (m,): of those that need no answer
 
 
 class UnreachableLoadError(SolverError):
@@ -42,17 +60,22 @@ class UnreachableLoadError(SolverError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equilibrium:
-    """A body in equilibrium with its loads."""
+    """A body in equilibrium with its loads, or where the search for one ended."""
 
     state: State
     residual: float  #: unbalanced forces, relative to the loads
     least_j: float  #: least ratio of deformed to original volume at any point of integration
     iterations: int  #: of Newton's method, failed steps included
-    steps: int  #: load steps that converged
-    stored_mj: float  #: energy in the rubber
-    work_mj: float  #: of the loads; NaN where they have no potential
     #: True if its tangent is definite; None where nothing counts eigenvalues: pressures, moments, no PARDISO
     is_stable: bool | None = None
+    steps: int = 0  #: load steps that converged
+    stored_mj: float = 0.0  #: energy in the rubber
+    work_mj: float = 0.0  #: of the loads; NaN where they have no potential
+
+    @property
+    def is_found(self) -> bool:
+        """Whether forces balance, and it is not known to be unstable."""
+        return self.residual <= RESIDUAL and self.is_stable is not False
 
     @property
     def energy_imbalance(self) -> float:
@@ -61,8 +84,28 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, eq=False)
+class Relaxed:
+    """Samples after their last iteration."""
+
+    state: State
+    change: FloatArray  #: last change of the plates' motion, relative, (m,); infinite before the first
+    iterations: IntArray  #: (m,)
+
+
+class _Iterate(NamedTuple):
+    """Where a sample was, and the change that the tangent asked for there."""
+
+    step: FloatArray
+    change: FloatArray
+    size: float  #: of the change
+
+
+@dataclass(frozen=True, eq=False)
 class Linearised:
-    """A system's tangent at a state, in a factor: Newton's method renews it, the chord method (`chord.py`) keeps it."""
+    """A system's tangent at a state, in a factor: renewed by Newton's method, kept by the chord method.
+
+    A step from that state is a vector: changes of the unknowns, then of the pressures.
+    """
 
     system: System
     state: State
@@ -79,56 +122,112 @@ class Linearised:
         factor.factor(matrix)
         return cls(system, state, factor, parts)
 
-    def solve(self, unbalanced: FloatArray) -> FloatArray:
-        """Changes of the unknowns (m, n_blocks, 3) by forces on them, of the same shape; no continuous pressures."""
-        flat = np.ascontiguousarray(unbalanced.reshape(len(unbalanced), -1).T)
-        return self.factor.solve(flat).T.reshape(unbalanced.shape)
-
     def changes(self, unbalanced: FloatArray, missing: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Changes of the unknowns, and of jumping pressures (m, n_elements, k) of which these are missing."""
-        motions = self.solve(unbalanced)
+        """Changes of the unknowns by forces on them (m, n_blocks, 3), and of the pressures, of which these are missing.
+
+        Jumping pressures have (m, n_elements, k). Of continuous ones (m, n_mixed) `missing` are those of `Misfit`.
+        """
+        m, n_mixed = len(unbalanced), self.system.n_mixed
+        flat = np.hstack([unbalanced.reshape(m, -1), *([missing] if n_mixed else [])])
+        y = self.factor.solve(np.ascontiguousarray(flat.T)).T
+        motions = y[:, : y.shape[1] - n_mixed].reshape(unbalanced.shape)
+        if n_mixed:
+            return motions, y[:, -n_mixed:]
         nodal = self.system.nodal_change(self.state.rotation, motions)
         return motions, missing + self.parts.pressure_changes(nodal)
 
-    def balancing(self, state: State, misfit: Misfit) -> tuple[FloatArray, FloatArray]:
-        """Changes of the unknowns (n_blocks, 3) and of the pressures of one state that balance its forces."""
-        if not self.system.body.is_mixed:
-            motions, pressures = self.changes(misfit.unbalanced[None], (misfit.pressures - state.p)[None])
-            return motions[0], pressures[0]
-        both = self.factor.solve(np.concatenate([misfit.unbalanced.ravel(), misfit.pressures])[:, None])[:, 0]
-        return both[: -self.system.n_mixed].reshape(-1, 3), both[-self.system.n_mixed :]
+    def stepped(self, steps: FloatArray) -> State:
+        """The deformed bodies after steps (m, n)."""
+        base, m, n = self.state, len(steps), 3 * self.system.n_blocks
+        copies = State(*(np.broadcast_to(part, (m, *part.shape)) for part in (base.u, base.p, base.shift, base.turn)))
+        return self.system.moved(copies, steps[:, :n].reshape(m, -1, 3), steps[:, n:].reshape(copies.p.shape))
+
+    def asked(self, steps: FloatArray, force_n: FloatArray) -> FloatArray:
+        """Changes of steps (m, n) that balance forces (m, k, 3) on the plates [N]; of jumping pressures."""
+        state, system, body = self.stepped(steps), self.system, self.system.body
+        missing, forces = np.empty_like(state.p), np.empty_like(state.u)
+        at_once = max(1, AT_ONCE // body.dx.size)
+        for first in range(0, len(steps), at_once):
+            some = slice(first, first + at_once)
+            forces[some], strain, p = body.forces(state.u[some], state.p[some])
+            missing[some] = body.pressures(strain.theta) - p
+        forces += self.parts.pressed(missing)
+        unbalanced = system.gathered(system.dead - forces, state.rotation)
+        n, k = len(system.free), system.plates.count
+        unbalanced[:, n : n + k] += force_n
+        return np.hstack([part.reshape(len(steps), -1) for part in self.changes(unbalanced, missing)])
+
+    def relaxed(
+        self,
+        force_n: FloatArray,
+        tolerance: float,
+        most: int,
+        start: FloatArray | None = None,
+        unwanted: Unwanted | None = None,
+    ) -> Relaxed:
+        """m samples under forces (m, k, 3) on the plates [N], until these move by less than a tolerance.
+
+        Iterates from steps (m, n), or the tangent's own. A sample that has settled, or is not wanted, stays as it is,
+        whatever the others need. A step that lets the forces grow, or turns an element inside out, is halved. A sample
+        that does not settle ends with a change above the tolerance, after `most` iterations where it came closest.
+        """
+        m, n = len(force_n), 3 * self.system.n_blocks
+        if start is None:
+            start = np.zeros((m, n + self.state.p.size))
+            start = start + self.asked(start, force_n)
+        x, change, count = start.copy(), np.full(m, np.inf), np.zeros(m, dtype=np.int64)
+        weight = np.ones(x.shape[1])
+        weight[n:] = PRESSURE_MM_PER_MPA
+        plates, shift = slice(3 * len(self.system.free), n), self.state.shift
+        moved = np.concatenate([shift.ravel(), np.zeros(shift.size)])  # plates at the tangent's state
+        seen, is_halved = [deque[_Iterate](maxlen=DEPTH + 1) for _ in range(m)], np.zeros(m, dtype=bool)
+        going = np.arange(m)
+        for _ in range(most):
+            for sample, g in zip(going, self.asked(x[going], force_n[going]), strict=True):
+                own = seen[sample]
+                count[sample] += 1
+                with np.errstate(over="ignore"):  # an iterate that runs away is halved
+                    size = float(np.linalg.norm(g * weight))
+                has_grown = len(own) > 0 and size > MAX_CHANGE_GROWTH * own[-1].size
+                is_halved[sample] = has_grown or not np.isfinite(size)
+                if is_halved[sample]:
+                    x[sample] = (x[sample] + (own[-1].step if own else 0.0)) / 2
+                    continue
+                own.append(_Iterate(x[sample].copy(), g, size))
+                step = _accelerated([*own], weight)
+                x[sample] += step
+                length = float(np.linalg.norm(moved + x[sample, plates])) or 1.0
+                # both the step and what the tangent asks for: where one stagnates, the other does not
+                change[sample] = max(float(np.linalg.norm(part[plates])) for part in (step, g)) / length
+            going = going[change[going] > tolerance]
+            if unwanted is not None and len(going):
+                going = going[~(unwanted(self.stepped(x[going])) & (change[going] < NEARLY))]
+            if not len(going):
+                break
+        for sample in going:
+            if own := seen[sample]:
+                best = min(own, key=lambda one: one.size)
+                if is_halved[sample] or own[-1].size > best.size:
+                    x[sample] = best.step
+        return Relaxed(self.stepped(x), change, count)
 
 
-@dataclass(eq=False)
-class _Path:
-    """The load's own displacement g = f · u along the load, for the work ∫ s dg; f is the full load."""
-
-    load_factor: list[float] = field(default_factory=lambda: [0.0])
-    value: list[float] = field(default_factory=lambda: [0.0])
-    slope: list[float] = field(default_factory=list)
-
-    def to(self, load_factor: float, value: float, slope: float) -> "_Path":
-        """The path one step farther."""
-        return _Path([*self.load_factor, load_factor], [*self.value, value], [*self.slope, slope])
-
-    def work(self) -> float:
-        """∫ s dg, with g a cubic in every step that has the known values and slopes at its ends."""
-        s, g, d = (np.array(v) for v in (self.load_factor, self.value, self.slope))
-        h = np.diff(s)
-        below = h * (g[1:] + g[:-1]) / 2 + h**2 * (d[:-1] - d[1:]) / 12
-        return float(s[-1] * g[-1] - below.sum())
+def _accelerated(seen: list[_Iterate], weight: FloatArray) -> FloatArray:
+    """Change from the last iterate to the combination of all, each with its change, whose change is least."""
+    last = seen[-1]
+    if len(seen) < 2:
+        return last.change
+    differences = last.change - np.stack([one.change for one in seen[:-1]])
+    share = np.linalg.lstsq((differences * weight).T, weight * last.change, rcond=1e-6)[0]
+    return np.asarray(last.change - share @ (differences + last.step - np.stack([one.step for one in seen[:-1]])))
 
 
-@dataclass(frozen=True, eq=False)
-class _Tried:
-    state: State
-    misfit: Misfit
-    iterations: int
-    is_stable: bool | None  #: of an equilibrium
-
-    @property
-    def converged(self) -> bool:
-        return self.misfit.residual <= RESIDUAL and self.is_stable is not False
+def _work(path: LoadPath) -> float:
+    """∫ s dg along a path of fractions s, with g a cubic in every step that has the known values and slopes."""
+    s, g, d = np.array(path).T
+    h = np.diff(s)
+    below = h * (g[1:] + g[:-1]) / 2 + h**2 * (d[:-1] - d[1:]) / 12
+    return float(s[-1] * g[-1] - below.sum())
 
 
 def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibrium:
@@ -139,51 +238,43 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
     """
     factor = factor or system.new_factor()
     state, reached, step = system.rest(), 0.0, 1.0
-    path, tried = _Path(), None
-    iterations = steps = 0
+    found, path = Equilibrium(state=state, residual=0.0, least_j=1.0, iterations=0, is_stable=True), LoadPath()
     if system.misfit(state, 1.0).size == 0.0:
-        return Equilibrium(
-            state=state, residual=0.0, least_j=1.0, iterations=0, steps=0, stored_mj=0.0, work_mj=0.0, is_stable=True
-        )
+        return found
+    iterations = steps = 0
     while reached < 1.0:
         step = min(step, 1.0 - reached)
-        tried = _equilibrium_at(system, factor, state, reached + step, path)
-        iterations += tried.iterations
-        ahead = path
-        if tried.converged:
-            ahead = path.to(reached + step, system.own_displacement(tried.state), system.slope(factor, tried.state))
-        stored = system.stored_mj(tried.state) if tried.converged else np.nan
-        if not tried.converged or (system.symmetric and abs(ahead.work() - stored) > JUMPED * stored):
+        found = _equilibrium_at(system, factor, state, reached + step, path)
+        iterations += found.iterations
+        is_reached = found.is_found
+        if is_reached:
+            g, slope = system.own_displacement(found.state), system.slope(factor, found.state)
+            ahead, stored = [*path, (reached + step, g, slope)], system.stored_mj(found.state)
+            is_reached = not (system.symmetric and abs(_work(ahead) - stored) > JUMPED * stored)
+        if not is_reached:
             step /= 2
             if step < MIN_STEP:
-                raise _refusal(system, reached, tried)
+                raise _refusal(system, reached, found)
             continue
-        reached, state, path = reached + step, tried.state, ahead
+        reached, state, path = reached + step, found.state, ahead
         steps, step = steps + 1, 2 * step
-    assert tried is not None  # the load is not 0
-    return Equilibrium(
-        state=state,
-        residual=tried.misfit.residual,
-        least_j=tried.misfit.least_j,
-        iterations=iterations,
-        steps=steps,
-        stored_mj=stored,
-        work_mj=path.work() if system.symmetric else np.nan,
-        is_stable=tried.is_stable,
-    )
+    work = _work(path) if system.symmetric else np.nan
+    return replace(found, iterations=iterations, steps=steps, stored_mj=stored, work_mj=work)
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: _Path) -> _Tried:
-    """Newton's method at one load, from a state in equilibrium with a smaller one."""
+def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: LoadPath) -> Equilibrium:
+    """Newton's method at one load, from a state in equilibrium with a smaller one; begins the path with its slope."""
     misfit = system.misfit(state, load_factor)
     start, before = misfit.residual, np.inf
     tangent: Linearised | None = None
+    is_stable: bool | None = None
     for iteration in range(MAX_ITERATIONS + 1):
         rested = _rested(system, state, load_factor, RESTED * misfit.size)
         if rested is not state:
             state, misfit = rested, system.misfit(rested, load_factor)
         if misfit.residual <= RESIDUAL:
-            return _Tried(state, misfit, iteration, system.is_stable(factor, state, load_factor, misfit))
+            is_stable = system.is_stable(factor, state, load_factor, misfit)
+            break
         if iteration == MAX_ITERATIONS or not misfit.residual <= MAX_GROWTH * max(start, 1.0):
             break
         chord = tangent is not None and misfit.residual**2 <= RESIDUAL * before  # the last tangent serves, taken twice
@@ -195,13 +286,16 @@ def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: f
             except SolverError:
                 break
         assert tangent is not None
-        if not path.slope:
-            path.slope.append(system.slope(factor, state))
+        if not path:
+            path.append((0.0, 0.0, system.slope(factor, state)))
         for _ in range(1 + chord):
             before = misfit.residual
-            state = _damped(system, state, *tangent.balancing(state, misfit))
+            missing = misfit.pressures if system.body.is_mixed else misfit.pressures - state.p
+            (motions,), (pressures,) = tangent.changes(misfit.unbalanced[None], missing[None])
+            state = _damped(system, state, motions, pressures)
             misfit = system.misfit(state, load_factor)
-    return _Tried(state, misfit, iteration, None)
+    residual, least_j = misfit.residual, misfit.least_j
+    return Equilibrium(state=state, residual=residual, least_j=least_j, iterations=iteration, is_stable=is_stable)
 
 
 def _damped(system: System, state: State, change: FloatArray, pressures: FloatArray) -> State:
@@ -283,7 +377,7 @@ def _unstable(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.zeros(0), np.zeros((len(matrix), 0))
 
 
-def _refusal(system: System, reached: float, worst: _Tried) -> UnreachableLoadError:
+def _refusal(system: System, reached: float, worst: Equilibrium) -> UnreachableLoadError:
     j = system.body.volume_ratios(worst.state.u).min(axis=1)
     least, element = float(j.min()), int(j.argmin())
     x, y, z = system.body.centres_mm[element]
@@ -293,7 +387,7 @@ def _refusal(system: System, reached: float, worst: _Tried) -> UnreachableLoadEr
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
     what = "equilibrium"
-    is_equilibrium = worst.misfit.residual <= RESIDUAL
+    is_equilibrium = worst.residual <= RESIDUAL
     if is_equilibrium:
         what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
     return UnreachableLoadError(

@@ -41,7 +41,7 @@ def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
     design = surface.design
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fem.contact.surface._extrapolated", lambda source: source.condensed(1, 3))
-        patch.setattr("fem.contact.wrenches.surface_compliance", lambda design, progress: (surface, None, True))
+        patch.setattr("fem.contact.surface.surface_compliance", lambda design, progress: (surface, None, True))
         patch.setattr("decoupler.touch.plates.kept_value", lambda hint, kind, key, make: (make(), None, False))
         plates = plate_response(design)[0]
     return PlateDecoder(design=design, errors=READ, library=plates, pillars=Pillars.designed(design))

@@ -11,7 +11,7 @@ from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import AT_REST, Conductor, UnitConductors
 from fem.contact import SurfaceCompliance
 from fem.contact import surface as surface_module
-from fem.contact.conducting import conducted_by_tiles
+from fem.contact.surface import conducted_by_tiles
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, upper_electrodes
 
@@ -26,7 +26,7 @@ def coarse(design: SensorDesign, level: int, degree: int) -> Iterator[None]:
         patch.setattr("fem.array.design_cell.GRID_DEGREE", degree)
         for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
             patch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
-        patch.setattr("fem.contact.conducting.kept_value", lambda hint, kind, key, make: (make(), None, False))
+        patch.setattr(surface_module, "kept_value", lambda hint, kind, key, make: (make(), None, False))
         yield
 
 

@@ -15,18 +15,19 @@ from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import (
     AT_REST,
+    INERT,
     Conductor,
     Piezoresistivity,
     UnitConductors,
     pillars_per_mm,
     second_derivatives,
 )
-from fem.contact.conducting import COMPONENTS
+from fem.contact.surface import COMPONENTS
 from fem.contact.tiles import cell_rectangles
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 
-COARSE, INERT = Conductor(unit_hexahedra(Unit(), 2, 1)), Piezoresistivity()
+COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
 
 
 def resistances(H: np.ndarray, piezo: Piezoresistivity = INERT, conductor: Conductor = COARSE) -> np.ndarray:

@@ -20,7 +20,8 @@ from fem.contact import (
     read_solid,
 )
 from fem.contact.indentation import OPEN, STICK
-from fem.contact.surface import Patch, PatchCompliance
+from fem.contact.surface import PatchCompliance
+from fem.contact.tiles import Patch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares
 

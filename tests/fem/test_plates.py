@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Indentation, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
 from fem.contact.driver import pressed
-from fem.contact.surface import UP, Patch, PatchCompliance
-from fem.contact.tiles import cell_strips, edges, lined_grid, shares, slab_strips
+from fem.contact.surface import UP, PatchCompliance
+from fem.contact.tiles import Patch, cell_strips, edges, lined_grid, shares, slab_strips
 from fem.pictures.contact import _draw_plates, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign
 from studies.bench.peers.plates import CASES, pressed_here

@@ -20,7 +20,8 @@ from fem.contact import (
     about_z,
     press,
 )
-from fem.contact.surface import PatchCompliance
+from fem.contact.surface import PatchCompliance, endless_surface
+from geometry.design import Array, SensorDesign
 
 BALL_MM, DEPTH_MM, FRICTION = 8.0, 0.6, 0.5
 BOX_MM = np.array([[x, y, z] for x in (-4.0, 4.0) for y in (-3.0, 3.0) for z in (0.0, 5.0)])
@@ -98,6 +99,17 @@ def test_it_goes_as_deep_as_a_force_takes_and_forgets_what_has_gone(pair: Surfac
 def test_steps_that_cannot_be_are_refused(pair: SurfaceCompliance, place_mm, force_n, told):
     with pytest.raises(ContactError, match=told):
         Stepper(pair).step(Capsule(BALL_MM), place_mm, force_n)
+
+
+def test_a_long_narrow_top_is_stepped_over_as_pressed():
+    """Its coarsest grids have one cell across; on an endless layer, within both estimates."""
+    surface = endless_surface(SensorDesign(array=Array(rows=1, cols=8)))
+    found, expected = (
+        Stepper(surface, friction=0.0).step(Sphere(5.0), (0.0, 0.0, -0.5)),
+        press(surface, Sphere(5.0), 0.5),
+    )
+    missed = np.linalg.norm(found.force_n - expected.force_n) / np.linalg.norm(expected.force_n)
+    assert missed < found.error_estimate + expected.error_estimate
 
 
 @pytest.mark.parametrize(

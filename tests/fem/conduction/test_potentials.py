@@ -10,6 +10,7 @@ from skfem import BilinearForm
 from common.errors import DesignError
 from fem.conduction.meshes import Hexahedra, joined, unit_hexahedra
 from fem.conduction.potentials import (
+    INERT,
     Conductor,
     Piezoresistivity,
     pillars_per_mm,
@@ -41,7 +42,7 @@ def box(x, y, z, order, half=np.inf) -> Hexahedra:
     return Hexahedra(basis, faces)
 
 
-def resistance(mesh, F, piezo=None):
+def resistance(mesh, F, piezo=INERT):
     return -1 / Conductor(mesh).conductances(lambda at: np.broadcast_to(F, (len(at), 3, 3)), piezo)[0, 1]
 
 

@@ -73,7 +73,7 @@ def test_pillars_of_another_rubber_are_refused():
 
 
 def test_samples_that_do_not_settle_get_a_tangent_of_their_own(solver, found, monkeypatch):
-    monkeypatch.setattr("fem.finite.preloads.MAX_ITERATIONS", 3)
+    monkeypatch.setattr("fem.finite.samples.MAX_ITERATIONS", 3)
     again = solver.displacements(FORCES_N[1:])
     assert again.settled.all()
     assert again.iterations[0] > 3
