@@ -5,9 +5,8 @@ import pytest
 import trimesh
 
 from fem.pictures.arrays import bell_pressure
-from fem.pictures.deformation import DeformedPicture
+from fem.pictures.deformation import QUANTITIES, DeformedPicture, bar_of, pads_bar
 from fem.pictures.parts import QUADRILATERAL, Part, column_surface, pillar_surface, sensor_parts
-from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
 from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, pillar_volumes, unit_centres
 from geometry.prism import unit_prisms
