@@ -24,7 +24,14 @@ from fem.kernel.reference import tabulated
 from fem.kernel.system import System
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
-from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
+from fem.pictures.arrays import (
+    FINITE_TOLERANCE,
+    ArrayField,
+    FieldState,
+    FiniteArrayField,
+    no_stress,
+    solve_array_field,
+)
 from fem.scene.on_cells import design_of_cells, forces_on_cells
 from fem.scene.scene import Scene, Sensor
 from geometry.design import Unit
@@ -228,17 +235,17 @@ def solve_scene_parts(
         If it cannot be solved.
     """
     if stress and not scene.is_linear:
-        raise no_stress()
+        no_stress()
     if isinstance(scene.body, Sensor):
         return sensor_parts(*_loaded_array(scene, scene.body, progress), stress)
     progress("solve")
-    if not scene.is_linear:
-        return _at_finite_strain(scene)
-    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
-    plan = make_plan(coarse, field=True)
-    field = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
-    assert field is not None  # it was asked for
+    field = scene_field(scene)
     progress("stress" if stress else "parts")
+    if scene.inclusions and not scene.is_linear:  # of whatever rubber: surfaces that the field moves
+        points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
+        moved = field.displacement_at(points)
+        inclusions = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
+        return {"inclusions": inclusions, "matrix": quadratic(field, field.body.region == 0)}
     inside = field.body.region > 0
     if not inside.any():
         return {"body": quadratic(field, stress=stress)}
@@ -248,38 +255,32 @@ def solve_scene_parts(
 def _loaded_array(
     scene: Scene, body: Sensor, progress: Callable[[str], None]
 ) -> tuple[ArrayField | FiniteArrayField, FieldState]:
-    """A scene's unit or array: by superposition on one cell, or at finite strain."""
-    local: dict[Rectangle, int] = {}
-    newtons = forces_on_cells(scene, body, local)
-    force_n, rectangles = newtons.reshape(len(newtons), -1), np.array(list(local)) if local else None
-    if not scene.is_linear:
-        progress("solve")
-        pads = pad_squares(lone_unit(body.design)) if rectangles is None else rectangles
-        pressed = FiniteArrayField(
-            design=body.design,
-            rectangles_mm=pads,
-            force_n=force_n,
-            has_plates=bool(scene.stiff_loads),
-            field=finite_field(scene),
-        )
-        return pressed, pressed.state
-    if rectangles is None:  # unloaded: its pads are shown instead
-        array = solve_array_field(body.design, progress)
-        return array, array.under(np.zeros((body.design.n_units, 3)))
-    array = solve_array_field(design_of_cells(scene, body), progress, None if scene.stiff_loads else rectangles)
-    return array, array.under(force_n)
+    """A scene's unit or array: by superposition on one cell, or at finite strain; unloaded it shows its pads."""
+    design, local = body.design, dict[Rectangle, int]()
+    force_n = forces_on_cells(scene, body, local).reshape(design.n_units, -1)
+    rectangles = np.array(list(local)) if local else pad_squares(lone_unit(design))
+    if not local:
+        force_n = np.zeros((design.n_units, 3))
+    elif scene.is_linear:
+        design = design_of_cells(scene, body)
+    if scene.is_linear:
+        array = solve_array_field(design, progress, rectangles if local and not scene.stiff_loads else None)
+        return array, array.under(force_n)
+    progress("solve")
+    has_plates, field = bool(scene.stiff_loads), scene_field(scene)
+    pressed = FiniteArrayField(
+        design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=has_plates, field=field
+    )
+    return pressed, pressed.state
 
 
-def _at_finite_strain(scene: Scene) -> dict[str, Part]:
-    """A block or a pillar; inclusions, of whatever rubber, are surfaces that the field moves."""
-    field = finite_field(scene)
-    body = quadratic(field, field.body.region == 0)
-    if not scene.inclusions:
-        return {"body": body}
-    points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
-    moved = field.displacement_at(points)
-    inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
-    return {"inclusions": inside, "matrix": body}
+def scene_field(scene: Scene) -> Field:
+    """Displacement of a scene's whole body, for pictures."""
+    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE if scene.is_linear else FINITE_TOLERANCE))
+    plan = make_plan(coarse, field=True)
+    found = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
+    assert found is not None  # it was asked for
+    return found
 
 
 def quadratic(field: Field, own: NDArray[np.bool_] | None = None, stress: bool = False) -> Part:
