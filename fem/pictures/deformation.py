@@ -252,6 +252,8 @@ class DeformedPicture:
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self.warning = warning
         self.moving: list[Moving] = []
+        at_rest = {name: {each: part.times(0.0) for each, part in parts.items()} for name, parts in panels.items()}
+        self._steps = [at_rest, *before, panels]  # equal ones of the load
         self.actors: dict[str, pv.Actor] = {}  #: by name of the part, of the last panel
         stage, seen = {}, {}
         for name, parts in panels.items():
@@ -289,18 +291,18 @@ class DeformedPicture:
             chart = pv.ChartMPL(legend(self.bars, notes, self.plotter.window_size[0]), redraw_on_render=False)
             chart.border_style = None
             self.plotter.add_chart(chart)
-        for moving in self.moving:
-            moving.steps[1:1] = [self._values(smaller[moving.panel], moving) for smaller in before]
         self.press(1.0)
 
     def press(self, share: float) -> None:
         """Show everything under a share of its load, linear between the steps that are known."""
+        step, further = divmod(share * (len(self._steps) - 1), 1.0)
         for moving in self.moving:
-            mesh, steps = moving.mesh, moving.steps
-            step = min(int(share * (len(steps) - 1)), len(steps) - 2)
-            further = share * (len(steps) - 1) - step
-            seen = {name: low + further * (steps[step + 1][name] - low) for name, low in steps[step].items()}
-            mesh.points = moving.rest_mm + self._scale * seen.pop("moved")
+            seen = self._values(self._steps[int(step)], moving)
+            if further:
+                more = self._values(self._steps[int(step) + 1], moving)
+                seen = {name: low + further * (more[name] - low) for name, low in seen.items()}
+            mesh, shift = moving.mesh, seen.pop("moved")
+            mesh.points = moving.rest_mm + self._scale * shift
             for name, values in seen.items():
                 mesh[name] = values
             if "Normals" in mesh.array_names:
@@ -320,13 +322,12 @@ class DeformedPicture:
 
     def load(self, panels: Mapping[str, Parts]) -> None:
         """Show the same bodies under other loads, in the colours of the first ones."""
-        for moving in self.moving:
-            moving.steps[-1] = self._values(panels[moving.panel], moving)
+        self._steps[-1] = panels
         self.press(1.0)
 
-    def _values(self, parts: Parts, moving: "Moving") -> dict[str, FloatArray]:
+    def _values(self, panels: Mapping[str, Parts], moving: "Moving") -> dict[str, FloatArray]:
         """What is seen at the points of a mesh."""
-        part = parts[moving.name]
+        part = panels[moving.panel][moving.name]
         values = {"moved": part.displacement_mm}
         if moving.name not in COLOURED_NOT:
             values["shown"] = self._quantity.of(part)
@@ -377,35 +378,30 @@ class DeformedPicture:
             elif name == "electrodes":
                 look = {"color": "#c98a4b", **solid}
                 skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
-            self.actors[name] = self.plotter.add_mesh(self._moved(panel, name, parts, skin), **look)
+            self.actors[name] = self.plotter.add_mesh(self._moved(panel, name, skin), **look)
             if name == "matrix":  # PyVista's own smooth shading would draw a copy, which stays at rest
                 self.actors[name].prop.interpolation = "flat" if self._is_live else "phong"
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
-                moved = self._moved(panel, name, parts, edges)
-                self.plotter.add_mesh(moved, color="#3d5468", line_width=1.5 * self._line)
+                self.plotter.add_mesh(self._moved(panel, name, edges), color="#3d5468", line_width=1.5 * self._line)
 
-    def _moved(self, panel: str, name: str, parts: Parts, mesh: pv.PolyData) -> pv.PolyData:
+    def _moved(self, panel: str, name: str, mesh: pv.PolyData) -> pv.PolyData:
         """The mesh, from now on moved by loads."""
-        moving = Moving(panel, name, mesh, mesh.points.copy())
-        full = self._values(parts, moving)
-        moving.steps += [{key: 0 * values for key, values in full.items()}, full]
-        for key, values in full.items():
+        self.moving.append(Moving(panel, name, mesh, mesh.points.copy()))
+        for key, values in self._values(self._steps[-1], self.moving[-1]).items():
             mesh[key] = values
-        self.moving.append(moving)
         return mesh
 
 
 @dataclass
 class Moving:
-    """A mesh that loads move, and what is seen on it at equal steps of the load, from rest."""
+    """A mesh that loads move."""
 
     panel: str
     name: str  #: of the part
     mesh: pv.PolyData
     rest_mm: FloatArray  #: (n, 3), its points
-    steps: list[dict[str, FloatArray]] = field(default_factory=list)
 
 
 def draw_off_screen() -> None:

@@ -114,22 +114,21 @@ class ArrayParts:
             a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
             corner = np.array([x0, y0, unit.height_mm]) + INSIDE / 2 * (a + b)
             pads.append(sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, across, across))
-        self._pillars = _OnUnits(array, pillar_surface(unit, slices, around, APART_MM), region=1)
-        self._matrix = _OnUnits(array, boxes, region=0, cell_type=HEXAHEDRON)
-        self._electrodes = _OnUnits(array, electrode_surface(unit), region=1)
-        self._pads = _OnUnits(array, joined(pads))
+        self._pads = "plates" if array.has_plates else "pads"
+        self._parts = {
+            "pillars": _on_units(array, pillar_surface(unit, slices, around, APART_MM), region=1),
+            "matrix": _on_units(array, boxes, region=0, cell_type=HEXAHEDRON),
+            "electrodes": _on_units(array, electrode_surface(unit), region=1),
+            self._pads: _on_units(array, joined(pads)),
+        }
 
     def under(self, state: FieldState, stress: bool = True) -> dict[str, Part]:
         """The parts under a load, each pad with its traction."""
-        pads, (low, high) = self._pads.under(state, stress), np.split(self._array.rectangles_mm, 2, axis=1)
+        parts = {name: under(state, stress) for name, under in self._parts.items()}
+        pads, (low, high) = parts[self._pads], np.split(self._array.rectangles_mm, 2, axis=1)
         traction = (state.force_n.reshape(-1, len(low), 3) / (high - low).prod(axis=1)[:, None]).reshape(-1, 3)
         on_cells = np.repeat(traction, len(pads.cells) // len(traction), axis=0)
-        return {
-            "pillars": self._pillars.under(state, stress),
-            "matrix": self._matrix.under(state, stress),
-            "electrodes": self._electrodes.under(state, stress),
-            "plates" if self._array.has_plates else "pads": replace(pads, traction_mpa=on_cells),
-        }
+        return parts | {self._pads: replace(pads, traction_mpa=on_cells)}
 
 
 def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
@@ -159,10 +158,8 @@ def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> 
         angle = np.linspace(0.0, 2 * np.pi, 8 * around + 1)
         outline = np.column_stack([np.cos(angle), np.sin(angle)]) / 2
     else:
-        corners, place = (
-            np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) / 2,
-            np.arange(4 * around + 1) / around,
-        )
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) / 2
+        place = np.arange(4 * around + 1) / around
         outline = np.column_stack([np.interp(place, range(5), along) for along in corners.T])
     ring = np.pad(outline * (np.array(prism.section_mm) - 2 * inward_mm) @ prism.turn, ((0, 0), (0, 1)))
     points, walls = sheet(foot, np.zeros(3), axis, len(ring) - 1, slices)
@@ -194,31 +191,26 @@ def joined(surfaces: list[Cells]) -> Cells:
     return np.vstack([points for points, _ in surfaces]), np.vstack(cells)
 
 
-class _OnUnits:
-    """Cells of the unit on all units of an array; boxes of neighbours share their points."""
+def _on_units(
+    array: ArrayField | FiniteArrayField, seen: Cells, region: int | None = None, cell_type: int = QUADRILATERAL
+) -> Callable[[FieldState, bool], Part]:
+    """Cells of the unit on all units of an array, under a load, with stress if asked; boxes share their points."""
+    points, cells = seen
+    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))
+    places = (centres[:, None] + points).reshape(-1, 3)
+    first = number = np.arange(len(places))
+    if cell_type == HEXAHEDRON:
+        first, number = same_places(places)
+    copies = number.reshape(len(centres), -1)[:, cells].reshape(-1, cells.shape[1])
+    rest = Part(points_mm=places[first], cells=copies, cell_type=cell_type, displacement_mm=0 * places[first])
+    observer = array.observe(points, region)
 
-    def __init__(
-        self,
-        array: ArrayField | FiniteArrayField,
-        seen: Cells,
-        region: int | None = None,
-        cell_type: int = QUADRILATERAL,
-    ) -> None:
-        points, cells = seen
-        centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))
-        places = (centres[:, None] + points).reshape(-1, 3)
-        first, number = (np.arange(len(places)),) * 2 if cell_type == QUADRILATERAL else same_places(places)
-        copies = number.reshape(len(centres), -1)[:, cells].reshape(-1, cells.shape[1])
-        self._observer, self._first = array.observe(points, region), first
-        self._rest = Part(points_mm=places[first], cells=copies, cell_type=cell_type, displacement_mm=0 * places[first])
+    def under(state: FieldState, stress: bool) -> Part:
+        moved = observer.displacement_mm(state).reshape(-1, 3)[first]
+        stresses = observer.stress_mpa(state).reshape(-1, 6)[first] if stress else None
+        return replace(rest, displacement_mm=moved, stress_mpa=stresses)
 
-    def under(self, state: FieldState, stress: bool) -> Part:
-        """The cells under a load."""
-        return replace(
-            self._rest,
-            displacement_mm=self._observer.displacement_mm(state).reshape(-1, 3)[self._first],
-            stress_mpa=self._observer.stress_mpa(state).reshape(-1, 6)[self._first] if stress else None,
-        )
+    return under
 
 
 def solve_scene_parts(
