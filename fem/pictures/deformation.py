@@ -255,12 +255,13 @@ class DeformedPicture:
         at_rest = {name: {each: part.times(0.0) for each, part in parts.items()} for name, parts in panels.items()}
         self._steps = [at_rest, *before, panels]  # equal ones of the load
         self.actors: dict[str, pv.Actor] = {}  #: by name of the part, of the last panel
-        stage, seen = {}, {}
+        seen = {}
         for name, parts in panels.items():
             rest = np.vstack([part.points_mm for part in parts.values()])
-            points = np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])
-            stage[name] = draw_scenery(points, camera)
-            seen[name] = np.vstack([points, stage[name].points])
+            moved = np.vstack([part.displacement_mm for part in parts.values()])
+            seen[name] = np.vstack([rest, rest + scale * moved])
+        scenery = draw_scenery(np.vstack([*seen.values()]), camera)
+        seen = {name: np.vstack([points, scenery.points]) for name, points in seen.items()}
         view, is_parallel, is_bare = VIEWS[camera], camera != "iso", medium in ("page", "live")
         #: width over height of one picture
         self.aspect = min(place(pv.Camera(), points, *view, 1.0, is_parallel) for points in seen.values())
@@ -274,7 +275,7 @@ class DeformedPicture:
             self.plotter.subplot(row if is_bare else 2 * row + 1, column)
             self._draw(name, parts)
             if not self._is_live:
-                self.plotter.add_mesh(stage[name], color=INK, lighting=False)
+                self.plotter.add_mesh(scenery, color=INK, lighting=False)
             place(self.plotter.camera, seen[name], *view, self.aspect, is_parallel)
             self.plotter.reset_camera_clipping_range()
             if not is_bare:
