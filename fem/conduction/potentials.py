@@ -171,7 +171,7 @@ class UnitConductors:
         return fine + self.accuracy.beyond * (fine - coarse)
 
     def conductances(
-        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity | None = None
+        self, deformation: Deformation | None = None, piezoresistivity: Piezoresistivity = INERT
     ) -> Conductances:
         """Conductances at rest or deformed; parameters as of `unit_conductances`."""
         coarse, fine = (one.conductances(deformation, piezoresistivity) for one in (self.coarse, self.fine))

@@ -9,6 +9,7 @@ estimated.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -17,14 +18,13 @@ from fem.array.coupled_cells import CoupledArray
 from fem.array.design_cell import CellInterior, DesignCell
 from fem.kernel.field import Field
 from fem.kernel.loads import FollowerLoad, Load, StiffLoad
-from fem.methods.solving import solve_scene
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign, lone_unit
 from geometry.layout import AXES, FloatArray, pad_squares, unit_centres
 
 BEYOND = 1e-6  #: of the pitch: how far rounding may take an observed point out of the cell
 MAX_UNITS = 150  #: whose answers to unit loads are kept
-TOLERANCE = 2e-2  #: of a picture at finite strain, where the scene asks for a finer one
+FINITE_TOLERANCE = 2e-2  #: of a picture at finite strain, where the scene asks for a finer one
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,7 +134,7 @@ def solve_array_field(
     limit as those of `array_response`: electrodes of the paper's sensor move 0.6 % less than there.
     """
     rectangles = pad_squares(lone_unit(design)) if rectangles_mm is None else rectangles_mm
-    cell = DesignCell(design, rectangles)
+    cell = DesignCell(design, rectangles, has_plate=rectangles_mm is None)
     interior = cell.interior(progress)
     progress(f"coupling {design.array.rows} × {design.array.cols}")
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
@@ -162,25 +162,14 @@ class FiniteArrayField:
         """Choose points of the cell to look at; the region makes no difference to displacement."""
         places = np.pad(unit_centres(self.design), ((0, 0), (0, 1)))[:, None] + np.atleast_2d(points_mm)
 
-        def refused(state: FieldState) -> FloatArray:
-            raise no_stress()
-
-        return Observer(lambda state: self.field.displacement_at(places.reshape(-1, 3)).reshape(places.shape), refused)
+        return Observer(lambda _: self.field.displacement_at(places.reshape(-1, 3)).reshape(places.shape), no_stress)
 
 
-def no_stress() -> SceneError:
-    """The refusal of pictures of stress at finite strain."""
-    return SceneError(
+def no_stress(state: FieldState | None = None) -> NoReturn:
+    """Refuse pictures of stress at finite strain."""
+    raise SceneError(
         "stress at finite strain is not drawn yet: show displacement or vertical, and save .png, .html or .mp4."
     )
-
-
-def finite_field(scene: Scene) -> Field:
-    """Displacement of a neo-Hookean scene's whole body, for pictures; errors as of `solve_finite`."""
-    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
-    found = solve_scene(coarse, field=True)[0].field
-    assert found is not None  # it was asked for
-    return found
 
 
 def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scene:
@@ -192,16 +181,15 @@ def pressed_sensor(design: SensorDesign, load: str, pressure_mpa: float) -> Scen
     centres = unit_centres(design) + np.array([design.pad.offset_x_mm, design.pad.offset_y_mm])
     loads: list[Load] = []
     for center, (tx, ty, tz) in zip(centres.tolist(), tractions.tolist(), strict=True):
+        at: dict[str, Any] = {"center_mm": center, "size_mm": (side, side)}
         if design.pad.kind == "stiff":
-            force = tx * side**2, ty * side**2, tz * side**2
-            loads.append(StiffLoad(center_mm=center, size_mm=(side, side), force_n=force))
+            loads.append(StiffLoad(**at, force_n=(tx * side**2, ty * side**2, tz * side**2)))
         elif any((tx, ty, tz)):
-            follower = FollowerLoad(center_mm=center, size_mm=(side, side), pressure_mpa=-tz, traction_mpa=(tx, ty))
-            loads.append(follower)
+            loads.append(FollowerLoad(**at, pressure_mpa=-tz, traction_mpa=(tx, ty)))
     most = centres[np.abs(tractions[:, 2]).argmax()].tolist()
     probe = Probe(name="pad", kind="mean", center_mm=most, size_mm=(side, side))
-    body = Sensor(design=design)
-    return Scene(body=body, material=design.matrix_material, loads=tuple(loads), probes=(probe,), tolerance=TOLERANCE)
+    body, rubber = Sensor(design=design), design.matrix_material
+    return Scene(body=body, material=rubber, loads=tuple(loads), probes=(probe,), tolerance=FINITE_TOLERANCE)
 
 
 def indenter_tractions(

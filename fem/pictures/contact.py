@@ -7,7 +7,7 @@ import numpy as np
 
 from common.storage.files import replacing
 from fem.contact.indentation import OPEN, STICK, Contact
-from geometry.layout import electrode_squares, pad_squares, unit_centres
+from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_centres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,8 @@ def draw_contact(contact: Contact, path: Path) -> None:
     _draw_units(array, contact)
     _draw_patch(zoom, contact)
     for axes in (array, zoom):
-        _draw_plates(axes, contact)
+        if contact.surface.has_plates:
+            _outline(axes, pad_squares(contact.design), color=BLUE, linewidth=1.2, label="plates")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=8, frameon=False)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     fx, fy, fz = contact.net_force_n.round(2) + 0.0  # no −0.00
@@ -46,41 +47,29 @@ def draw_contact(contact: Contact, path: Path) -> None:
 
 
 def _draw_units(axes: "Axes", contact: Contact) -> None:
-    design = contact.design
-    wide, deep, _ = design.slab_mm
-    pitch = design.array.pitch_mm
-    box: Any = (-wide / 2, wide / 2, -deep / 2, deep / 2)
-    shown = axes.imshow(contact.force_n[..., 2], origin="lower", extent=box, cmap="Reds", vmin=0.0)
+    design, pitch = contact.design, contact.design.array.pitch_mm
+    x, y = (pitch * (np.arange(n + 1) - n / 2) for n in (design.array.cols, design.array.rows))
+    shown = axes.pcolormesh(x, y, contact.force_n[..., 2], cmap="Reds", vmin=0.0, edgecolors="white", linewidth=1.0)
     axes.figure.colorbar(shown, ax=axes, label="normal force on a unit [N]", shrink=0.85)
-    for border in np.arange(1, design.array.cols) * pitch - wide / 2:
-        axes.axvline(border, color="white", linewidth=1.0)
-    for border in np.arange(1, design.array.rows) * pitch - deep / 2:
-        axes.axhline(border, color="white", linewidth=1.0)
-    for x0, y0, x1, y1 in electrode_squares(design):
-        axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], facecolor="none", edgecolor=GREY, linewidth=0.8)
-    x, y = unit_centres(design).T
+    _outline(axes, electrode_squares(design), color=GREY, linewidth=0.8)
     shear = contact.force_n.reshape(-1, 3)[:, :2]
     largest = float(np.hypot(*shear.T).max())
     if contact.friction and largest > 0:
-        arrows = (shear / largest * SHARE * pitch).T
-        large = np.hypot(*arrows) > MIN_ARROW * pitch
-        drawn = axes.quiver(x[large], y[large], *arrows[:, large], **AS_DRAWN, color=BLUE, width=0.006)
+        arrows = shear / largest * SHARE * pitch
+        large = np.hypot(*arrows.T) > MIN_ARROW * pitch
+        drawn = axes.quiver(*unit_centres(design)[large].T, *arrows[large].T, **AS_DRAWN, color=BLUE, width=0.006)
         _explain(axes, drawn, SHARE * pitch, f"tangential force of {largest:.3g} N")
-    x0, y0, x1, y1 = *contact.patch.low_mm, *contact.patch.high_mm
-    frame: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": "--", "label": "shown beside"}
-    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], **frame)
-    axes.set(xlim=box[:2], ylim=box[2:])
+    patch = np.array([[*contact.patch.low_mm, *contact.patch.high_mm]])
+    _outline(axes, patch, color=INK, linewidth=1.0, linestyle="--", label="shown beside")
     axes.set_title("forces on the units", pad=26)
 
 
-def _draw_plates(axes: "Axes", contact: Contact) -> None:
-    """Outlines of stiff pads, where the axes show them."""
-    if not contact.surface.has_plates:
-        return
+def _outline(axes: "Axes", rectangles_mm: FloatArray, **look: Any) -> None:
+    """Outlines of rectangles (k, 4), where the axes show them."""
     limits = axes.axis()
-    for x0, y0, x1, y1 in pad_squares(contact.design):
-        axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=BLUE, linewidth=1.2)
-    axes.plot([], [], color=BLUE, linewidth=1.2, label="plates")
+    corners = rectangles_mm[:, [[0, 1], [2, 1], [2, 3], [0, 3], [0, 1]]]
+    apart = np.pad(corners, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+    axes.plot(*apart.reshape(-1, 2).T, **look)
     axes.axis(limits)
 
 

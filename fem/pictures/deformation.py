@@ -1,34 +1,33 @@
-"""Pictures of deformed bodies in three dimensions, by pyvista."""
+"""Pictures of deformed bodies in three dimensions, by pyvista: bodies, their colour bars, a scale bar and axes.
+
+The scale bar and the axes stand beside a body as meshes in its coordinates, so they are right in perspective, in a film
+and turned in a browser, too. Names and colour bars are flat, in strips of their own.
+"""
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pyvista as pv
+from matplotlib import colormaps, get_data_path
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, Normalize, to_hex
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from fem.pictures.parts import Parts
-from fem.pictures.scenery import (
-    COLOURED_NOT,
-    INK,
-    QUANTITIES,
-    Bar,
-    Camera,
-    Colour,
-    Quantity,
-    bar_of,
-    draw_legend,
-    draw_scenery,
-    pads_bar,
-    words_at,
-)
+from fem.kernel.field import pressure, von_mises
+from fem.pictures.parts import Part, Parts
 from geometry.layout import FloatArray
 
 Triple = tuple[float, float, float]
 Medium = Literal["file", "film", "window", "page", "live"]
+Colour = Literal["displacement", "vertical", "mises", "pressure"]
+Camera = Literal["iso", "top", "front", "side"]
 
 WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
 HIGH_PX = 880  #: of a picture, where its width leaves a choice
@@ -40,12 +39,181 @@ SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
 LIFT_MM, PAD_LIFT_MM = 0.15, 0.2  #: by which electrodes are drawn before the pillars' ends, and pads' outlines above
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
 GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
+INK = "#21292f"
+FONT = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")  #: of names, as of legends
+LETTER, AXES = 0.024, 0.08  #: height of letters beside a body, and length of the axes' arrows, of its larger side
+#: from what is seen to the camera, and upright in the picture
 VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
     "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
     "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
 }
+
+SHOWN_SHARE = 0.998  #: of the volume, whose stress ends the colours: at edges it has no bound
+ROOM = 0.15  #: of a scale, that a label takes
+SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
+#: from below 0 to above
+SIGNED = LinearSegmentedColormap.from_list("", ["#053061", "#3f8ec0", "#ffffff", "#d6604d", "#67001f"], N=1021)
+#: outlines of pads, from hardly loaded to the most
+LOADED = LinearSegmentedColormap.from_list("", ["#fcbba1", "#de2d26", "#67000d"], N=1021)
+#: titles of the bar of pads' outlines, by the part that is outlined: uniform traction, or what a plate passes on
+PAD_TITLES = {"pads": "traction on a pad [MPa]", "plates": "mean traction under a plate [MPa]"}
+COLOURED_NOT = ("matrix", "electrodes", *PAD_TITLES)  #: parts whose colour says nothing of a field
+ROUND = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])  #: values: at most five steps of 1, 2, 2.5 or 5 times a power of ten
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that colour can show."""
+
+    title: str
+    of: Callable[[Part], FloatArray]  #: a part to values (n,) at its points
+    colours: Colormap = field(default_factory=lambda: SIGNED)
+    of_stress: bool = False  #: it has no bound at edges, then: the largest value means nothing
+
+
+QUANTITIES: dict[Colour, Quantity] = {
+    "displacement": Quantity(
+        "displacement [mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), colormaps["viridis"]
+    ),
+    "vertical": Quantity("vertical displacement [mm]", lambda p: p.displacement_mm[:, 2]),
+    "mises": Quantity("von Mises stress [MPa]", lambda p: von_mises(p.stress), colormaps["plasma"], of_stress=True),
+    "pressure": Quantity("pressure [MPa]", lambda p: pressure(p.stress), of_stress=True),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """A colour bar: its title, the values at its ends, and its colours from one to the other as #rrggbb."""
+
+    title: str
+    low: float
+    high: float
+    colours: list[str]
+    is_cut: bool = False  #: values beyond its ends are drawn in the colours of the ends
+
+    @property
+    def labels(self) -> dict[float, str]:
+        """Labels by value: both ends as they are, and round numbers between them that leave room.
+
+        >>> [*Bar(title="", low=0.0, high=3.89, colours=[]).labels.values()]
+        ['0', '1', '2', '3', '3.89']
+        """
+        ticks, room = np.array(ROUND.tick_values(self.low, self.high)), ROOM * (self.high - self.low)
+        inside = ticks[(ticks > self.low + room) & (ticks < self.high - room)].tolist()
+        words = {tick: f"{tick:.3g}".replace("-", "−") for tick in (self.low, *inside, self.high)}
+        if self.is_cut:
+            words[self.high] = f"≥ {words[self.high]}"
+            words[self.low] = f"≤ {words[self.low]}" if self.low < 0 else words[self.low]
+        return words
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """How a mesh shows values in its colours."""
+        colours = {"cmap": self.colours, "n_colors": len(self.colours), "clim": (self.low, self.high)}
+        return {"show_scalar_bar": False, **colours}
+
+
+def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
+    """One colour bar for several pictures: it ends at the least and the largest value, 0 among its values.
+
+    Of stress, which has no bound at edges, it ends where 99.8 % of the volume (of surfaces: of the area) has less, and
+    says so. A share of the points instead would depend on how many of them a mesh has at the edges.
+    """
+    solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
+    values = np.concatenate([quantity.of(part) for _, part in solid])
+    whose = "" if solid[0][0] == "body" else f" of the {solid[0][0]}"
+    low, high = values.min(), values.max()
+    if quantity.of_stress:
+        sizes, shares = np.concatenate([part.sizes for _, part in solid]), [1 - SHOWN_SHARE, SHOWN_SHARE]
+        low, high = np.quantile(values, shares, weights=sizes, method="inverted_cdf")
+    low, high = min(float(low), 0.0), max(float(high), 0.0)
+    if low == high:
+        high = 1.0
+    title, colours = quantity.title.replace(" [", f"{whose} ["), shades(quantity.colours, low, high)
+    return Bar(title=title, low=low, high=high, colours=colours, is_cut=quantity.of_stress)
+
+
+def pads_bar(panels: Iterable[Parts]) -> Bar | None:
+    """The bar of the outlines of pads or plates, from no traction to the largest; None where none is loaded."""
+    pads = [(name, parts[name]) for parts in panels for name in PAD_TITLES if name in parts]
+    high, name = max(((float(part.strength_mpa.max()), name) for name, part in pads), default=(0.0, ""))
+    return Bar(title=PAD_TITLES[name], low=0.0, high=high, colours=shades(LOADED)) if high else None
+
+
+def shades(colours: Colormap, low: float = 0.0, high: float = 1.0) -> list[str]:
+    """Colours #rrggbb from one end of a scale to the other.
+
+    `SIGNED` are white at 0, low being at most 0 and high at least 0, and as strong for −1 as for 1.
+
+    >>> shades(SIGNED, -2.0, 2.0)[127]
+    '#ffffff'
+    """
+    share = np.linspace(0.0, 1.0, SHADES)
+    if colours is SIGNED:
+        share = 0.5 + (low + share * (high - low)) / max(-low, high) / 2
+    return [to_hex(colour) for colour in colours(share)]
+
+
+def legend(bars: Sequence[Bar], notes: Sequence[str], wide: int) -> Figure:
+    """Bars side by side, the first one the widest, and notes at the right, one line each; so many pixels wide."""
+    figure, left, gap = Figure(dpi=100), 0.04, 0.05
+    note = (12 * max(map(len, notes)) + 40) / wide  # letters are about 0.55 of their height wide
+    shares = np.array([1.6] + [1.0] * (len(bars) - 1))
+    widths = shares / shares.sum() * (1.0 - 2 * left - note - gap * (len(bars) - 1))
+    for bar, width in zip(bars, widths, strict=True):
+        axes = figure.add_axes((left, 0.44, width, 0.14))
+        colours = ScalarMappable(Normalize(bar.low, bar.high), ListedColormap(bar.colours))
+        drawn = figure.colorbar(colours, cax=axes, orientation="horizontal")
+        drawn.set_ticks([*bar.labels], labels=[*bar.labels.values()], fontsize=13.5, color=INK)
+        drawn.outline.set_visible(False)
+        axes.tick_params(length=0)
+        axes.set_title(bar.title, loc="left", fontsize=13.5, color=INK)
+        left += width + gap
+    figure.text(0.96, 0.8, "\n".join(notes), ha="right", va="top", fontsize=13.5, color=INK, linespacing=1.5)
+    return figure
+
+
+def draw_scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
+    """A scale bar with its length and named arrows along the axes, before and left of the body as a camera sees it.
+
+    The body fills points (n, 3), at rest and loaded. Letters face the camera.
+    """
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    right, up = np.eye(3)[1 if camera == "side" else 0], np.eye(3)[1 if camera in ("iso", "top") else 2]
+    if camera in ("front", "side"):  # in the middle of the depth, or the nearest plane that is drawn would cut it off
+        low = np.where(right + up > 0, low, (low + high) / 2)
+    size, width = float((high - low).max()), float((high - low) @ right)
+    letter, shaft, length = LETTER * size, AXES * size, float(np.array(ROUND.tick_values(0.0, width))[1])
+    start = low + (width - length) * right - 1.8 * letter * up
+    ends, tick = (start, start + length * right), 0.3 * letter * up
+    lines = [ends, *((end - tick, end + tick) for end in ends)]
+    meshes = [pv.Tube(pointa=one, pointb=other, radius=0.07 * letter, n_sides=8) for one, other in lines]
+    corner, (across, upright, toward) = low - (shaft + 3.6 * letter) * right, frame(*VIEWS[camera])
+    meshes.append(_word(f"{length:g} mm", start + length / 2 * right - 1.8 * letter * upright, letter, across, upright))
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        if abs(axis @ toward) < 0.99:  # not at the onlooker
+            meshes.append(pv.Arrow(start=corner, direction=axis, scale=shaft, tip_length=0.3, shaft_radius=0.03))
+            meshes.append(_word(name, corner + (shaft + 0.9 * letter) * axis, letter, across, upright))
+    return pv.merge(meshes)
+
+
+def unit_names(rows: int, cols: int, pitch_mm: float) -> pv.PolyData:
+    """Names of an array's rows and columns as numbered in files, on the ground right of it and before it."""
+    letter = LETTER * pitch_mm * max(rows, cols)
+    x, y = (pitch_mm * (np.arange(n) - (n - 1) / 2) for n in (cols, rows))
+    edge, front = pitch_mm * cols / 2, -pitch_mm * rows / 2
+    places = [(f"col {j}" if j == 0 else f"{j}", (at, front - 1.2 * letter)) for j, at in enumerate(x)]
+    places += [(f"row {i}" if i == 0 else f"{i}", (edge + 1.6 * letter, at)) for i, at in enumerate(y)]
+    return pv.merge([_word(text, np.array([*place, 0.0]), letter, *np.eye(3)[:2]) for text, place in places])
+
+
+def _word(text: str, centre: FloatArray, height: float, right: FloatArray, up: FloatArray) -> pv.PolyData:
+    """Flat letters about a point, along two directions, figures of a height."""
+    flat, figure = pv.Text3D(text, depth=0.0), pv.Text3D("0", depth=0.0)
+    flat.points = centre + height / figure.bounds_size[1] * (flat.points - flat.center)[:, :2] @ [right, up]
+    return flat
 
 
 class DeformedPicture:
@@ -76,7 +244,7 @@ class DeformedPicture:
         before: Sequence[Mapping[str, Parts]] = (),
     ) -> None:
         draw_off_screen()
-        self._quantity, self._scale, self._medium = QUANTITIES[colour], scale, medium
+        self._quantity, self._scale, self._is_live = QUANTITIES[colour], scale, medium == "live"
         self.names = tuple(panels)
         self._shows_all_pads, shown = over is not None, [*panels.values()] if over is None else over
         pads = pads_bar(shown)
@@ -84,51 +252,64 @@ class DeformedPicture:
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
         self.warning = warning
         self.moving: list[Moving] = []
-        self._is_bare = medium in ("page", "live")
+        at_rest = {name: {each: part.times(0.0) for each, part in parts.items()} for name, parts in panels.items()}
+        self._steps = [at_rest, *before, panels]  # equal ones of the load
         self.actors: dict[str, pv.Actor] = {}  #: by name of the part, of the last panel
-        points = {name: filled_points(parts, scale) for name, parts in panels.items()}
-        stage = {name: draw_scenery(at, camera) for name, at in points.items()}
-        seen = {name: np.vstack([points[name], mesh.points]) for name, mesh in stage.items()}
+        seen = {}
+        for name, parts in panels.items():
+            rest = np.vstack([part.points_mm for part in parts.values()])
+            moved = np.vstack([part.displacement_mm for part in parts.values()])
+            seen[name] = np.vstack([rest, rest + scale * moved])
+        scenery = draw_scenery(np.vstack([*seen.values()]), camera)
+        seen = {name: np.vstack([points, scenery.points]) for name, points in seen.items()}
+        view, is_parallel, is_bare = VIEWS[camera], camera != "iso", medium in ("page", "live")
         #: width over height of one picture
-        self.aspect = min(look(pv.Camera(), at, camera, 1.0) for at in seen.values())
+        self.aspect = min(place(pv.Camera(), points, *view, 1.0, is_parallel) for points in seen.values())
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
-        self.plotter = self._plotter(rows, columns, medium)
-        self._titles: list[tuple[str, pv.Text]] = []
+        self.plotter = self._plotter(rows, columns, medium, is_bare)
+        self._titles: dict[str, Any] = {}
         for number, (name, parts) in enumerate(panels.items()):
             row, column = divmod(number, columns)
-            self.plotter.subplot(row if self._is_bare else 2 * row + 1, column)
+            self.plotter.subplot(row if is_bare else 2 * row + 1, column)
             self._draw(name, parts)
-            if medium != "live":
-                self.plotter.add_mesh(stage[name], color=INK, lighting=False)
-            look(self.plotter.camera, seen[name], camera, self.aspect)
+            if not self._is_live:
+                self.plotter.add_mesh(scenery, color=INK, lighting=False)
+            place(self.plotter.camera, seen[name], *view, self.aspect, is_parallel)
             self.plotter.reset_camera_clipping_range()
-            if not self._is_bare:
+            if not is_bare:
+                self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=False)
                 self.plotter.subplot(2 * row, column)
-                self._titles.append((name, words_at(self.plotter, name, 0.5, 0.5, "center", size=24)))
-        if not self._is_bare:
+                text = self.plotter.add_text(
+                    name, position=(0.5, 0.3), viewport=True, font_size=12, font_file=str(FONT), color=INK
+                )
+                text.prop.justification_horizontal = "center"
+                self._titles[name] = text
+        if not is_bare:
             self.plotter.subplot(2 * rows, 0)
-            wide, _ = self.plotter.window_size
-            draw_legend(self.plotter, self.bars, [note for note in (self.note, warning) if note], wide, LEGEND_PX)
-        for moving in self.moving:
-            moving.steps[1:1] = [self._values(smaller[moving.panel], moving) for smaller in before]
+            notes = [note for note in (self.note, warning) if note]
+            chart = pv.ChartMPL(legend(self.bars, notes, self.plotter.window_size[0]), redraw_on_render=False)
+            chart.border_style = None
+            self.plotter.add_chart(chart)
         self.press(1.0)
 
     def press(self, share: float) -> None:
         """Show everything under a share of its load, linear between the steps that are known."""
+        step, further = divmod(share * (len(self._steps) - 1), 1.0)
         for moving in self.moving:
-            mesh, steps = moving.mesh, moving.steps
-            step = min(int(share * (len(steps) - 1)), len(steps) - 2)
-            further = share * (len(steps) - 1) - step
-            seen = {name: low + further * (steps[step + 1][name] - low) for name, low in steps[step].items()}
-            mesh.points = moving.rest_mm + self._scale * seen.pop("moved")
+            seen = self._values(self._steps[int(step)], moving)
+            if further:
+                more = self._values(self._steps[int(step) + 1], moving)
+                seen = {name: low + further * (more[name] - low) for name, low in seen.items()}
+            mesh, shift = moving.mesh, seen.pop("moved")
+            mesh.points = moving.rest_mm + self._scale * shift
             for name, values in seen.items():
                 mesh[name] = values
             if "Normals" in mesh.array_names:
                 turned = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
                 mesh["Normals"] = turned["Normals"]
-        for name, text in self._titles:
+        for name, text in self._titles.items():
             text.input = name if share == 1 else f"{share:.0%} of {name}"
 
     def recolour(self, panels: Mapping[str, Parts], quantity: Quantity, scale: float) -> Bar:
@@ -142,13 +323,12 @@ class DeformedPicture:
 
     def load(self, panels: Mapping[str, Parts]) -> None:
         """Show the same bodies under other loads, in the colours of the first ones."""
-        for moving in self.moving:
-            moving.steps[-1] = self._values(panels[moving.panel], moving)
+        self._steps[-1] = panels
         self.press(1.0)
 
-    def _values(self, parts: Parts, moving: "Moving") -> dict[str, FloatArray]:
+    def _values(self, panels: Mapping[str, Parts], moving: "Moving") -> dict[str, FloatArray]:
         """What is seen at the points of a mesh."""
-        part = parts[moving.name]
+        part = panels[moving.panel][moving.name]
         values = {"moved": part.displacement_mm}
         if moving.name not in COLOURED_NOT:
             values["shown"] = self._quantity.of(part)
@@ -157,99 +337,72 @@ class DeformedPicture:
             values["strength"][part.cells] = part.strength_mpa[:, None]  # pads share no points between them
         return {name: found[moving.mesh["point"]] for name, found in values.items()}
 
-    def _plotter(self, rows: int, columns: int, medium: Medium) -> pv.Plotter:
+    def _plotter(self, rows: int, columns: int, medium: Medium, is_bare: bool) -> pv.Plotter:
         """An empty plotter for rows of pictures, each with its name above, and one legend below all of them."""
-        off_screen = medium != "window"
         least, most = WIDE_PX[min(columns, 2)]
         wide = 16 * round(min(max(HIGH_PX * self.aspect, least), most) / 16)
         high = 16 * round(wide / self.aspect / 16)  # films want multiples of 16
-        weights = [NAME_PX, high] * rows + [LEGEND_PX]
-        if self._is_bare:
-            window = (columns * wide, rows * high)
-            lights = "none" if medium == "live" else "light kit"
-            plotter = pv.Plotter(
-                off_screen=off_screen, shape=(rows, columns), window_size=window, border=False, lighting=lights
-            )
-            if medium == "live":  # smooth edges, and each further light, cost software half as much again and more
-                plotter.render_window.SetMultiSamples(0)
-                plotter.add_light(pv.Light(light_type="headlight"))
-        else:
-            plotter = pv.Plotter(
-                off_screen=off_screen, shape=(2 * rows + 1, columns), groups=[(2 * rows, slice(None))],
-                row_weights=weights, window_size=(columns * wide, sum(weights)), border=False,
-            )  # fmt: skip
-            plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=True)
+        heights = [high] * rows if is_bare else [NAME_PX, high] * rows + [LEGEND_PX]
+        plotter = pv.Plotter(
+            off_screen=medium != "window", shape=(len(heights), columns), row_weights=heights, border=False,
+            groups=None if is_bare else [(2 * rows, slice(None))], window_size=(columns * wide, sum(heights)),
+            lighting="none" if self._is_live else "light kit",
+        )  # fmt: skip
+        if self._is_live:  # smooth edges, and each further light, cost software half as much again and more
+            plotter.render_window.SetMultiSamples(0)
+            plotter.add_light(pv.Light(light_type="headlight"))
         plotter.set_background("white", all_renderers=True)
         return plotter
 
     def _draw(self, panel: str, parts: Parts) -> None:
-        is_live = self._medium == "live"
-        solid, glassy = ({}, {}) if is_live else (SOLID, GLASSY)
+        solid, glassy = ({}, {}) if self._is_live else (SOLID, GLASSY)
         for name, part in parts.items():
-            if is_live and name == "electrodes":
+            if self._is_live and name == "electrodes":
                 continue
             whole = part.grid
             whole["point"] = np.arange(len(part.points_mm))
-
-            def moved(mesh: pv.PolyData, name: str = name) -> pv.PolyData:
-                moving = Moving(panel, name, mesh, mesh.points.copy())
-                full = self._values(parts, moving)
-                moving.steps += [{key: 0 * values for key, values in full.items()}, full]
-                for key, values in full.items():
-                    mesh[key] = values
-                self.moving.append(moving)
-                return mesh
-
             if part.traction_mpa is not None:
                 if not self._shows_all_pads:
                     whole = whole.extract_cells(part.strength_mpa >= MIN_STRENGTH * part.strength_mpa.max())
-                outlines = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
+                skin = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
                     boundary_edges=True, feature_edges=False, manifold_edges=False
                 )
-                outlines.points[:, 2] += PAD_LIFT_MM
-                width = {"line_width": 2.5 * self._line, "lighting": False}
-                look = _coloured("strength", self.bars[-1]) | width
-                self.actors[name] = self.plotter.add_mesh(moved(outlines), **look)
-                continue
-            skin = whole.extract_surface(algorithm="dataset_surface")
-            if name == "matrix":
-                if not is_live:
-                    skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
-                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#a9c4d8", opacity=0.2, **glassy)
-                # PyVista's own smooth shading would draw a copy, which stays at rest
-                self.actors[name].prop.interpolation = "flat" if is_live else "phong"
-            elif name == "electrodes":
-                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
-                self.actors[name] = self.plotter.add_mesh(moved(skin), color="#c98a4b", **solid)
+                skin.points[:, 2] += PAD_LIFT_MM
+                look = {"scalars": "strength", "line_width": 2.5 * self._line, "lighting": False, **self.bars[-1].look}
             else:
-                self.actors[name] = self.plotter.add_mesh(moved(skin), **_coloured("shown", self.bars[0]), **solid)
+                skin = whole.extract_surface(algorithm="dataset_surface")
+                look = {"scalars": "shown", **self.bars[0].look, **solid}
+            if name == "matrix":
+                look = {"color": "#a9c4d8", "opacity": 0.2, **glassy}
+                if not self._is_live:
+                    skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
+            elif name == "electrodes":
+                look = {"color": "#c98a4b", **solid}
+                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
+            self.actors[name] = self.plotter.add_mesh(self._moved(panel, name, skin), **look)
+            if name == "matrix":  # PyVista's own smooth shading would draw a copy, which stays at rest
+                self.actors[name].prop.interpolation = "flat" if self._is_live else "phong"
             if name in ("matrix", "body"):
                 edges = skin.extract_feature_edges(SHARP, boundary_edges=name == "matrix")
                 self.plotter.add_mesh(edges.copy(), color="#9aa5ad", line_width=1 * self._line)  # as it was at rest
-                self.plotter.add_mesh(moved(edges), color="#3d5468", line_width=1.5 * self._line)
+                self.plotter.add_mesh(self._moved(panel, name, edges), color="#3d5468", line_width=1.5 * self._line)
 
-
-def _coloured(name: str, bar: Bar) -> dict[str, Any]:
-    """How a mesh shows its values of a name in the colours of a bar."""
-    colours = {"cmap": bar.colours, "n_colors": len(bar.colours), "clim": (bar.low, bar.high)}
-    return {"scalars": name, "show_scalar_bar": False, **colours}
+    def _moved(self, panel: str, name: str, mesh: pv.PolyData) -> pv.PolyData:
+        """The mesh, from now on moved by loads."""
+        self.moving.append(Moving(panel, name, mesh, mesh.points.copy()))
+        for key, values in self._values(self._steps[-1], self.moving[-1]).items():
+            mesh[key] = values
+        return mesh
 
 
 @dataclass
 class Moving:
-    """A mesh that loads move, and what is seen on it at equal steps of the load, from rest."""
+    """A mesh that loads move."""
 
     panel: str
     name: str  #: of the part
     mesh: pv.PolyData
     rest_mm: FloatArray  #: (n, 3), its points
-    steps: list[dict[str, FloatArray]] = field(default_factory=list)
-
-
-def filled_points(parts: Parts, scale: float) -> FloatArray:
-    """All points that parts fill, at rest and with their displacement `scale` times as large, (n, 3) [mm]."""
-    rest = np.vstack([part.points_mm for part in parts.values()])
-    return np.vstack([rest, rest + scale * np.vstack([part.displacement_mm for part in parts.values()])])
 
 
 def draw_off_screen() -> None:
@@ -258,10 +411,12 @@ def draw_off_screen() -> None:
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # no X server: do not ask for one
 
 
-def look(camera: pv.Camera, points_mm: FloatArray, name: Camera, aspect: float) -> float:
-    """Point a camera as one of a picture's does; width over height of what it sees."""
-    direction, up = VIEWS[name]
-    return place(camera, points_mm, direction, up, aspect, is_parallel=name != "iso")
+def frame(direction: Triple, up: Triple) -> FloatArray:
+    """Directions to the right, upright in the picture and toward the camera of a view of `VIEWS`, one a row."""
+    toward = np.array(direction) / np.linalg.norm(direction)
+    right = np.cross(up, toward)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(toward, right), toward])
 
 
 def place(
@@ -269,13 +424,10 @@ def place(
 ) -> float:
     """Put a camera as near as lets all points (n, 3) be seen, with a margin; width over height of them as seen.
 
-    `direction` is from what is seen to the camera, `up` upright in the picture, `aspect` width over height of that. A
-    parallel projection knows no perspective: what is twice as far is as large.
+    `direction` and `up` are as of `VIEWS`, `aspect` is width over height of the picture. A parallel projection knows no
+    perspective: what is twice as far is as large.
     """
-    toward = np.array(direction) / np.linalg.norm(direction)
-    right = np.cross(up, toward)
-    right /= np.linalg.norm(right)
-    upright = np.cross(toward, right)
+    right, upright, toward = frame(direction, up)
     half = np.tan(np.radians(VIEW_ANGLE / 2)) * (1 - 2 * MARGIN)
     focus, distance = points_mm.mean(axis=0), 4 * np.ptp(points_mm, axis=0).max()
     for _ in range(20):  # a fixed point: it settles in a few rounds

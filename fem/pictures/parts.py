@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import product
 from math import ceil
 from pathlib import Path
 
@@ -15,20 +15,25 @@ from vtkmodules.vtkCommonDataModel import vtkQuadraticTetra, vtkTriQuadraticHexa
 
 from common.storage.files import vtk_content, write_bytes
 from fem.array.design_cell import cell_lines
-from fem.kernel.elements import hexahedra
+from fem.finite.solving import finite_body, finite_grid
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.field import Field, same_places, unfolded
 from fem.kernel.loads import Rectangle
 from fem.kernel.mirrors import parities
 from fem.kernel.reference import tabulated
-from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
-from fem.meshes.grid import Grid
 from fem.methods.cell_scene import design_of_cells, forces_on_cells
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
-from fem.pictures.arrays import ArrayField, FieldState, FiniteArrayField, finite_field, no_stress, solve_array_field
-from fem.scene.scene import Scene, Sensor, regions_at
+from fem.pictures.arrays import (
+    FINITE_TOLERANCE,
+    ArrayField,
+    FieldState,
+    FiniteArrayField,
+    no_stress,
+    solve_array_field,
+)
+from fem.scene.scene import Scene, Sensor
 from geometry.design import Unit, lone_unit
 from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
 from geometry.prism import Prism, unit_prisms
@@ -39,9 +44,7 @@ FINE, COARSE = (SLICES, AROUND, 12, 2), (8, 1, 6, 1)
 INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at its edge
 APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
-WIDEST = 0.35  #: boxes of a picture of stress, relative to the body's height
-WIDE_BOXES = 15  #: such boxes to the greatest extent of a flat body, where that makes them wider
-THIN = 0.15  #: layer on either side of an edge at which the stress is singular, relative to the smallest part
+LEVEL = 2  #: of the grid of a picture of boxes
 QUADRILATERAL, HEXAHEDRON, QUADRATIC_TETRAHEDRON, TRIQUADRATIC = 9, 12, 24, 29  #: VTK's numbers of cells
 
 Cells = tuple[FloatArray, NDArray[np.int64]]  #: points (n, 3) and cells (m, k) between them
@@ -105,37 +108,27 @@ class ArrayParts:
         unit, self._array = array.design.unit, array
         slices, around, across, fineness = COARSE if is_coarse else FINE
         slab = pv.RectilinearGrid(*cell_lines(array.design, fineness)).cast_to_structured_grid()
-        self._pillars = _OnUnits(array, pillar_surface(unit, slices, around, APART_MM), region=1)
-        boxes = slab.cast_to_unstructured_grid().cells_dict[HEXAHEDRON]
-        self._slab = _OnUnits(array, (np.asarray(slab.points), boxes), region=0, cell_type=HEXAHEDRON)
-        self._electrodes = _OnUnits(array, electrode_surface(unit), region=1)
-        self._pads = []
+        boxes = np.asarray(slab.points), slab.cast_to_unstructured_grid().cells_dict[HEXAHEDRON]
+        pads = []
         for x0, y0, x1, y1 in array.rectangles_mm:
             a, b = np.diag([x1 - x0, y1 - y0, 0.0])[:2]
             corner = np.array([x0, y0, unit.height_mm]) + INSIDE / 2 * (a + b)
-            self._pads.append(_OnUnits(array, sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, across, across)))
-        self._once = same_places(self._slab.points_mm)  # points of neighbouring units are one
+            pads.append(sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, across, across))
+        self._pads = "plates" if array.has_plates else "pads"
+        self._parts = {
+            "pillars": _on_units(array, pillar_surface(unit, slices, around, APART_MM), region=1),
+            "matrix": _on_units(array, boxes, region=0, cell_type=HEXAHEDRON),
+            "electrodes": _on_units(array, electrode_surface(unit), region=1),
+            self._pads: _on_units(array, joined(pads)),
+        }
 
     def under(self, state: FieldState, stress: bool = True) -> dict[str, Part]:
         """The parts under a load, each pad with its traction."""
-        slab, (first, number) = self._slab.under(state, stress), self._once
-        matrix = Part(
-            points_mm=slab.points_mm[first],
-            cells=number[slab.cells],
-            cell_type=HEXAHEDRON,
-            displacement_mm=slab.displacement_mm[first],
-            stress_mpa=slab.stress[first] if stress else None,
-        )
-        forces, pads = state.force_n.reshape(self._array.design.n_units, -1, 3), []
-        for k, (pad, (x0, y0, x1, y1)) in enumerate(zip(self._pads, self._array.rectangles_mm, strict=True)):
-            traction = np.repeat(forces[:, k] / ((x1 - x0) * (y1 - y0)), len(pad.cells) // len(forces), axis=0)
-            pads.append(replace(pad.under(state, stress), traction_mpa=traction))
-        return {
-            "pillars": self._pillars.under(state, stress),
-            "matrix": matrix,
-            "electrodes": self._electrodes.under(state, stress),
-            "plates" if self._array.has_plates else "pads": _joined(pads),
-        }
+        parts = {name: under(state, stress) for name, under in self._parts.items()}
+        pads, (low, high) = parts[self._pads], np.split(self._array.rectangles_mm, 2, axis=1)
+        traction = (state.force_n.reshape(-1, len(low), 3) / (high - low).prod(axis=1)[:, None]).reshape(-1, 3)
+        on_cells = np.repeat(traction, len(pads.cells) // len(traction), axis=0)
+        return parts | {self._pads: replace(pads, traction_mpa=on_cells)}
 
 
 def sensor_parts(array: ArrayField | FiniteArrayField, state: FieldState, stress: bool = True) -> dict[str, Part]:
@@ -160,26 +153,21 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
 def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Cells:
     """A straight column between equal rectangles or ellipses at its two ends, smaller by so much all around."""
     axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
-    extents = prism.turn * np.array(prism.section_mm)[:, None] * (1 - 2 * inward_mm / np.array([prism.section_mm]).T)
-    a, b = np.column_stack([extents, np.zeros(2)])
+    foot = (np.array(prism.base_mm) + prism.top_mm - axis) / 2
     if prism.is_round:
-        return _round_surface((np.array(prism.base_mm) + prism.top_mm - axis) / 2, axis, a, b, slices, 8 * around)
-    foot = (np.array(prism.base_mm) + prism.top_mm - axis - a - b) / 2
-    sides = (foot, a), (foot + b, a), (foot, b), (foot + a, b)
-    walls = [sheet(corner, side, axis, around, slices) for corner, side in sides]
-    return joined([*walls, *(sheet(corner, a, b, around, around) for corner in (foot, foot + axis))])
-
-
-def _round_surface(foot: FloatArray, axis: FloatArray, a: FloatArray, b: FloatArray, slices: int, around: int) -> Cells:
-    """A straight column between ellipses of diameters a and b about a foot's middle, of an even number of sides."""
-    angle = np.linspace(0.0, 2 * np.pi, around + 1)
-    ring = (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b) / 2
-    points, walls = sheet(foot, np.zeros(3), axis, around, slices)
-    points = points.reshape(around + 1, slices + 1, 3) + ring[:, None]
-    first = np.arange(0, around, 2)[:, None]
-    cap = np.hstack([np.zeros((len(first), 1), dtype=np.int64), 1 + first + np.arange(3)])
-    caps = [(np.vstack([np.zeros(3), ring]) + middle, cap) for middle in (foot, foot + axis)]
-    return joined([(points.reshape(-1, 3), walls), *caps])
+        angle = np.linspace(0.0, 2 * np.pi, 8 * around + 1)
+        outline = np.column_stack([np.cos(angle), np.sin(angle)]) / 2
+    else:
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) / 2
+        place = np.arange(4 * around + 1) / around
+        outline = np.column_stack([np.interp(place, range(5), along) for along in corners.T])
+    ring = np.pad(outline * (np.array(prism.section_mm) - 2 * inward_mm) @ prism.turn, ((0, 0), (0, 1)))
+    points, walls = sheet(foot, np.zeros(3), axis, len(ring) - 1, slices)
+    points = (points.reshape(len(ring), -1, 3) + ring[:, None]).reshape(-1, 3)
+    fan = np.arange(0, len(ring) - 1, 2)[:, None] + np.arange(4)
+    fan[:, 0] = 0  # the middle
+    caps = [(np.vstack([middle, middle + ring]), fan) for middle in (foot, foot + axis)]
+    return joined([(points, walls), *caps])
 
 
 def electrode_surface(unit: Unit) -> Cells:
@@ -203,40 +191,26 @@ def joined(surfaces: list[Cells]) -> Cells:
     return np.vstack([points for points, _ in surfaces]), np.vstack(cells)
 
 
-class _OnUnits:
-    """Cells of the unit on all units of an array."""
+def _on_units(
+    array: ArrayField | FiniteArrayField, seen: Cells, region: int | None = None, cell_type: int = QUADRILATERAL
+) -> Callable[[FieldState, bool], Part]:
+    """Cells of the unit on all units of an array, under a load, with stress if asked; boxes share their points."""
+    points, cells = seen
+    centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))
+    places = (centres[:, None] + points).reshape(-1, 3)
+    first = number = np.arange(len(places))
+    if cell_type == HEXAHEDRON:
+        first, number = same_places(places)
+    copies = number.reshape(len(centres), -1)[:, cells].reshape(-1, cells.shape[1])
+    rest = Part(points_mm=places[first], cells=copies, cell_type=cell_type, displacement_mm=0 * places[first])
+    observer = array.observe(points, region)
 
-    def __init__(
-        self,
-        array: ArrayField | FiniteArrayField,
-        seen: Cells,
-        region: int | None = None,
-        cell_type: int = QUADRILATERAL,
-    ) -> None:
-        points, cells = seen
-        self._observer, self._cell_type = array.observe(points, region), cell_type
-        centres = np.pad(unit_centres(array.design), ((0, 0), (0, 1)))
-        self.points_mm = (centres[:, None] + points).reshape(-1, 3)
-        copies = np.arange(len(centres))[:, None, None] * len(points)
-        self.cells = (copies + cells).reshape(-1, cells.shape[1])
+    def under(state: FieldState, stress: bool) -> Part:
+        moved = observer.displacement_mm(state).reshape(-1, 3)[first]
+        stresses = observer.stress_mpa(state).reshape(-1, 6)[first] if stress else None
+        return replace(rest, displacement_mm=moved, stress_mpa=stresses)
 
-    def under(self, state: FieldState, stress: bool) -> Part:
-        """The cells under a load."""
-        return Part(
-            points_mm=self.points_mm,
-            cells=self.cells,
-            cell_type=self._cell_type,
-            displacement_mm=self._observer.displacement_mm(state).reshape(-1, 3),
-            stress_mpa=self._observer.stress_mpa(state).reshape(-1, 6) if stress else None,
-        )
-
-
-def _joined(parts: list[Part]) -> Part:
-    """Parts of one kind as one."""
-    points, cells = joined([(part.points_mm, part.cells) for part in parts])
-    given = [name for name in ("displacement_mm", "stress_mpa", "traction_mpa") if getattr(parts[0], name) is not None]
-    values = {name: np.vstack([getattr(part, name) for part in parts]) for name in given}
-    return Part(points_mm=points, cells=cells, cell_type=parts[0].cell_type, **values)
+    return under
 
 
 def solve_scene_parts(
@@ -253,17 +227,17 @@ def solve_scene_parts(
         If it cannot be solved.
     """
     if stress and not scene.is_linear:
-        raise no_stress()
+        no_stress()
     if isinstance(scene.body, Sensor):
         return sensor_parts(*_loaded_array(scene, scene.body, progress), stress)
     progress("solve")
-    if not scene.is_linear:
-        return _at_finite_strain(scene)
-    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE))
-    plan = make_plan(coarse, field=True)
-    field = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
-    assert field is not None  # it was asked for
+    field = scene_field(scene)
     progress("stress" if stress else "parts")
+    if scene.inclusions and not scene.is_linear:  # of whatever rubber: surfaces that the field moves
+        points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
+        moved = field.displacement_at(points)
+        inclusions = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
+        return {"inclusions": inclusions, "matrix": quadratic(field, field.body.region == 0)}
     inside = field.body.region > 0
     if not inside.any():
         return {"body": quadratic(field, stress=stress)}
@@ -273,38 +247,32 @@ def solve_scene_parts(
 def _loaded_array(
     scene: Scene, body: Sensor, progress: Callable[[str], None]
 ) -> tuple[ArrayField | FiniteArrayField, FieldState]:
-    """A scene's unit or array: by superposition on one cell, or at finite strain."""
-    local: dict[Rectangle, int] = {}
-    newtons = forces_on_cells(scene, body, local)
-    force_n, rectangles = newtons.reshape(len(newtons), -1), np.array(list(local)) if local else None
-    if not scene.is_linear:
-        progress("solve")
-        pads = pad_squares(lone_unit(body.design)) if rectangles is None else rectangles
-        pressed = FiniteArrayField(
-            design=body.design,
-            rectangles_mm=pads,
-            force_n=force_n,
-            has_plates=bool(scene.stiff_loads),
-            field=finite_field(scene),
-        )
-        return pressed, pressed.state
-    if rectangles is None:  # unloaded: its pads are shown instead
-        array = solve_array_field(body.design, progress)
-        return array, array.under(np.zeros((body.design.n_units, 3)))
-    array = solve_array_field(design_of_cells(scene, body), progress, None if scene.stiff_loads else rectangles)
-    return array, array.under(force_n)
+    """A scene's unit or array: by superposition on one cell, or at finite strain; unloaded it shows its pads."""
+    design, local = body.design, dict[Rectangle, int]()
+    force_n = forces_on_cells(scene, body, local).reshape(design.n_units, -1)
+    rectangles = np.array(list(local)) if local else pad_squares(lone_unit(design))
+    if not local:
+        force_n = np.zeros((design.n_units, 3))
+    elif scene.is_linear:
+        design = design_of_cells(scene, body)
+    if scene.is_linear:
+        array = solve_array_field(design, progress, rectangles if local and not scene.stiff_loads else None)
+        return array, array.under(force_n)
+    progress("solve")
+    has_plates, field = bool(scene.stiff_loads), scene_field(scene)
+    pressed = FiniteArrayField(
+        design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=has_plates, field=field
+    )
+    return pressed, pressed.state
 
 
-def _at_finite_strain(scene: Scene) -> dict[str, Part]:
-    """A block or a pillar; inclusions, of whatever rubber, are surfaces that the field moves."""
-    field = finite_field(scene)
-    body = quadratic(field, field.body.region == 0)
-    if not scene.inclusions:
-        return {"body": body}
-    points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
-    moved = field.displacement_at(points)
-    inside = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
-    return {"inclusions": inside, "matrix": body}
+def scene_field(scene: Scene) -> Field:
+    """Displacement of a scene's whole body, for pictures."""
+    coarse = replace(scene, tolerance=max(scene.tolerance, TOLERANCE if scene.is_linear else FINITE_TOLERANCE))
+    plan = make_plan(coarse, field=True)
+    found = picture_field(coarse, plan) if plan.method == "boxes" else follow(plan, coarse, field=True).field
+    assert found is not None  # it was asked for
+    return found
 
 
 def quadratic(field: Field, own: NDArray[np.bool_] | None = None, stress: bool = False) -> Part:
@@ -356,51 +324,8 @@ def write_field(field: Field, path: Path) -> None:
 
 def picture_field(scene: Scene, plan: Plan) -> Field:
     """A body of boxes on one grid of many small ones: few large ones have the right stress only at certain points."""
-    grid = picture_grid(scene, plan)
-    region = regions_at(grid.mesh.p[:, grid.mesh.t].mean(axis=1).T, plan.regions)
-    materials = [scene.material, *(material for _, material in plan.regions)]
-    body = Rubber.of(grid.mesh, hexahedra(2), materials, region)
-    system, parts = System(body, scene.loads, plan.mirrors, parities(plan.mirrors)[0]), []
-    for part in (system.of_parity(parity) for parity in parities(plan.mirrors)):
-        factor = Factor(system.rest_matrix(part.parity), definite=True, upper=True)
-        y, _ = checked_solve(factor, part.full_loads)
-        parts.append((part.parity, part.displaced(y)[0]))
-    return unfolded(grid, body, plan.mirrors, parts)
-
-
-def picture_grid(scene: Scene, plan: Plan) -> Grid:
-    """The solved part, evenly cut but for a thin layer at every edge of the body, its regions and loads."""
-    outline, height = scene.outline, scene.height_mm
-    widest = height * max(WIDEST, max(outline.section_mm) / height / WIDE_BOXES)
-    thin = THIN * min([widest, *outline.section_mm, *(side for load in scene.loads for side in load.size_mm)])
-    prisms = [outline, *(prism for prism, _ in plan.regions)]
-    planes = {mirror.axis: mirror.position_mm for mirror in plan.mirrors}
-    lines = []
-    for axis in (0, 1):
-        ends = [prism.base_mm[axis] + side * prism.section_mm[axis] / 2 for prism in prisms for side in (-1, 1)]
-        shift = outline.lean[axis] * height  # from the base, where lines are stated, to the top, where the loads are
-        loads = [load.rectangle[k] - shift for load in scene.loads for k in (axis, axis + 2)]
-        # inclusions are what is coloured, and layers at the loads' outlines too would take four times as long
-        places = dict.fromkeys(loads, 0.0 if plan.regions else thin) | dict.fromkeys(ends, thin)
-        if axis in planes:
-            middle = planes[axis]
-            places = {middle + abs(place - middle): layer for place, layer in places.items()} | {middle: 0.0}
-        lines.append(_layered(places, widest, scene.rounding_mm))
-    heights = [z for prism in prisms for z in (prism.base_mm[2], prism.top_mm[2])]
-    x, y, z = *lines, _layered(dict.fromkeys(heights, thin), widest, scene.rounding_mm)
-    return Grid((x, y, z), (float(outline.lean[0]), float(outline.lean[1])))
-
-
-def _layered(places: dict[float, float], widest: float, slack: float) -> FloatArray:
-    """Lines at places and as far beside them as each asks for, evenly between; those that rounding parts are one."""
-    kept: dict[float, float] = {}
-    for place, layer in sorted(places.items()):
-        last = next(reversed(kept), -np.inf)
-        at = last if place - last <= slack else place
-        kept[at] = max(kept.get(at, 0.0), layer)
-    lines = [np.array([next(iter(kept))])]
-    for (left, before), (right, after) in pairwise(kept.items()):
-        start, end = left + min(before, (right - left) / 4), right - min(after, (right - left) / 4)
-        inner = np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
-        lines.append(np.concatenate([inner[int(start == left) : len(inner) - int(end == right)], [right]]))
-    return np.concatenate(lines)
+    mirrors = tuple(mirror for mirror in plan.mirrors if len(mirror.parities) == 1)
+    grid = finite_grid(scene, LEVEL, mirrors)
+    system = System(finite_body(scene, grid), scene.loads, mirrors, parities(mirrors)[0])
+    y, _ = checked_solve(Factor(system.rest_matrix(), definite=True, upper=True), system.full_loads)
+    return unfolded(grid, system.body, mirrors, [(system.parity, system.displaced(y)[0])])

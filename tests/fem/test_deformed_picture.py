@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import pyvista as pv
 import trimesh
 
+from fem.pictures import deformation
 from fem.pictures.arrays import bell_pressure
-from fem.pictures.deformation import DeformedPicture
+from fem.pictures.deformation import QUANTITIES, VIEWS, DeformedPicture, bar_of, draw_scenery, pads_bar
 from fem.pictures.parts import QUADRILATERAL, Part, column_surface, pillar_surface, sensor_parts
-from fem.pictures.scenery import QUANTITIES, bar_of, pads_bar
 from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, pillar_volumes, unit_centres
 from geometry.prism import unit_prisms
@@ -99,3 +100,16 @@ def test_a_picture_cuts_nothing_off_and_its_bodies_sink_with_the_load(parts, cam
                 assert np.allclose(moving.mesh["shown"], share * full)
     assert {moving.name for moving in picture.moving} == {"pillars", "matrix", "electrodes", "pads"}
     picture.plotter.close()
+
+
+@pytest.mark.parametrize("camera", VIEWS)
+def test_letters_beside_a_body_face_the_camera(camera, monkeypatch):
+    """Names of the axes across the view, and the length of the scale bar."""
+    words, toward = {}, np.array(VIEWS[camera][0]) / np.linalg.norm(VIEWS[camera][0])
+    monkeypatch.setattr(deformation, "_word", lambda text, *at: words.update({text: at}) or pv.Sphere())
+    draw_scenery(np.array([[0.0, 0.0, 0.0], [30.0, 30.0, 10.0]]), camera)
+    axes = {"iso": "xyz", "top": "xy", "front": "xz", "side": "yz"}[camera]
+    assert words.keys() == {*axes, "10 mm"}
+    for _, _, right, up in words.values():
+        assert np.cross(right, up) == pytest.approx(toward)
+        assert up @ [0.0, 1.0, 1.0] > 0  # not upside down

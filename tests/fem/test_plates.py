@@ -11,8 +11,9 @@ from fem.contact import Flat, Indentation, Sphere, Stepper, SurfaceCompliance, p
 from fem.contact.driver import pressed
 from fem.contact.surface import UP, PatchCompliance
 from fem.contact.tiles import Patch, cell_strips, edges, lined_grid, shares, slab_strips
-from fem.pictures.contact import _draw_plates, draw_contact
+from fem.pictures.contact import _outline, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign
+from geometry.layout import pad_squares
 from studies.bench.peers.plates import CASES, pressed_here
 from studies.bench.peers.plates import DESIGN as FOUR
 from tests.fem.coarse_plates import coarse_surface
@@ -181,8 +182,9 @@ def test_a_picture_of_a_contact_outlines_the_plates_that_it_shows(plated: Surfac
     contact = press(plated, Sphere(8.0), 0.3, at_mm=(7.5, 0.0), friction=0.3, cells=16)
     axes = Figure().subplots()
     axes.axis((5.0, 9.0, -2.0, 2.0))
-    _draw_plates(axes, contact)
-    assert [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata())] == pytest.approx([12.0, 12.0])
+    _outline(axes, pad_squares(PLATED), label="plates")
+    pieces = np.ma.clump_unmasked(np.ma.masked_invalid(x := axes.lines[0].get_xdata()))
+    assert [np.ptp(x[piece]) for piece in pieces] == pytest.approx([12.0, 12.0])
     assert axes.axis() == (5.0, 9.0, -2.0, 2.0)
     draw_contact(contact, tmp_path / "contact.png")
     assert (tmp_path / "contact.png").read_bytes().startswith(b"\x89PNG")

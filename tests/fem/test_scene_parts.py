@@ -10,7 +10,7 @@ from fem.kernel.loads import DeadLoad
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow
 from fem.pictures.arrays import solve_array_field
-from fem.pictures.parts import quadratic, sensor_parts, solve_scene_parts
+from fem.pictures.parts import picture_field, quadratic, sensor_parts, solve_scene_parts
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from geometry.design import Array, Material, SensorDesign
 from tests.fem.scenes import on_tetrahedra
@@ -39,6 +39,16 @@ def test_fields_of_every_method_are_drawn_as_they_are(planned):
     assert part.grid.volume == pytest.approx(12 * 12 * 6)
     some = np.unique(part.cells[::7])
     assert np.allclose(field.displacement_at(part.points_mm[some]), part.displacement_mm[some], atol=1e-12)
+
+
+@pytest.mark.parametrize("center_mm", [(6.0, 6.0), (4.0, 5.0)], ids=["symmetric", "aside"])
+def test_sections_of_a_picture_of_stress_carry_the_whole_load(center_mm):
+    """Half way down, by 40 × 40 points; the load has 36 mm² and 1 MPa."""
+    scene = replace(BLOCK, loads=(replace(BLOCK.loads[0], center_mm=center_mm),))
+    field = picture_field(scene, make_plan(scene, field=True))
+    x, y = np.meshgrid(*[(np.arange(40) + 0.5) * 12.0 / 40] * 2)
+    stress = field.stress_at(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 3.0)]))
+    assert 144.0 * stress[:, 2].mean() == pytest.approx(-36.0, rel=0.02)
 
 
 def test_a_sensor_s_scene_is_its_array_under_the_same_load(monkeypatch):

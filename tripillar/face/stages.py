@@ -64,9 +64,8 @@ if TYPE_CHECKING:
     from fem.methods.solving import beyond_linear, follow
     from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
-    from fem.pictures.deformation import DeformedPicture
+    from fem.pictures.deformation import QUANTITIES, DeformedPicture
     from fem.pictures.parts import Parts, write_field
-    from fem.pictures.scenery import QUANTITIES
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import Solution, solution_as_plain

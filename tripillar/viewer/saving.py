@@ -15,9 +15,8 @@ import pyvista as pv
 from common.errors import NotWrittenError
 from common.storage.files import replacing, scratch, vtk_content, write_bytes, write_text
 from fem.kernel.field import pressure, von_mises
-from fem.pictures.deformation import DeformedPicture, Medium
+from fem.pictures.deformation import Bar, DeformedPicture, Medium
 from fem.pictures.parts import Part, Parts
-from fem.pictures.scenery import Bar
 
 FRAMES, HELD, RATE = 78, 18, 24  #: of a film: all, those at its end under the whole load, and frames a second
 #: of the saved page; the script places pictures one below the other where the window is higher than wide

@@ -16,7 +16,7 @@ from aiohttp import WSMsgType, web
 from common.errors import TriPillarError
 from dataset.protocols import FRICTION
 from fem.pictures.arrays import ArrayField, indenter_tractions
-from fem.pictures.scenery import Bar
+from fem.pictures.deformation import Bar
 from geometry.layout import FloatArray
 from tripillar.viewer.page.controls import (
     MAX_PRESSURE_MPA,

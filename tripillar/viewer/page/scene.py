@@ -10,9 +10,18 @@ import numpy as np
 import pyvista as pv
 
 from fem.pictures.arrays import ArrayField
-from fem.pictures.deformation import PAD_LIFT_MM, DeformedPicture, place
+from fem.pictures.deformation import (
+    PAD_LIFT_MM,
+    QUANTITIES,
+    Bar,
+    Colour,
+    DeformedPicture,
+    Quantity,
+    draw_scenery,
+    place,
+    unit_names,
+)
 from fem.pictures.parts import COARSE, ArrayParts, Part
-from fem.pictures.scenery import QUANTITIES, Bar, Colour, Quantity, draw_scenery, unit_names
 from geometry.layout import FloatArray
 
 Shown = Colour | Literal["resistance"]
