@@ -62,7 +62,7 @@ class SplitBoxes:
         self.scene, self.plan, self.order = with_plates_on_faces(scene, plan), plan, ORDERS[0]
         self.mesh = first_mesh(scene, replace(plan, mirrors=self.mirrors))
         self.coarser: FloatArray | None = None  #: probes (n_probes, 3) by the order before on the same mesh, if any
-        self._error = np.inf
+        self._is_split, self._error = False, np.inf
 
     def __str__(self) -> str:
         return f"{len(self.mesh.boxes)} boxes of order {self.order}"
@@ -78,7 +78,7 @@ class SplitBoxes:
             self.order = ORDERS[-1]
         else:
             self.mesh.split(marked(indicators, float(np.clip((1 - AIM / excess) / TAKEN, *SHARES))))
-            self.coarser = None
+            self.coarser, self._is_split = None, True
 
     def body(self, order: int) -> Rubber:
         """The boxes as they are, filled with their rubbers."""
@@ -99,7 +99,8 @@ class SplitBoxes:
         weights = unit_loads(probes, MAX_PROBES, N_SUMS)
         duals, _ = checked_solve(solved.factor, system.rest_loads(_forces(solved.rows, weights)))
         found = surplus(system.body, u, system.displaced(duals), self.mesh.lean)
-        self._error = float(estimated_errors(probes, _of_probes(found, len(probes)), self.coarser).max())
+        eta = _of_probes(found, len(probes))
+        self._error = float(estimated_errors(probes, eta, self.coarser, self._is_split).max())
         self.coarser = probes
         watch.spent("solve")
         mesh = copy(self.mesh)
