@@ -279,9 +279,6 @@ class Rubber:
 
         Entry [e, a, b, i, j] couples aᵢ with b_j. Continuous pressures are not in it.
         """
-        if not self._is_uniform:
-            yield from self.rest.blocks()
-            return
         for some, _, hung in self.chunks:
             if self.condensed is not None and self.is_condensed:
                 K = self.condensed.stiffness[self.condensed.kind[some]]
@@ -295,7 +292,12 @@ class Rubber:
         return self._volume.shape[1] == 1 and self.law.mu_mpa.shape[1] == 1
 
     def _rest_stiffness(self, some: IntArray | slice) -> FloatArray:
-        """K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ of `Reference.stiffness`, (e, n, n, 3, 3)."""
+        """Stiffness at rest of some elements, (e, n, n, 3, 3) [N/mm], without continuous pressures.
+
+        Of uniform ones K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ of `Reference.stiffness`.
+        """
+        if not self._is_uniform:
+            return self._integrated_stiffness(some)
         pull, volume = self.pull[some, 0], self._volume[some, 0]
         M, N = self.reference.stiffness
         g = np.einsum("eij,emk,elk->emlij", np.broadcast_to(np.eye(3), pull.shape), pull, pull, optimize=True)
@@ -309,16 +311,49 @@ class Rubber:
         n = self.nodes.shape[1]
         return K.reshape(len(pull), n, n, 3, 3)
 
+    def integrated_slopes(self, shown: FloatArray, some: IntArray | slice = slice(None)) -> FloatArray:
+        """∫ q ∂ᵢφ over elements, (e, 3, n, k), of functions q with values (q, k) at the points of integration."""
+        table, pull = self.reference, self.pull[some]
+        if pull.shape[1] == 1:
+            whole = (table.slopes * table.weights) @ shown
+            return np.einsum("mnk,emi->eink", whole, pull[:, 0] * self._volume[some][..., None], optimize=True)
+        return (self._slopes(some) * self.dx[some][:, None, None]) @ shown
+
+    def _slopes(self, some: IntArray | slice) -> FloatArray:
+        """∂ᵢφ at the points of integration, (e, 3, n, q)."""
+        pull = np.broadcast_to(self.pull[some], (*self.dx[some].shape, 3, 3))
+        return (self.reference.slopes.transpose(2, 1, 0) @ pull).transpose(0, 3, 2, 1)
+
+    def _integrated_stiffness(self, some: IntArray | slice) -> FloatArray:
+        """∫ μ (δᵢⱼ ∂ₖφₐ ∂ₖφ_b + ∂ⱼφₐ ∂ᵢφ_b) + Bₐᵢ (∫ q qᵀ/λ)⁻¹ B_bj, B = ∫ q ∂φ, point by point, (e, n, n, 3, 3)."""
+        slopes, dx = self._slopes(some), self.dx[some]
+        left = slopes * (self.law.mu_mpa[some] * dx)[:, None, None]
+        if self.is_mixed:
+            pressing = pressed = np.zeros((*slopes.shape[:3], 0))
+        else:
+            pressing, bulk = (slopes * dx[:, None, None]) @ self.reference.pressures, self._inverse_mass[some]
+            pressed = pressing * bulk[:, None, None] if bulk.ndim == 2 else pressing @ bulk[:, None]
+        n = slopes.shape[2]
+        K = np.empty((len(dx), n, n, 3, 3))
+        shear = sum(left[:, k] @ slopes[:, k].swapaxes(1, 2) for k in range(3))
+        for i, j in PAIRS:
+            K[..., i, j] = left[:, j] @ slopes[:, i].swapaxes(1, 2) + pressed[:, i] @ pressing[:, j].swapaxes(1, 2)
+            if i == j:
+                K[..., i, i] += shear
+            else:
+                K[..., j, i] = K[..., i, j].swapaxes(1, 2)
+        return K
+
     @cached_property
     def condensed(self) -> Condensed | None:
-        """Elements by kind, their insides eliminated; None where there is nothing inside, or elements are not uniform.
+        """Elements by kind, their insides eliminated; None where nothing is inside, or an element is of many rubbers.
 
         Elements of one kind are alike; sizes that only rounding tells apart are one.
         """
         surface, inside = self.reference.surface, self.reference.inside
-        if not len(inside) or not self._is_uniform:
+        if not len(inside) or self.law.mu_mpa.shape[1] > 1:
             return None
-        parts = (self.pull.reshape(-1, 9), self.law.lame_mpa, self.law.mu_mpa)
+        parts = (self.pull.reshape(self.n_elements, -1), self.law.lame_mpa, self.law.mu_mpa)
         rounded = np.round(np.column_stack([part / np.abs(part).max() for part in parts]), ALIKE)
         _, first, kind = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         n, m = 3 * len(surface), 3 * len(inside)

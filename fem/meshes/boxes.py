@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from skfem import Dofs, Element, MeshHex
 from skfem.refdom import RefHex
 
+from fem.meshes.leaning import Leaning
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -78,10 +79,10 @@ class AxisTree:
 
 
 class BoxMesh:
-    """Boxes over three axes, sheared as one; the first ones fill the whole grid of the axes' first intervals."""
+    """Boxes over three axes, whose lines lean; the first ones fill the whole grid of the axes' first intervals."""
 
-    def __init__(self, axes: tuple[AxisTree, AxisTree, AxisTree], lean: tuple[float, float] = (0.0, 0.0)) -> None:
-        self.axes, self.lean = axes, lean
+    def __init__(self, axes: tuple[AxisTree, AxisTree, AxisTree], leaning: Leaning) -> None:
+        self.axes, self.leaning = axes, leaning
         self.boxes: IntArray = np.array(list(product(*(axis.roots for axis in axes))))  #: (n, 3), an interval an axis
 
     def split(self, marks: NDArray[np.bool_]) -> None:
@@ -98,7 +99,7 @@ class BoxMesh:
 
     @property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner of every box before it is sheared, each of shape (n, 3) [mm]."""
+        """Lowest and highest corner of every box where its lines start, each of shape (n, 3) [mm]."""
         low, high = (
             np.stack([np.array(getattr(axis, side))[self.boxes[:, d]] for d, axis in enumerate(self.axes)], axis=1)
             for side in ("low", "high")
@@ -106,15 +107,8 @@ class BoxMesh:
         return low, high
 
     @property
-    def shear(self) -> FloatArray:
-        """∂x/∂x₀ of the places x₀ before they are sheared, (3, 3)."""
-        out = np.eye(3)
-        out[:2, 2] = self.lean
-        return out
-
-    @property
     def mesh(self) -> MeshHex:
-        """scikit-fem's mesh; boxes that share a whole face share its vertices, and local axes are those of space."""
+        """scikit-fem's mesh; boxes that share a whole face share its vertices, local axes are along the lines."""
         ends = np.stack(
             [np.array(axis.ends)[self.boxes[:, d]] for d, axis in enumerate(self.axes)], axis=1
         )  # (n, 3, 2)
@@ -123,11 +117,14 @@ class BoxMesh:
         _, first, number = np.unique(_key(*np.moveaxis(vertices, -1, 0)), return_index=True, return_inverse=True)
         own = vertices.reshape(-1, 3)[first]
         places = np.stack([np.array(axis.low)[own[:, d]] for d, axis in enumerate(self.axes)])
-        return MeshHex(self.shear @ places, np.ascontiguousarray(number.reshape(len(self.boxes), 8).T))
+        return MeshHex(
+            np.ascontiguousarray(self.leaning.placed(places.T).T),
+            np.ascontiguousarray(number.reshape(len(self.boxes), 8).T),
+        )
 
     def located(self, points_mm: FloatArray, among: NDArray[np.bool_] | None = None) -> tuple[IntArray, FloatArray]:
         """The box that holds each of points (k, 3), (k,), and where in it, (3, k) in 0..1; `among` is not asked."""
-        places, (low, high) = points_mm @ np.linalg.inv(self.shear).T, self.corners
+        places, (low, high) = self.leaning.starts(points_mm), self.corners
         places = np.clip(places, low.min(axis=0), high.max(axis=0))
         found = np.empty(len(places), dtype=np.int64)
         for some in np.array_split(np.arange(len(places)), 1 + places.size * len(low) // 3_000_000):
@@ -174,7 +171,7 @@ def hanging(boxes: BoxMesh, mesh: MeshHex, dofs: Dofs, elem: Element) -> sp.csr_
     box's functions give there.
     """
     low, high = boxes.corners
-    places = np.linalg.inv(boxes.shear) @ mesh.p
+    places = boxes.leaning.starts(mesh.p.T).T
     slack, n_boxes = ON_FACE * float(np.ptp(places, axis=1).max()), len(low)
     owners, nodes = [], []
     for corners, own, numbers in (

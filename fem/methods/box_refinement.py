@@ -9,8 +9,10 @@ both their errors in a box: the error of a probe is a(u − u_h, z − z_h) (Bec
 and the sum of the products over all boxes and axes is the probe's indicator η.
 """
 
+import math
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +29,7 @@ from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.levels import estimated_errors, largest_contributors, unit_loads
 from fem.meshes.boxes import AxisTree, BoxMesh, hanging
+from fem.meshes.leaning import Leaning, apart
 from fem.methods.adaptive import solve_adaptively
 from fem.methods.plan import Plan
 from fem.scene.probes import probe_rows
@@ -84,7 +87,7 @@ class SplitBoxes:
         """The boxes as they are, filled with their rubbers."""
         mesh, pair = self.mesh.mesh, hexahedra(order)
         low, high = self.mesh.corners
-        region = regions_at((low + high) / 2, self.plan.regions)
+        region = regions_at(self.mesh.leaning.placed((low + high) / 2), self.plan.regions)
         materials = [self.scene.material, *(material for _, material in self.plan.regions)]
         shares = (region == np.arange(len(materials))[:, None])[..., None].astype(float)
         basis = Basis(mesh, pair[0])
@@ -98,7 +101,8 @@ class SplitBoxes:
         system, u, probes = solved.system, solved.u, solved.probes
         weights = unit_loads(probes, MAX_PROBES, N_SUMS)
         duals, _ = checked_solve(solved.factor, system.rest_loads(_forces(solved.rows, weights)))
-        found = surplus(system.body, u, system.displaced(duals), self.mesh.lean)
+        lean = self.mesh.leaning.leans_at(np.mean(self.mesh.corners, axis=0))
+        found = surplus(system.body, u, system.displaced(duals)) * (1 + SHEARED * (lean**2).sum(axis=1))[:, None, None]
         eta = _of_probes(found, len(probes))
         self._error = float(estimated_errors(probes, eta, self.coarser, self._is_split).max())
         self.coarser = probes
@@ -162,26 +166,36 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
     A box is split only where such a face or edge cuts it, so none of them runs through the body. Loads and probes much
     smaller than the boxes lie in shells whose sizes fall geometrically, so that boxes of their own size resolve them.
     """
-    (low, high), *inner = _solids(scene, plan)
-    slack = scene.rounding_mm
+    leaning, slack = leaning_lines(scene, plan), scene.rounding_mm
+    (low, high), *inner = _solids(scene, plan, leaning)
     stops = [
-        np.array(_apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
+        np.array(apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
         for axis in range(3)
     ]
-    widest = min(scene.height_mm, *scene.outline.section_mm)
-    while np.prod(np.ceil((high - low) / widest)) > MAX_FIRST:
-        widest *= 1.25
-    lines = [
-        np.linspace(start, end, int(np.ceil((end - start) / widest - 1e-9)) + 1)
-        for start, end in zip(low, high, strict=True)
+    kinks = [
+        np.array([place for place in leaning.kinks(axis) if low[axis] + slack < place < high[axis] - slack])
+        for axis in range(3)
     ]
+
+    def divided(widest: float) -> list[FloatArray]:
+        """Lines along each axis, at the kinks and between them no further apart than `widest`."""
+        lines = []
+        for start, end, bends in zip(low, high, kinks, strict=True):
+            ends = pairwise([start, *np.sort(bends), end])
+            parts = [np.linspace(a, b, int(np.ceil((b - a) / widest - 1e-9)) + 1)[1:] for a, b in ends]
+            lines.append(np.concatenate([[start], *parts]))
+        return lines
+
+    widest, fewest = min(scene.height_mm, *scene.outline.section_mm), math.prod(len(bends) + 1 for bends in kinks)
+    while math.prod(len(line) - 1 for line in divided(widest)) > max(MAX_FIRST, fewest):
+        widest *= 1.25
+    lines = divided(widest)
     known = [[*own, *line] for own, line in zip(stops, lines, strict=True)]
-    shells = _shells(_patches(scene, plan), stops, known, widest, slack)
+    shells = _shells(_patches(scene, plan, leaning), stops, known, widest, slack)
     inner += [shell for shell, _ in shells]
     around = [{float(side[axis]): margin for shell, margin in shells for side in shell} for axis in range(3)]
     x, y, z = (AxisTree(line, own, shell) for line, own, shell in zip(lines, stops, around, strict=True))
-    lean_x, lean_y = scene.outline.lean
-    mesh = BoxMesh((x, y, z), (float(lean_x), float(lean_y)))
+    mesh = BoxMesh((x, y, z), leaning)
     while True:
         lowest, highest = mesh.corners
         marks = np.zeros(lowest.shape, dtype=bool)
@@ -199,16 +213,22 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
 Solid = tuple[FloatArray, FloatArray]  #: lowest and highest corner, where the base shows them [mm]
 
 
-def _patches(scene: Scene, plan: Plan) -> list[Solid]:
+def leaning_lines(scene: Scene, plan: Plan) -> Leaning:
+    """The lines along the faces of the body and of the plan's regions."""
+    found = Leaning.of(scene.outline, [prism for prism, _ in plan.regions], scene.rounding_mm)
+    assert found is not None  # or the plan had not chosen boxes
+    return found
+
+
+def _patches(scene: Scene, plan: Plan, leaning: Leaning) -> list[Solid]:
     """Rectangles of loads and probes on the top of the body's solved part."""
     rectangles = [load.rectangle for load in scene.loads] + [probe.rectangle for probe in scene.mean_probes]
     height = scene.height_mm
-    shift = np.array([*scene.outline.lean, 0.0]) * height  # from the base, where lines are stated, to the top
-    patches = [
-        (np.array([x0, y0, height]) - shift, np.array([x1, y1, height]) - shift) for x0, y0, x1, y1 in rectangles
-    ]
-    for low, high in patches:
+    patches = []
+    for x0, y0, x1, y1 in rectangles:
+        low, high = leaning.starts(np.array([[x0, y0, height], [x1, y1, height]]))
         _fold(low, high, plan)
+        patches.append((low, high))
     return patches
 
 
@@ -244,7 +264,7 @@ def _shells(
     return found
 
 
-def _solids(scene: Scene, plan: Plan) -> list[Solid]:
+def _solids(scene: Scene, plan: Plan, leaning: Leaning) -> list[Solid]:
     """Corners of the body's solved part, of regions and, flat, of loads.
 
     What lies beyond a mirror plane is folded to this side. Loads' edges next to a face are moved to it.
@@ -252,11 +272,12 @@ def _solids(scene: Scene, plan: Plan) -> list[Solid]:
     solids = []
     for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
         half = np.array([*prism.section_mm, 0.0]) / 2
-        base = np.array(prism.base_mm)
-        solids.append((base - half, base + half + [0.0, 0.0, prism.height_mm]))
+        low, high = leaning.starts(np.array([prism.base_mm - half, prism.base_mm + half]))
+        high[2] += prism.height_mm
+        solids.append((low, high))
         _fold(*solids[-1], plan)
     n_lasting = len(solids)
-    solids += _patches(scene, plan)[: len(scene.loads)]
+    solids += _patches(scene, plan, leaning)[: len(scene.loads)]
     for axis in range(3):
         faces = np.array([side[axis] for solid in solids[:n_lasting] for side in solid])
         for load in solids[n_lasting:]:
@@ -266,35 +287,18 @@ def _solids(scene: Scene, plan: Plan) -> list[Solid]:
     return solids
 
 
-def _apart(places: list[float], slack: float) -> list[float]:
-    """Places in order, without those that only rounding tells from one named before: the body's own come first."""
-    kept: list[float] = []
-    for place in places:
-        if all(abs(place - other) > slack for other in kept):
-            kept.append(place)
-    return sorted(kept)
-
-
-def _faces(scene: Scene, plan: Plan, axis: int) -> list[float]:
-    """Faces of the body, lowest and highest, and of its regions along an axis."""
-    prisms = (scene.outline, *(prism for prism, _ in plan.regions))
-    if axis == 2:
-        return [end[2] for prism in prisms for end in (prism.base_mm, prism.top_mm)]
-    return [prism.base_mm[axis] + side * prism.section_mm[axis] / 2 for prism in prisms for side in (-1, 1)]
-
-
 def with_plates_on_faces(scene: Scene, plan: Plan) -> Scene:
     """The scene with edges of plates that lie next to a face moved to it, where their lines are."""
+    lines = leaning_lines(scene, plan).lines_mm
 
     def moved(load: Load) -> Load:
         if not isinstance(load, StiffLoad):
             return load
-        ends = np.array(load.rectangle)
-        for k, place in enumerate(load.rectangle):
-            shift = scene.outline.lean[k % 2] * scene.height_mm
-            faces = np.array(_faces(scene, plan, k % 2))
-            ends[k] = _nearest(faces, place - shift, ON_FACE * load.size_mm[k % 2]) + shift
-        return load.image(ends, np.ones(3), np.ones(3))
+        ends = [
+            _nearest(lines[k % 2][:, -1], place, ON_FACE * load.size_mm[k % 2])
+            for k, place in enumerate(load.rectangle)
+        ]
+        return load.image(np.array(ends), np.ones(3), np.ones(3))
 
     return replace(scene, loads=tuple(moved(load) for load in scene.loads))
 
@@ -325,7 +329,7 @@ def _of_probes(surplus: FloatArray, n_probes: int) -> FloatArray:
     return np.full(n_probes, np.sqrt((surplus**2).mean(axis=2)).sum())
 
 
-def surplus(body: Rubber, u: FloatArray, duals: FloatArray, lean: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+def surplus(body: Rubber, u: FloatArray, duals: FloatArray) -> FloatArray:
     """Products of what the highest degrees add to an answer and to others, by element and local axis, (e, 3, k).
 
     The answer is u (n_nodes, 3) of a body at rest, `duals` (k, n_nodes, 3) are answers to unit loads on the probes.
@@ -341,7 +345,7 @@ def surplus(body: Rubber, u: FloatArray, duals: FloatArray, lean: tuple[float, f
     lumped = 2 / (order * n * legendre.legval(lobatto_points(order), np.eye(n)[order]) ** 2)
     across, to_highest = np.multiply.outer(lumped, lumped), elem.to_legendre[order]
     lame, mu = body.law.lame_mpa[:, 0], body.law.mu_mpa[:, 0]
-    pull, volume = body.pull[:, 0], body.dx.sum(axis=1)
+    pull, volume = body.pull.mean(axis=1), body.dx.sum(axis=1)
     values = np.concatenate([u[None], duals])
     own = values[:, body.nodes[:, lattice.ravel()]].reshape(len(values), body.n_elements, n, n, n, 3)
     found = np.empty((body.n_elements, 3, len(duals)))
@@ -350,11 +354,10 @@ def surplus(body: Rubber, u: FloatArray, duals: FloatArray, lean: tuple[float, f
         energy = np.einsum("jk,ejka,cejka->ec", across, top[0], top[1:], optimize=True)
         found[:, d] = ((pull[:, d] ** 2).sum(axis=1) * mu * volume * order * n / 2)[:, None] * energy
     highest = pressure.degrees.sum(axis=1) == pressure.maxdeg
-    shown = table.slopes * table.weights @ table.pressures[:, highest]  # ∫ ∂φ q, (3, n, highest)
-    shown /= np.sqrt(table.weights @ table.pressures[:, highest] ** 2)
-    local = np.tensordot(values[:, body.nodes], shown, ([2], [1]))  # of each component by each local axis
-    moments = np.abs(np.einsum("ceidh,edi->ceh", local, pull, optimize=True))
-    toward = pressure.degrees[highest] / max(pressure.maxdeg, 1)
+    shown = table.pressures[:, highest] / np.sqrt(table.weights @ table.pressures[:, highest] ** 2)
+    pressing = body.integrated_slopes(shown) / volume[:, None, None, None]  # (e, 3, n, highest)
+    theta = np.einsum("ceni,einh->ceh", values[:, body.nodes], pressing, optimize=True)
+    moments, toward = np.abs(theta), pressure.degrees[highest] / max(pressure.maxdeg, 1)
     of_pressures = np.einsum("eh,ceh,hd->edc", moments[0], moments[1:], toward, optimize=True)
     found += (PRESSURE_WEIGHT * lame**2 / mu * volume)[:, None, None] * of_pressures
-    return found * (1 + SHEARED * (lean[0] ** 2 + lean[1] ** 2))
+    return found

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fem.kernel.mirrors import Mirror, flipped_points, flipped_rectangles
+from fem.meshes.leaning import Leaning
 from fem.methods.cell_scene import has_alike_plates
 from fem.scene.scene import Region, Scene, Sensor
 from geometry.design import Material
@@ -84,8 +85,15 @@ def _method(scene: Scene, regions: list[Region], field: bool) -> tuple[Method, s
         if units == 1:
             return "cells", "one cell, the unit itself, its sides free"
         return "cells", f"one cell, {units} equal units: one is meshed and condensed, its copies are coupled"
-    if oblique or (units and regions):
+    if units and regions:
         return "tetrahedra", f"tetrahedra, {leaning}"
+    prisms = [prism for prism, _ in regions]
+    if any(prism.lean != scene.outline.lean for prism in prisms):
+        if field:
+            return "tetrahedra", f"tetrahedra, {leaning} and a picture needs the same elements on both sides of a face"
+        if Leaning.of(scene.outline, prisms, scene.rounding_mm) is None:
+            return "tetrahedra", f"tetrahedra, {leaning} and lines along their faces would meet"
+        return "boxes", f"hexahedra whose lines lean with inclusions, {leaning}"
     shape = "" if scene.outline.is_upright else ", its sheared sides sheared with it"
     boxes = f"the body and {_count(regions, 'inclusion')} are boxes" if regions else "the body is one box"
     return "boxes", f"hexahedra, {boxes}{shape}"

@@ -14,13 +14,28 @@ OFF_CENTRE = PLAIN.replace("center_mm = [15.0, 15.0]\nsize_mm = [10", "center_mm
 EVEN, ODD, BOTH = (1,), (-1,), (1, -1)
 OTHER = "[[load]]\ncenter_mm = [{}, 15.0]\nsize_mm = [4.0, 4.0]\ntraction_mpa = [0.0, 0.0, {}]\n"
 PAIRS = ((-1.0, EVEN), (1.0, BOTH))  # with an even load in the middle, an odd pair is of both parities
+CROSSING = """
+[[inclusion]]
+base_mm = [25.0, 4.0, 0.0]
+top_mm = [5.0, 4.0, 10.0]
+section_mm = [2.0, 2.0]
+young_mpa = 61.0
+poisson = 0.3
+"""
 UNIT = ARRAY.replace('"array"', '"unit"').replace("7.5, 7.5", "0, 0").replace("2.5, 2.5", "-5, -5")
 
 
 @pytest.mark.parametrize(
     ("text", "method", "regions"),
     [
-        (BLOCK, "tetrahedra", 1),
+        (BLOCK, "boxes", 1),
+        (BLOCK.replace("base_mm = [10.0", "base_mm = [3.0").replace("top_mm = [20.0", "top_mm = [27.0"), "boxes", 1),
+        (
+            BLOCK.replace("base_mm = [10.0", "base_mm = [2.0").replace("top_mm = [20.0", "top_mm = [28.0"),
+            "tetrahedra",
+            1,
+        ),
+        (BLOCK + CROSSING, "tetrahedra", 2),  # lines along both would meet
         (UPRIGHT, "boxes", 1),
         (PLAIN, "boxes", 0),  # an oblique inclusion of the body's own rubber is none
         (PILLAR, "boxes", 0),  # sheared as one
