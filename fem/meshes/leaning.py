@@ -63,6 +63,11 @@ class Leaning:
         moved = lines - lines[:, :1]
         return lines[:, 0] if (np.abs(moved - moved[0]) > SAME * np.ptp(lines)).any() else np.zeros(0)
 
+    @property
+    def bends(self) -> bool:
+        """True if some lines lean apart."""
+        return any(len(self.kinks(axis)) for axis in range(2))
+
     def leans_at(self, starts_mm: FloatArray) -> FloatArray:
         """Shift along x and y per height of the lines of places named by their starts (n, 3), (n, 2)."""
         step = np.array([0.0, 0.0, LEVER * float(np.ptp(self.heights_mm))])

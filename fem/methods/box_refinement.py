@@ -65,7 +65,7 @@ class SplitBoxes:
         self.scene, self.plan, self.order = with_plates_on_faces(scene, plan), plan, ORDERS[0]
         self.mesh = first_mesh(scene, replace(plan, mirrors=self.mirrors))
         self.coarser: FloatArray | None = None  #: probes (n_probes, 3) by the order before on the same mesh, if any
-        self._is_split, self._error = False, np.inf
+        self._error, self._is_split = np.inf, False
 
     def __str__(self) -> str:
         return f"{len(self.mesh.boxes)} boxes of order {self.order}"
@@ -103,8 +103,8 @@ class SplitBoxes:
         duals, _ = checked_solve(solved.factor, system.rest_loads(_forces(solved.rows, weights)))
         lean = self.mesh.leaning.leans_at(np.mean(self.mesh.corners, axis=0))
         found = surplus(system.body, u, system.displaced(duals)) * (1 + SHEARED * (lean**2).sum(axis=1))[:, None, None]
-        eta = _of_probes(found, len(probes))
-        self._error = float(estimated_errors(probes, eta, self.coarser, self._is_split).max())
+        eta, is_suited = _of_probes(found, len(probes)), self._is_split and not self.mesh.leaning.bends
+        self._error = float(estimated_errors(probes, eta, self.coarser, is_suited).max())
         self.coarser = probes
         watch.spent("solve")
         mesh = copy(self.mesh)
@@ -168,12 +168,12 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
     """
     leaning, slack = leaning_lines(scene, plan), scene.rounding_mm
     (low, high), *inner = _solids(scene, plan, leaning)
-    stops = [
-        np.array(apart([float(side[axis]) for solid in ((low, high), *inner) for side in solid], slack))
+    kinks = [
+        [place for place in leaning.kinks(axis).tolist() if low[axis] + slack < place < high[axis] - slack]
         for axis in range(3)
     ]
-    kinks = [
-        np.array([place for place in leaning.kinks(axis) if low[axis] + slack < place < high[axis] - slack])
+    stops = [
+        np.array(apart([low[axis], high[axis], *kinks[axis], *(side[axis] for one in inner for side in one)], slack))
         for axis in range(3)
     ]
 
@@ -181,7 +181,7 @@ def first_mesh(scene: Scene, plan: Plan) -> BoxMesh:
         """Lines along each axis, at the kinks and between them no further apart than `widest`."""
         lines = []
         for start, end, bends in zip(low, high, kinks, strict=True):
-            ends = pairwise([start, *np.sort(bends), end])
+            ends = pairwise([start, *sorted(bends), end])
             parts = [np.linspace(a, b, int(np.ceil((b - a) / widest - 1e-9)) + 1)[1:] for a, b in ends]
             lines.append(np.concatenate([[start], *parts]))
         return lines
@@ -273,7 +273,7 @@ def _solids(scene: Scene, plan: Plan, leaning: Leaning) -> list[Solid]:
     for prism in (scene.outline, *(prism for prism, _ in plan.regions)):
         half = np.array([*prism.section_mm, 0.0]) / 2
         low, high = leaning.starts(np.array([prism.base_mm - half, prism.base_mm + half]))
-        high[2] += prism.height_mm
+        high[2] = prism.top_mm[2]
         solids.append((low, high))
         _fold(*solids[-1], plan)
     n_lasting = len(solids)
