@@ -17,6 +17,7 @@ from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 AFFINE = 1e-12  #: of the mesh's extent: how far rounding may take a corner off its parallelepiped
+PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))  #: components of a symmetric tensor
 NEWTON_STEPS = 20  #: at most, of a place in a mapped hexahedron
 
 
@@ -53,6 +54,50 @@ class Reference:
         modes = weighted @ self.pressures / np.sqrt(self.weights @ self.pressures**2)  # (3, n, k)
         bulk = np.einsum("mak,lbk->abml", modes, modes, optimize=True)
         return shear.reshape(n * n, 9), bulk.reshape(n * n, 9)
+
+    def uniform_stiffness(self, pull: FloatArray, mu_n_mm: FloatArray, lame_n_mm: FloatArray | None) -> FloatArray:
+        """Stiffness of affine elements of one rubber each, (e, n, n, 3, 3), with M and N of `stiffness`.
+
+        K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ of `pull` (e, 3, 3), V μ and V λ (e,), which is
+        None where pressures are continuous.
+        """
+        M, N = self.stiffness
+        g = np.einsum("eij,emk,elk->emlij", np.broadcast_to(np.eye(3), pull.shape), pull, pull, optimize=True)
+        shear = g + np.einsum("emj,eli->emlij", pull, pull)
+        shear *= mu_n_mm[:, None, None, None, None]
+        K = M @ shear.reshape(len(pull), 9, 9)
+        if lame_n_mm is not None:
+            bulk = np.einsum("emi,elj->emlij", pull, pull)
+            bulk *= lame_n_mm[:, None, None, None, None]
+            K += N @ bulk.reshape(len(pull), 9, 9)
+        n = self.slopes.shape[1]
+        return K.reshape(len(pull), n, n, 3, 3)
+
+    def in_space(self, pull: FloatArray) -> FloatArray:
+        """∂ᵢφ at the points of integration, (e, 3, n, q), with `pull` (e, 1 or q, 3, 3)."""
+        every = np.broadcast_to(pull, (len(pull), len(self.weights), 3, 3))
+        return (self.slopes.transpose(2, 1, 0) @ every).transpose(0, 3, 2, 1)
+
+
+def point_stiffness(
+    slopes: FloatArray, mu_n_mm: FloatArray, pressing: FloatArray | None = None, pressed: FloatArray | None = None
+) -> FloatArray:
+    """∫ μ (δᵢⱼ ∂ₖφₐ ∂ₖφ_b + ∂ⱼφₐ ∂ᵢφ_b) + Pₐᵢ · B_bj, point by point, (e, n, n, 3, 3).
+
+    Slopes are (e, 3, n, q), μ dV (e, q); B = ∫ q ∂φ of jumping pressures and P = B (∫ q qᵀ/λ)⁻¹ are (e, 3, n, k).
+    """
+    left, n = slopes * mu_n_mm[:, None, None], slopes.shape[2]
+    K = np.empty((len(slopes), n, n, 3, 3))
+    shear = sum(left[:, k] @ slopes[:, k].swapaxes(1, 2) for k in range(3))
+    for i, j in PAIRS:
+        K[..., i, j] = left[:, j] @ slopes[:, i].swapaxes(1, 2)
+        if pressing is not None and pressed is not None:
+            K[..., i, j] += pressed[:, i] @ pressing[:, j].swapaxes(1, 2)
+        if i == j:
+            K[..., i, i] += shear
+        else:
+            K[..., j, i] = K[..., i, j].swapaxes(1, 2)
+    return K
 
 
 @lru_cache(maxsize=32)

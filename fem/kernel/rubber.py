@@ -24,13 +24,12 @@ from skfem import Element, Mesh
 
 from fem.kernel.elements import Basis
 from fem.kernel.law import LAWS, Law, Strain, plus_unit
-from fem.kernel.reference import pulls, reference
+from fem.kernel.reference import PAIRS, point_stiffness, pulls, reference
 from geometry.design import Material
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]
 CHUNK_VALUES = 1_500_000  #: numbers in the stiffness matrices that are computed at a time: their products stay in cache
-PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))  #: components of a symmetric tensor
 ALIKE = 11  #: digits in which elements agree that share one stiffness
 
 
@@ -292,57 +291,26 @@ class Rubber:
         return self._volume.shape[1] == 1 and self.law.mu_mpa.shape[1] == 1
 
     def _rest_stiffness(self, some: IntArray | slice) -> FloatArray:
-        """Stiffness at rest of some elements, (e, n, n, 3, 3) [N/mm], without continuous pressures.
+        """Stiffness at rest of some elements, (e, n, n, 3, 3) [N/mm], without continuous pressures."""
+        table, pull, law = self.reference, self.pull[some], self.law
+        if self._is_uniform:
+            volume = self._volume[some, 0]
+            lame = None if self.is_mixed else law.lame_mpa[some, 0] * volume
+            return table.uniform_stiffness(pull[:, 0], law.mu_mpa[some, 0] * volume, lame)
+        slopes, dx = table.in_space(pull), self.dx[some]
+        if self.is_mixed:
+            return point_stiffness(slopes, law.mu_mpa[some] * dx)
+        pressing, bulk = (slopes * dx[:, None, None]) @ table.pressures, self._inverse_mass[some]
+        pressed = pressing * bulk[:, None, None] if bulk.ndim == 2 else pressing @ bulk[:, None]
+        return point_stiffness(slopes, law.mu_mpa[some] * dx, pressing, pressed)
 
-        Of uniform ones K = V Σₘₗ λ pullₘᵢ pullₗⱼ Nₘₗ + μ (δᵢⱼ gₘₗ + pullₘⱼ pullₗᵢ) Mₘₗ of `Reference.stiffness`.
-        """
-        if not self._is_uniform:
-            return self._integrated_stiffness(some)
-        pull, volume = self.pull[some, 0], self._volume[some, 0]
-        M, N = self.reference.stiffness
-        g = np.einsum("eij,emk,elk->emlij", np.broadcast_to(np.eye(3), pull.shape), pull, pull, optimize=True)
-        shear = g + np.einsum("emj,eli->emlij", pull, pull)
-        shear *= (self.law.mu_mpa[some, 0] * volume)[:, None, None, None, None]
-        K = M @ shear.reshape(len(pull), 9, 9)
-        if not self.is_mixed:
-            bulk = np.einsum("emi,elj->emlij", pull, pull)
-            bulk *= (self.law.lame_mpa[some, 0] * volume)[:, None, None, None, None]
-            K += N @ bulk.reshape(len(pull), 9, 9)
-        n = self.nodes.shape[1]
-        return K.reshape(len(pull), n, n, 3, 3)
-
-    def integrated_slopes(self, shown: FloatArray, some: IntArray | slice = slice(None)) -> FloatArray:
+    def integrated_slopes(self, shown: FloatArray) -> FloatArray:
         """∫ q ∂ᵢφ over elements, (e, 3, n, k), of functions q with values (q, k) at the points of integration."""
-        table, pull = self.reference, self.pull[some]
+        table, pull = self.reference, self.pull
         if pull.shape[1] == 1:
             whole = (table.slopes * table.weights) @ shown
-            return np.einsum("mnk,emi->eink", whole, pull[:, 0] * self._volume[some][..., None], optimize=True)
-        return (self._slopes(some) * self.dx[some][:, None, None]) @ shown
-
-    def _slopes(self, some: IntArray | slice) -> FloatArray:
-        """∂ᵢφ at the points of integration, (e, 3, n, q)."""
-        pull = np.broadcast_to(self.pull[some], (*self.dx[some].shape, 3, 3))
-        return (self.reference.slopes.transpose(2, 1, 0) @ pull).transpose(0, 3, 2, 1)
-
-    def _integrated_stiffness(self, some: IntArray | slice) -> FloatArray:
-        """∫ μ (δᵢⱼ ∂ₖφₐ ∂ₖφ_b + ∂ⱼφₐ ∂ᵢφ_b) + Bₐᵢ (∫ q qᵀ/λ)⁻¹ B_bj, B = ∫ q ∂φ, point by point, (e, n, n, 3, 3)."""
-        slopes, dx = self._slopes(some), self.dx[some]
-        left = slopes * (self.law.mu_mpa[some] * dx)[:, None, None]
-        if self.is_mixed:
-            pressing = pressed = np.zeros((*slopes.shape[:3], 0))
-        else:
-            pressing, bulk = (slopes * dx[:, None, None]) @ self.reference.pressures, self._inverse_mass[some]
-            pressed = pressing * bulk[:, None, None] if bulk.ndim == 2 else pressing @ bulk[:, None]
-        n = slopes.shape[2]
-        K = np.empty((len(dx), n, n, 3, 3))
-        shear = sum(left[:, k] @ slopes[:, k].swapaxes(1, 2) for k in range(3))
-        for i, j in PAIRS:
-            K[..., i, j] = left[:, j] @ slopes[:, i].swapaxes(1, 2) + pressed[:, i] @ pressing[:, j].swapaxes(1, 2)
-            if i == j:
-                K[..., i, i] += shear
-            else:
-                K[..., j, i] = K[..., i, j].swapaxes(1, 2)
-        return K
+            return np.einsum("mnk,emi->eink", whole, pull[:, 0] * self._volume[..., None], optimize=True)
+        return (table.in_space(pull) * self.dx[:, None, None]) @ shown
 
     @cached_property
     def condensed(self) -> Condensed | None:
