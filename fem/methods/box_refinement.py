@@ -1,8 +1,9 @@
 """Scenes of boxes of any contrast, ν, shear and slenderness: few hexahedra of high order, split where needed.
 
-The first mesh has a line at every edge of body, regions and loads, and little else; lines lean with the faces of oblique
-regions. Every mesh is solved with order 3 and with order 4. The latter tells which boxes the errors of the probes
-come from, and along which axis; those are split, the others stay. The matrix is factored, so neither moduli far apart nor ν near 0.5 cost more than anything else.
+The first mesh has a line at every edge of body, regions and loads, and little else; lines lean with the faces of
+oblique regions. A mesh is solved with order 3 and with order 4. The latter tells which boxes the errors of the probes
+come from, and along which axis; those are split, the others stay. The matrix is factored, so neither moduli far apart
+nor ν near 0.5 cost more than anything else.
 
 What the highest degree along an axis adds to an answer u_h, and to the answer z_h to a unit load on a probe, stands for
 both their errors in a box: the error of a probe is a(u − u_h, z − z_h) (Becker & Rannacher, Acta Numerica 10, 2001),
