@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from decoupler.rubber.pictures import draw_rubber
     from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
     from decoupler.rubber.series import Series, read_series
-    from decoupler.rubber.silicones import surrounded
+    from geometry.silicones import surrounded
     from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import TouchAssessment, assess_touch
     from decoupler.touch.bare import BareDecoder
