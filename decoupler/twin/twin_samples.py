@@ -11,7 +11,8 @@ from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.protocols import pad_protocol
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
+from dataset.settings import DatasetSettings
+from dataset.simulation import read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
@@ -57,6 +58,7 @@ def simulate_twin(
         raise DesignError(
             f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
         )
+    settings = settings.suited(response)
     exact = replace(settings, **vars(Imperfections()))
     numbers = numbers or range(settings.samples)
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)

@@ -14,10 +14,14 @@ from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Option
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
+    Pair = tuple[float, float] | None
 else:
     SensorLike = Path
+    Pair = tuple[float, float]
 
 Kind = Literal[Protocol, "indent"]
+RANGES = ("pressure_mpa", "shear_mpa")  #: of loads
+MAX_REDRAWN = 0.2  #: of all draws, beyond which what is left is said to be another distribution
 NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
 SPECIMEN = Options(
     Imperfections,
@@ -38,6 +42,8 @@ def dataset(
     out: Annotated[File | None, NEEDED] = None,
     seed: int = 0,
     cap: float = 0.3,
+    pressure_mpa: Pair = None,
+    shear_mpa: Pair = None,
     history: float | None = None,
     rate: float | None = None,
     crossbar: Circuit | None = None,
@@ -68,6 +74,11 @@ def dataset(
         Seed of the random loads and noise.
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
+    pressure_mpa : tuple of float, optional
+        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, where the design bears 3 within the cap,
+        else the largest that it bears down to a fifth of that.
+    shear_mpa : tuple of float, optional
+        Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
     history : float, optional
         Seconds of a series of presses, holds, releases, ramps and touches that each sample becomes; the design's rubber
         remembers and relaxes. Default: samples without a time.
@@ -123,7 +134,7 @@ def dataset(
         read["dead_pillars"] = tuple(place_of(at) if isinstance(at, str) else at for at in read["dead_pillars"])
     if rate is not None and history is None:
         raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
-    asked = {"history_s": history, "rate_hz": rate}
+    asked = {"history_s": history, "rate_hz": rate, "pressure_mpa": pressure_mpa, "shear_mpa": shear_mpa}
     read |= {name: value for name, value in asked.items() if value is not None}
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
     # refuses what the array lacks before anything is solved
@@ -145,6 +156,7 @@ def dataset(
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
+    loads, settings = _loads_said(settings, solved), settings.suited(solved)
     made: stages.Samples | stages.StoredSamples
     story: dict[str, Any] = {}
     if is_finite:
@@ -166,6 +178,7 @@ def dataset(
             made.write(path, dtype)
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
+    result |= {name: list(value) for name in RANGES if (value := getattr(settings, name)) is not None}
     kind = "samples" if history is None else "series"
     line = f"{samples} {kind}, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
     line += f"; {story['kept']} {kind} are of earlier runs" if story.get("kept") else ""
@@ -175,8 +188,25 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
-    caller.answer(lambda: result, line, out)
+    caller.answer(lambda: result, f"{loads}{line}", out)
+    if history is None and story["redrawn"] > MAX_REDRAWN * (samples + story["redrawn"]):
+        share = story["redrawn"] / (samples + story["redrawn"])
+        caller.say(
+            f"warning: {share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: "
+            "lower the loads by pressure_mpa= or shear_mpa=, or raise the cap"
+        )
     return made
+
+
+def _loads_said(settings: "stages.DatasetSettings", response: "stages.ArrayResponse") -> str:
+    """A line on loads that are not the paper's; else nothing."""
+    suited = settings.suited(response)
+    if suited.loads == stages.PAPERS:
+        return ""
+    said = suited.loads_said(response.design)
+    if suited == settings:
+        return f"loads: {said}\n"
+    return f"the paper's loads strain this design's pillars beyond the cap of {settings.cap:g}; its own: {said}\n"
 
 
 def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, stages.TwinFile | None, stages.ArrayResponse | None]":
