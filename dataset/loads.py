@@ -23,7 +23,7 @@ TANGENTIAL_MPA = (0.2, 1.0)  #: the same for shear
 FRICTION = TANGENTIAL_MPA[1] / NORMAL_MPA[1]  #: largest ratio of shear to pressure where both act on a pad
 PRELOAD = 0.1  #: of the largest load: on pads that no indenter touches
 LOWEST = NORMAL_MPA[0] / NORMAL_MPA[1]  #: least load of a design's own range, over its largest
-CAP = 0.3  #: largest strain |l − l₀|/l₀ of a pillar, unless another is asked for
+CAP = 0.3  #: largest strain |l − l₀|/l₀ of a pillar unless another is asked for: the paper's wider one
 
 
 @dataclass(frozen=True)
@@ -81,16 +81,15 @@ def loads_of(response: "ArrayResponse", cap: float = CAP) -> Loads:
     """The paper's loads where a design bears them, else its own: from its largest pressure down to a fifth of it.
 
     A design bears the paper's loads if their middle, on the weakest pad alone and on all pads at once, strains no
-    pillar beyond the cap; what is left of single samples beyond it is drawn again. Its own largest pressure is the
-    smaller of `largest_pressures`, rounded down to two digits. Of a design at finite strain it is that of its linear
-    response.
+    pillar beyond `CAP`: a smaller cap draws more of them again, as the paper's does. Its own largest pressure is the
+    smaller of `largest_pressures` at the cap, rounded down to two digits.
     """
-    most_mpa = min(largest_pressures(response, cap))
-    if most_mpa >= PAPERS.middle_mpa:
+    if min(largest_pressures(response, max(cap, CAP))) >= PAPERS.middle_mpa:
         return PAPERS
+    most_mpa = min(largest_pressures(response, cap))
     step = 10.0 ** (math.floor(math.log10(most_mpa)) - 1)
     high = float(f"{math.floor(most_mpa / step) * step:.2g}")
-    return Loads.of((LOWEST * high, high))
+    return Loads.of((float(f"{LOWEST * high:.3g}"), high))
 
 
 def largest_pressures(response: "ArrayResponse", cap: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Settings of a dataset: what loads the sensor, within which ranges, and how it is read."""
 
 from dataclasses import MISSING, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -74,10 +75,11 @@ class DatasetSettings(Imperfections):
         name = "pressure_mpa" if of_pressure else "shear_mpa"
         if getattr(self, name) is not None or (own := loads_of(response, self.cap)) == PAPERS:
             return self
-        low, high = own.normal_mpa if of_pressure else own.tangential_mpa
+        low, high = own.normal_mpa if of_pressure or protocol.is_light else own.tangential_mpa
         if protocol.is_light and high * response.design.pad.size_mm**2 >= LIGHT_N:
             return self
-        return replace(self, **{name: (0.0 if protocol.is_light else low, high)})
+        found: dict[str, Any] = {name: (0.0 if protocol.is_light else low, high)}
+        return replace(self, **found)
 
     @property
     def moments(self) -> int | None:

@@ -75,8 +75,8 @@ def dataset(
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
     pressure_mpa : tuple of float, optional
-        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, where the design bears 3 within the cap,
-        else the largest that it bears down to a fifth of that.
+        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, of a design that bears 3; of others the
+        largest that they bear, down to a fifth of it.
     shear_mpa : tuple of float, optional
         Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
     history : float, optional
@@ -188,13 +188,14 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
-    caller.answer(lambda: result, f"{loads}{line}", out)
-    if history is None and story["redrawn"] > MAX_REDRAWN * (samples + story["redrawn"]):
-        share = story["redrawn"] / (samples + story["redrawn"])
-        caller.say(
-            f"warning: {share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: "
-            "lower the loads by pressure_mpa= or shear_mpa=, or raise the cap"
+    share = story["redrawn"] / (samples + story["redrawn"])
+    if history is None and share > MAX_REDRAWN:
+        line += (
+            f"\n{share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: lower "
+            "the loads by --pressure or --shear, or raise --cap"
         )
+    result |= {"redrawn_share": share} if history is None else {}
+    caller.answer(lambda: result, f"{loads}{line}", out)
     return made
 
 
