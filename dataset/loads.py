@@ -43,10 +43,14 @@ class Loads:
 
     @classmethod
     def stated(cls, attributes: Mapping[str, Any]) -> Self:
-        """Those that a data set's attributes state."""
-        given = (attributes.get(name) for name in ("pressure_mpa", "shear_mpa"))
-        pressure, shear = (None if each is None else (float(each[0]), float(each[1])) for each in given)
-        return cls.of(pressure, shear)
+        """Those that a data set's attributes state; the paper's in place of what makes no sense."""
+        found: list[Range | None] = []
+        for name in ("pressure_mpa", "shear_mpa"):
+            given = np.ravel(attributes.get(name, ()))
+            is_range = given.dtype.kind in "fi" and len(given) == 2
+            is_sound = is_range and 0 <= given[0] <= given[1] < np.inf and given[1] > 0
+            found.append((float(given[0]), float(given[1])) if is_sound else None)
+        return cls.of(*found)
 
     @property
     def friction(self) -> float:

@@ -139,3 +139,11 @@ def test_loads_that_are_given_are_those_drawn_and_said_in_newtons(response):
 def test_ranges_that_make_no_sense_are_refused(protocol, given, said):
     with pytest.raises(DesignError, match=said):
         DatasetSettings(protocol=protocol, samples=1, **given)
+
+
+@pytest.mark.parametrize(
+    "stated", [None, "1 5", 3.0, [5.0, 1.0], [0.0, 0.0], [float("nan"), 1.0], ["a", "b"], [1, 2, 3]]
+)
+def test_a_foreign_file_that_states_no_range_has_the_papers(stated):
+    assert Loads.stated({"pressure_mpa": stated, "shear_mpa": stated}) == PAPERS
+    assert Loads.stated({"pressure_mpa": [0.5, 2.5]}) == Loads((0.5, 2.5), (0.1, 0.5))
