@@ -16,7 +16,6 @@ from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.loads import PAPERS
 from dataset.measurement import Readout
-from dataset.protocols import pad_protocol
 from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
@@ -61,6 +60,8 @@ def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
     drawn = {name: getattr(settings, name) for name in ("protocol", "seed", "cap")}
     if settings.loads != PAPERS:
         drawn["loads"] = settings.loads
+    if settings.table_mpa is not None:
+        drawn["table"] = settings.table_mpa
     return digest("finite samples", METHOD, GROUP, response.content_hash, response.design, drawn)
 
 
@@ -93,7 +94,7 @@ class GroupSolver:
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
         """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
-        design, protocol = self.design, pad_protocol(settings.protocol)
+        design, protocol = self.design, settings.on_pads
         unsolved = np.zeros(GROUP, dtype=np.int64)
         names = [name for name in Group.__dataclass_fields__ if name not in ("redrawn", "unsolved")]
 

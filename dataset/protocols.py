@@ -21,6 +21,7 @@ MAX_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
 INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
 
 Draw = Callable[[Generator, int, SensorDesign, Loads], FloatArray]
+Listed = tuple[tuple[tuple[float, ...], ...], ...]  #: tractions as settings hold them
 #: the same of (n, n_units) sizes alone, by a range [MPa] and the largest force of a light touch [N]
 Sizes = Callable[[Generator, int, SensorDesign, Range, float], FloatArray]
 
@@ -149,16 +150,29 @@ PROTOCOLS = {
     "light-fx": Protocol("nothing, or 0-{touch} of shear along x on 1-3 pads", ("x",), _along("x", _touched), True),
     "light": Protocol("nothing, or 0-{touch} on 1-3 pads, shear within a friction cone", ALL, _in_cone(_touched), True),
 }
+TABLE = "table"  #: takes its loads from those given: see `listed`
 INDENT = "indent"  #: loads the top by contact, not pads: see `dataset.indentation`
 #: one line for people about every kind of loads
 SUMMARIES = {name: protocol.summary for name, protocol in PROTOCOLS.items()} | {
-    INDENT: "a sphere, cylinder or flat punch is pressed in, and mostly dragged, with friction"
+    TABLE: "loads of a table, drawn at random",
+    INDENT: "a sphere, cylinder or flat punch is pressed in, and mostly dragged, with friction",
 }
 
 
 def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:
     """Force on each pad (..., 3) [N] of its traction (..., 3) [MPa]; Fz positive in compression."""
     return traction_mpa * (design.pad.size_mm**2 * np.array([1.0, 1.0, -1.0]))
+
+
+def listed(traction_mpa: Listed) -> Protocol:
+    """The protocol that draws from tractions (m, n_units, 3) [MPa], all alike."""
+    rows = np.array(traction_mpa)
+    axes = tuple(axis for number, axis in enumerate(AXES) if rows[..., number].any())
+
+    def tractions(generator: Generator, n: int, design: SensorDesign, loads: Loads) -> FloatArray:
+        return rows[generator.integers(0, len(rows), n)]
+
+    return Protocol(f"{len(rows)} loads of a table, drawn at random", axes, tractions)
 
 
 def pad_protocol(name: str) -> Protocol:

@@ -7,9 +7,10 @@ import numpy as np
 
 from common.errors import DesignError
 from common.quantity import quantity
+from common.storage.files import digest
 from dataset.imperfections import SEEDS, Imperfections
 from dataset.loads import CAP, PAPERS, Loads, Range, loads_of
-from dataset.protocols import INDENT, LIGHT_N, PROTOCOLS, SUMMARIES
+from dataset.protocols import INDENT, LIGHT_N, SUMMARIES, TABLE, Listed, Protocol, listed, pad_protocol
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -34,6 +35,7 @@ class DatasetSettings(Imperfections):
         None, "least and largest pressure on a pad [MPa]", True, within=(0, MAX_MPA), count=2
     )
     shear_mpa: Range | None = quantity(None, "the same of shear [MPa]", True, within=(0, MAX_MPA), count=2)
+    table_mpa: Listed | None = quantity(None, "tractions on the pads of each load of a table [MPa]", True)
     history_s: float = quantity(0.0, "seconds of history that a sample goes through; 0: none", True, within=(0, 1e6))
     rate_hz: float = quantity(50.0, "moments of a history a second", True, above_0=True, within=(1e-6, 1e4))
 
@@ -46,6 +48,8 @@ class DatasetSettings(Imperfections):
             )
         if self.moments is not None and self.protocol == INDENT:
             raise DesignError(f"history_s={self.history_s:g} takes loads on pads, protocol '{INDENT}' has none.")
+        if (self.protocol == TABLE) != bool(self.table_mpa):
+            raise DesignError(f"protocol='{self.protocol}': '{TABLE}' takes its loads from a table, and it alone does.")
         for name, axis in (("pressure_mpa", "z"), ("shear_mpa", "x")):
             if (given := getattr(self, name)) is not None:
                 self._require_range(name, given, axis)
@@ -53,14 +57,25 @@ class DatasetSettings(Imperfections):
     def _require_range(self, name: str, given: Range, axis: str) -> None:
         """Refuse a range that is none, or that the protocol does not take."""
         said = f"{name}={given[0]:g} {given[1]:g}"
-        if self.protocol == INDENT or axis not in PROTOCOLS[self.protocol].axes:
+        if self.protocol in (INDENT, TABLE) or axis not in self.on_pads.axes:
             raise DesignError(f"{said}: protocol '{self.protocol}' has no such loads on pads: leave it out.")
         if not 0 < given[1] >= given[0]:
             raise DesignError(f"{said} must be the least and the largest, above 0: write them in this order.")
-        protocol = PROTOCOLS[self.protocol]
+        protocol = self.on_pads
         if given[0] > 0 and (protocol.is_light or (axis == "x" and "z" in protocol.axes)):
             why = "its touches begin at nothing" if protocol.is_light else "its shear lies within a friction cone"
             raise DesignError(f"{said}: protocol '{self.protocol}' takes 0 as the least, {why}: write 0 {given[1]:g}.")
+
+    @property
+    def on_pads(self) -> Protocol:
+        """The protocol that loads pads; a `DesignError` if it does not."""
+        return pad_protocol(self.protocol) if self.table_mpa is None else listed(self.table_mpa)
+
+    def as_attributes(self) -> dict[str, Any]:
+        """As of `Imperfections`; of a table's loads, which the samples hold, a hash."""
+        found = super().as_attributes()
+        table = found.pop("table_mpa", None)
+        return found if table is None else found | {"table_hash": digest(table)}
 
     @property
     def loads(self) -> Loads:
@@ -69,9 +84,9 @@ class DatasetSettings(Imperfections):
 
     def suited(self, response: ArrayResponse) -> "DatasetSettings":
         """The same with a design's own range of loads, where none is given and it does not bear the paper's."""
-        if self.protocol == INDENT:
+        if self.protocol in (INDENT, TABLE):
             return self
-        protocol, of_pressure = PROTOCOLS[self.protocol], "z" in PROTOCOLS[self.protocol].axes
+        protocol, of_pressure = self.on_pads, "z" in self.on_pads.axes
         name = "pressure_mpa" if of_pressure else "shear_mpa"
         if getattr(self, name) is not None or (own := loads_of(response, self.cap)) == PAPERS:
             return self
@@ -98,10 +113,8 @@ class DatasetSettings(Imperfections):
 
     def loads_said(self, design: SensorDesign) -> str:
         """The ranges of the loads on pads in words; those that the protocol has no say in are left out."""
-        protocol = PROTOCOLS.get(self.protocol)
-        return "" if protocol is None else self.loads.said(design, protocol.axes)
+        return "" if self.protocol in (INDENT, TABLE) else self.loads.said(design, self.on_pads.axes)
 
     def summary(self, design: SensorDesign) -> str:
         """One line for people about the loads."""
-        protocol = PROTOCOLS.get(self.protocol)
-        return SUMMARIES[self.protocol] if protocol is None else protocol.said(self.loads, design)
+        return SUMMARIES[INDENT] if self.protocol == INDENT else self.on_pads.said(self.loads, design)

@@ -24,7 +24,7 @@ from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.loads import displacements
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
-from dataset.protocols import INDENT, forces, pad_protocol
+from dataset.protocols import INDENT, forces
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.settings import BLOCK, DatasetSettings
@@ -318,7 +318,7 @@ def stream(*seed: int, of_series: bool) -> np.random.Generator:
 
 def _pad_loads(response: ArrayResponse, settings: DatasetSettings, *seed: int, of_series: bool = False) -> Draw:
     """What draws loads of a protocol on pads, tractions and displacements, each attempt with a generator of its own."""
-    design, protocol = response.design, pad_protocol(settings.protocol)
+    design, protocol = response.design, settings.on_pads
 
     def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         traction = protocol.draw(stream(*seed, attempt, of_series=of_series), len(waiting), design, settings.loads)

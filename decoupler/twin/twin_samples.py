@@ -9,7 +9,6 @@ from common.errors import DesignError
 from common.storage.files import digest
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
-from dataset.protocols import pad_protocol
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import read_resistances, read_through, simulate_part
@@ -52,7 +51,7 @@ def simulate_twin(
     decoder = twin.read_decoder()
     if decoder.posterior is not None:
         raise DesignError("a twin at finite strain draws no samples yet: identify the sensor without finite strain.")
-    axes = [axis for axis in pad_protocol(settings.protocol).axes if axis not in decoder.component.axes]
+    axes = [axis for axis in settings.on_pads.axes if axis not in decoder.component.axes]
     if axes or decoder.inverse is None or decoder.ensemble is None:
         known = ", ".join(decoder.component.forces)
         raise DesignError(

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import tripillar as tp
+from dataset import read_samples
 from dataset.loads import PAPERS, Loads, loads_of
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, Material, SensorDesign
@@ -48,8 +49,25 @@ def test_a_data_set_is_drawn_within_the_designs_own_range_and_says_so_in_newtons
     far = house.tripillar(*command, "--pressure", str(high), str(2 * high))
     assert "of all draws passed the cap, so light loads are more frequent than in the protocol" in far.stdout
     assert "--pressure 5 1 must be the least and the largest" in house.refusal(*command, "--pressure", "5", "1")
-    refused = house.refusal(*command, "--pressure", "1", "5", "-q")
-    assert "lower the loads, pressure of 1 to 5 MPa (144 to 720 N a pad)" in refused
+
+
+def test_a_table_of_loads_is_a_protocol(house):
+    """Every load comes, as often as the others to five standard deviations, and no other."""
+    (house.folder / "loads.csv").write_text(
+        "load,kind,row,col,fz_n,fx_n\na,pad,0,0,2,0\nb,pad,0,1,3,0.5\nc,nothing,,,,\n"
+    )
+    command = "dataset", "--design", "soft.toml", "--samples", "300", "--out", "table.nc", "--protocol"
+    assert house.result(*command, "table", "--loads", "loads.csv")["redrawn"] == 0
+    data = read_samples(house.folder / "table.nc")
+    loads, count = np.unique(data.force_n.reshape(300, -1).round(9), axis=0, return_counts=True)
+    assert loads.tolist() == [[0] * 6, [0, 0, 0, 0.5, 0, 3], [0, 0, 2, 0, 0, 0]]
+    assert np.abs(count - 100).max() < 5 * np.sqrt(300 * 2 / 9)
+    assert data.made_from["summary"] == "3 loads of a table, drawn at random"
+    assert "pressure_mpa" not in data.made_from
+    assert "give --loads, too" in house.refusal(*command, "table")
+    assert "--loads loads.csv belongs to --protocol table" in house.refusal(*command, "contact", "--loads", "loads.csv")
+    of_range = house.refusal(*command, "table", "--loads", "loads.csv", "--pressure", "1", "5")
+    assert "protocol 'table' has no such loads on pads: leave it out" in of_range
 
 
 def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(house):

@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
+
 from common.errors import DesignError, require_type
 from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
@@ -19,7 +21,7 @@ else:
     SensorLike = Path
     Pair = tuple[float, float]
 
-Kind = Literal[Protocol, "indent"]
+Kind = Literal[Protocol, "table", "indent"]
 RANGES = ("pressure_mpa", "shear_mpa")  #: of loads
 MAX_REDRAWN = 0.2  #: of all draws, beyond which what is left is said to be another distribution
 NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
@@ -44,6 +46,7 @@ def dataset(
     cap: float = 0.3,
     pressure_mpa: Pair = None,
     shear_mpa: Pair = None,
+    loads: File | None = None,
     history: float | None = None,
     rate: float | None = None,
     crossbar: Circuit | None = None,
@@ -65,7 +68,8 @@ def dataset(
         open.
     protocol : str
         Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along all axes;
-        light, by 10 N at most; with -fz or -fx along one axis. indent: shapes pressed and dragged.
+        light, by 10 N at most; with -fz or -fx along one axis. table: those of a table, at random. indent: shapes
+        pressed and dragged.
     samples : int
         Number of samples to make.
     out : path, optional
@@ -79,6 +83,8 @@ def dataset(
         largest that they bear, down to a fifth of it.
     shear_mpa : tuple of float, optional
         Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
+    loads : path, optional
+        Table of known loads (CSV), as of 'identify', for the protocol table.
     history : float, optional
         Seconds of a series of presses, holds, releases, ramps and touches that each sample becomes; the design's rubber
         remembers and relaxes. Default: samples without a time.
@@ -136,6 +142,14 @@ def dataset(
         raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
     asked = {"history_s": history, "rate_hz": rate, "pressure_mpa": pressure_mpa, "shear_mpa": shear_mpa}
     read |= {name: value for name, value in asked.items() if value is not None}
+    if protocol == "table" and loads is None:
+        raise DesignError("protocol='table' draws from a table of loads: give loads=, too.")
+    if protocol != "table" and loads is not None:
+        raise DesignError(f"loads={loads} belongs to protocol='table': choose it, or leave loads= out.")
+    if loads is not None:
+        force_n = [each.force_n for each in stages.read_loads(Path(loads), sensor)]
+        traction_mpa = np.reshape(force_n, (len(force_n), -1, 3)) / stages.forces(np.ones(3), sensor)
+        read["table_mpa"] = tuple(tuple(map(tuple, each)) for each in traction_mpa.tolist())
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
     # refuses what the array lacks before anything is solved
     settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
@@ -147,7 +161,7 @@ def dataset(
             raise DesignError("workers= and scheduler= belong to strain='finite' and to directories, out=data.zarr.")
         stages.require_memory(sensor, settings, names)
     if is_finite or twin is not None:
-        stages.pad_protocol(protocol)
+        _ = settings.on_pads  # refuses others
     elif protocol == stages.INDENT:
         stages.require_pressable(sensor)
     if history is not None and (is_finite or twin is not None):
@@ -156,7 +170,7 @@ def dataset(
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
-    loads, settings = _loads_said(settings, solved), settings.suited(solved)
+    said, settings = _loads_said(settings, solved), settings.suited(solved)
     made: stages.Samples | stages.StoredSamples
     story: dict[str, Any] = {}
     if is_finite:
@@ -195,12 +209,14 @@ def dataset(
             "the loads by --pressure or --shear, or raise --cap"
         )
     result |= {"redrawn_share": share} if history is None else {}
-    caller.answer(lambda: result, f"{loads}{line}", out)
+    caller.answer(lambda: result, f"{said}{line}", out)
     return made
 
 
 def _loads_said(settings: "stages.DatasetSettings", response: "stages.ArrayResponse") -> str:
     """A line on loads that are not the paper's; else nothing."""
+    if settings.table_mpa is not None:
+        return f"{settings.summary(response.design)}\n"
     suited = settings.suited(response)
     if suited.loads == stages.PAPERS:
         return ""

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
-    from dataset.protocols import INDENT, PROTOCOLS, pad_protocol
+    from dataset.protocols import INDENT, PROTOCOLS, forces, pad_protocol
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
