@@ -4,6 +4,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from common.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -108,6 +110,12 @@ def press(
     if strain > STRAIN_CAP:
         caller.say(
             f"warning: a pillar is strained by {strain:.0%}: linear strain ends near {STRAIN_CAP:.0%}; press less deep"
+        )
+    moved_mm = float(np.linalg.norm(contact.displacement_mm, axis=0).max())
+    if moved_mm > stages.LARGE_SHARE * sensor.unit.height_mm:
+        caller.say(
+            f"warning: the top moves by {moved_mm:.3g} mm, over {stages.LARGE_SHARE:g} of the slab's height of "
+            f"{sensor.unit.height_mm:g} mm: linear elasticity holds for small strains only; press less deep"
         )
     return contact
 
