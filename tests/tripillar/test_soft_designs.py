@@ -1,6 +1,7 @@
 """A design of soft rubber goes through every command by loads that it bears; what is moved too far is said."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -112,3 +113,18 @@ def test_a_board_is_pressed_and_a_page_loaded_within_the_range(tmp_path):
         assert sliders_of(10 * asked, loads)[0] == loads.normal_mpa[1]
     given = replace(DESIGN, pillar_material=Material(), matrix_material=Material())
     assert loads_of(layer_response(given)) == PAPERS == Loads()
+
+
+def test_a_contact_with_a_large_estimated_error_is_warned_of_or_refused(house):
+    """A small ball between electrodes, and one at the sensor's side; nothing is written of what is refused."""
+    ball = "press", "--design", "soft.toml", "--shape", "sphere", "--out", "ball.nc"
+    said = house.tripillar(*ball, "--radius", "1", "--depth", "0.2").stderr
+    assert re.search(r"warning: the estimated error of the electrodes is \d+%, above 5%", said), said
+    at_side = *ball[:-1], "side.nc", "--radius", "2", "--depth", "0.3", "--at=14.8,0"
+    refused = house.tripillar(*at_side, code=2).stderr
+    assert re.search(
+        r"the estimated error of the \w+ is \d\d%, above 20%: press with .* or take .* by --force", refused
+    )
+    assert not (house.folder / "side.nc").exists()
+    house.tripillar(*at_side, "--force")
+    assert (house.folder / "side.nc").exists()
