@@ -24,6 +24,9 @@ class Silicone:
 
 SOROTOKI = "Caasenbrood, Sorotoki, src/fem/materials/samples, github.com/BJCaasenbrood/SorotokiCode"
 SILICONES = {
+    "dragon-skin-10": Silicone(
+        young_mpa=0.216, stiffening=0.0069, source=f"c₁ = 0.036, c₂ = 0.00025 (and c₃ = 0.000023) MPa: {SOROTOKI}"
+    ),
     "dragon-skin-30": Silicone(young_mpa=0.922, stiffening=0.0104, source=f"c₁ = 0.1536, c₂ = 0.0016 MPa: {SOROTOKI}"),
     "ecoflex-00-30": Silicone(young_mpa=0.0504, stiffening=0.0119, source=f"c₁ = 0.0084, c₂ = 0.0001 MPa: {SOROTOKI}"),
     "ecoflex-00-50": Silicone(young_mpa=0.087, stiffening=0.0069, source=f"c₁ = 0.0145, c₂ = 0.0001 MPa: {SOROTOKI}"),

@@ -47,7 +47,7 @@ def test_a_name_stands_for_a_rubber_in_designs_and_scenes():
 
 def test_what_is_no_silicone_is_refused_by_the_names_that_are():
     with pytest.raises(
-        DesignError, match=r"d\.toml: 'ecoflex' is no published silicone; these are dragon-skin-30, eco"
+        DesignError, match=r"d\.toml: 'ecoflex' is no published silicone; these are dragon-skin-10, dragon-skin-30, "
     ):
         whole_design('extends = "paper"\nmatrix_material = "ecoflex"\n', "d.toml")
     with pytest.raises(SceneError, match=r"\[material\]: 3 is no published silicone"):
