@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from common.errors import DesignError
 from common.storage.files import digest
 from common.threads import one_blas_thread
+from dataset.loads import PAPERS
 from dataset.measurement import Readout
-from dataset.protocols import pad_protocol
 from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, as_read, below_cap, labelled, origin
+from dataset.settings import DatasetSettings
+from dataset.simulation import as_read, below_cap, labelled, origin
 from fem.array.response import ArrayResponse
 from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
@@ -57,6 +58,10 @@ class Group:
 def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
     """Hash of all that groups depend on: neither the number of samples nor how they are measured."""
     drawn = {name: getattr(settings, name) for name in ("protocol", "seed", "cap")}
+    if settings.loads != PAPERS:
+        drawn["loads"] = settings.loads
+    if settings.table_mpa is not None:
+        drawn["table"] = settings.table_mpa
     return digest("finite samples", METHOD, GROUP, response.content_hash, response.design, drawn)
 
 
@@ -74,7 +79,7 @@ def require_finite(design: SensorDesign) -> None:
 class GroupSolver:
     """Draws and solves groups of one array, by its linear response; its two equilibria are found once.
 
-    Of settings only protocol, seed and cap count.
+    Of settings only protocol, seed, cap and loads count.
     """
 
     def __init__(self, response: ArrayResponse, settings: DatasetSettings) -> None:
@@ -89,13 +94,14 @@ class GroupSolver:
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
         """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
-        design, protocol = self.design, pad_protocol(settings.protocol)
+        design, protocol = self.design, settings.on_pads
         unsolved = np.zeros(GROUP, dtype=np.int64)
         names = [name for name in Group.__dataclass_fields__ if name not in ("redrawn", "unsolved")]
 
         def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
             seeds = [[settings.seed, number * GROUP + int(sample), attempt, _STREAM] for sample in waiting]
-            traction = np.concatenate([protocol.draw(np.random.default_rng(seed), 1, design) for seed in seeds])
+            draws = [protocol.draw(np.random.default_rng(seed), 1, design, settings.loads) for seed in seeds]
+            traction = np.concatenate(draws)
             with one_blas_thread():
                 found = self._solver.displacements(traction * design.pad.size_mm**2)
             over = largest_strains(found.displacement_mm, design.unit) > settings.cap

@@ -9,33 +9,31 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any, cast
 
 import numpy as np
 import psutil
 
 from common.errors import DesignError, TriPillarError, require_type
-from common.quantity import quantity
 from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.histories import between, programme
-from dataset.imperfections import SEEDS, Imperfections
+from dataset.imperfections import Imperfections
 from dataset.indentation import VERSION, indented, tiled_lengths
+from dataset.loads import displacements
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
-from dataset.protocols import INDENT, SUMMARIES, forces, pad_protocol
+from dataset.protocols import INDENT, forces
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples, require_samples, require_variables
+from dataset.settings import BLOCK, DatasetSettings
 from dataset.variables import ARRAYS, LABELS, VARIABLES
 from fem.array.response import ArrayResponse
 from geometry.design import Memory, SensorDesign
-from geometry.layout import AXES, FloatArray, rest_lengths
+from geometry.layout import FloatArray, rest_lengths
 
 METHOD = 2  #: raise when the same settings give other samples
-BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
-MAX_MOMENTS = 1_000_000  #: of a history
-MAX_SAMPLES = 1_000_000_000  #: of 36 units: 700 GB of forces and resistances in float32, compressed
 IN_WORK = 1.2  #: memory that samples take while they are made and written, of their numbers alone
 SERIES = 3  #: spawn key of their random numbers
 MAX_ROUNDS = 1000  #: draws of one sample before the protocol is held to be impossible under the cap
@@ -48,47 +46,9 @@ class LoadError(TriPillarError, ValueError):
     """Loads that the sensor cannot take."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DatasetSettings(Imperfections):
-    """Settings of a dataset: its loads, and the sensor that measures them."""
-
-    protocol: str = quantity(MISSING, "kind of loads", of=tuple(SUMMARIES))
-    samples: int = quantity(MISSING, "number of samples", within=(1, MAX_SAMPLES))
-    seed: int = quantity(0, "seed of all that is random", within=SEEDS)
-    cap: float = quantity(
-        0.3, "largest pillar strain |l − l₀|/l₀ of an accepted sample", above_0=True, within=(0, 1), below=True
-    )
-    history_s: float = quantity(0.0, "seconds of history that a sample goes through; 0: none", True, within=(0, 1e6))
-    rate_hz: float = quantity(50.0, "moments of a history a second", True, above_0=True, within=(1e-6, 1e4))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.moments is not None and not 2 <= self.moments <= MAX_MOMENTS:
-            raise DesignError(
-                f"history_s={self.history_s:g} at rate_hz={self.rate_hz:g} are {self.moments} moments: 2 to "
-                f"{MAX_MOMENTS} are allowed; change one of the two."
-            )
-        if self.moments is not None and self.protocol == INDENT:
-            raise DesignError(f"history_s={self.history_s:g} takes loads on pads, protocol '{INDENT}' has none.")
-
-    @property
-    def moments(self) -> int | None:
-        """Number of moments of a history; None without one."""
-        return round(self.history_s * self.rate_hz) if self.history_s else None
-
-    @property
-    def time_s(self) -> FloatArray | None:
-        """Times of a history's moments (t,) [s]; None without one."""
-        return None if self.moments is None else np.arange(self.moments) / self.rate_hz
-
-    @property
-    def block(self) -> int:
-        """Samples drawn with one generator; a series has its own."""
-        return BLOCK if self.moments is None else 1
-
-
 def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readout: Readout | None = None) -> str:
     """Hash of all that a dataset depends on."""
+    settings = settings.suited(response)
     through: list[Any] = [] if readout is None else [readout]
     through += [INDENT, VERSION] if settings.protocol == INDENT else []
     return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
@@ -139,7 +99,7 @@ def simulate_part(
     require_type("response", response, ArrayResponse, "solve a design with fem.array_response, or read a file")
     require_conducted(response)
     require_variables(only or ())
-    response = as_read(response, readout)
+    settings, response = settings.suited(response), as_read(response, readout)
     design, n, size = response.design, len(numbers), settings.block
     shapes = _kept_shapes(design, only, settings.protocol, settings.moments)
     make = _block if settings.moments is None else _series
@@ -199,7 +159,7 @@ def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, rea
     return {
         **settings.as_attributes(),
         **read_through(readout),
-        "summary": SUMMARIES[settings.protocol],
+        "summary": settings.summary(response.design),
         "redrawn": redrawn,
         "response_hash": response.content_hash,
         "mesh_hash": response.mesh_hash,
@@ -287,18 +247,6 @@ def _rise(
     return np.stack([remembered(one, np.diff(time_s), own) for one in strain])
 
 
-def displacements(response: ArrayResponse, traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:
-    """Displacement of the upper electrodes (n, n_units, n_upper, 3) [mm] under tractions (n, n_units, 3) [MPa].
-
-    Tractions along other axes than `axes` are known to be 0 and are skipped.
-    """
-    n, n_units, _ = traction_mpa.shape
-    loaded = [AXES.index(axis) for axis in axes]
-    influence = response.influence_mm_per_n.reshape(-1, n_units, 3)[:, :, loaded]
-    newtons = traction_mpa[:, :, loaded].reshape(n, -1) * response.design.pad.size_mm**2
-    return (newtons @ influence.reshape(len(influence), -1).T).reshape(n, n_units, -1, 3)
-
-
 def labelled(
     traction_mpa: FloatArray,
     displacement_mm: FloatArray,
@@ -352,9 +300,10 @@ def below_cap(
         redrawn[waiting] += 1
         if not len(waiting):
             return kept, redrawn
+    loads = settings.loads_said(design)
     raise LoadError(
         f"protocol '{settings.protocol}' strained some pillar beyond cap={settings.cap:g} in {rounds} draws on end: "
-        f"raise the cap, or lower the forces by a smaller pad (size_mm={design.pad.size_mm:g})."
+        + (f"lower the loads, {loads}, or raise the cap." if loads else "raise the cap.")
     )
 
 
@@ -369,10 +318,10 @@ def stream(*seed: int, of_series: bool) -> np.random.Generator:
 
 def _pad_loads(response: ArrayResponse, settings: DatasetSettings, *seed: int, of_series: bool = False) -> Draw:
     """What draws loads of a protocol on pads, tractions and displacements, each attempt with a generator of its own."""
-    design, protocol = response.design, pad_protocol(settings.protocol)
+    design, protocol = response.design, settings.on_pads
 
     def draw(waiting: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
-        traction = protocol.draw(stream(*seed, attempt, of_series=of_series), len(waiting), design)
+        traction = protocol.draw(stream(*seed, attempt, of_series=of_series), len(waiting), design, settings.loads)
         moved = displacements(response, traction, protocol.axes)
         return [traction, moved], ~(largest_strains(moved, design.unit) > settings.cap)
 

@@ -11,11 +11,13 @@ from common.storage.text_file import StrictTables, read_text, tables_of
 from geometry.design import SensorDesign, Unit
 from geometry.layout import SONG2018, Layout
 from geometry.layout_file import KEYS, layout_from_tables, layout_tables
+from geometry.silicones import of_silicone
 from geometry.tolerances import usual_deviations
 from geometry.wiring import explained
 
 STRICT = StrictTables(DesignError)
 MAX_DEVIATION = 10.0  #: of a stated tolerance over the usual one: beyond, nothing is linear
+MATERIALS = ("pillar_material", "matrix_material")  #: tables of rubbers, or names of silicones
 BESIDE = ("tolerance", "twin", "rubber")  #: tables of a design file that are not the design's
 
 
@@ -98,7 +100,13 @@ def design_from_dict(table: dict[str, Any], source: str = "the design") -> Senso
     return STRICT.made(source, _design, table=dict(table))
 
 
+def with_silicones(table: dict[str, Any]) -> dict[str, Any]:
+    """The tables of a design with the numbers of silicones where these are named, as `of_silicone`."""
+    return table | {name: of_silicone(table[name]) for name in MATERIALS if name in table}
+
+
 def _design(table: dict[str, Any]) -> SensorDesign:
+    table = with_silicones(table)
     layout = layout_from_tables({key: table.pop(key) for key in KEYS if key in table})
     if layout != SONG2018:  # a unit that suits it need not suit the paper's
         table["unit"] = STRICT.table(table, "unit")
@@ -128,7 +136,7 @@ def whole_design(text: str, source: object) -> SensorDesign:
     Unless it says ``extends = "paper"`` no key may be missing. Beside the design the file may state deviations
     (`tolerances_from_dict`) and hold a twin (`decoupler.twin`).
     """
-    table = tables_of(text, source, DesignError)
+    table = STRICT.made(str(source), with_silicones, table=tables_of(text, source, DesignError))
     base = table.pop("extends", None)
     beside = {name: STRICT.table(table, name) for name in BESIDE if name in table}
     design = design_from_dict({name: part for name, part in table.items() if name not in BESIDE}, str(source))

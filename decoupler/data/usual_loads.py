@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dataset.loads import PAPERS, Loads
 from dataset.protocols import MAX_TOUCHED, PROTOCOLS, forces
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
@@ -17,13 +18,15 @@ ALIKE = (0.3, 1.5)  #: range of the mean squared distance of loads from a protoc
 RIDGE = 1e-3  #: of the covariance of a protocol's loads, over its mean variance
 
 
-def loads_of(protocol: str, design: SensorDesign, count: int) -> FloatArray:
-    """Random loads of a protocol, (count, rows, cols, 3) [N]."""
-    newtons = forces(PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design), design)
+def usual_loads(protocol: str, design: SensorDesign, count: int, loads: Loads = PAPERS) -> FloatArray:
+    """Random loads of a protocol within these ranges, (count, rows, cols, 3) [N]."""
+    newtons = forces(PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design, loads), design)
     return newtons.reshape(count, design.array.rows, design.array.cols, len(AXES))
 
 
-def loads_like(force_n: FloatArray, axes: list[int], design: SensorDesign, count: int) -> FloatArray | None:
+def loads_like(
+    force_n: FloatArray, axes: list[int], design: SensorDesign, count: int, ranges: Loads = PAPERS
+) -> FloatArray | None:
     """Loads (count, rows, cols, 3) [N] of the protocol that given ones, (n, rows, cols, 3), look drawn from, if any.
 
     Notes
@@ -39,7 +42,7 @@ def loads_like(force_n: FloatArray, axes: list[int], design: SensorDesign, count
     for name, protocol in PROTOCOLS.items():
         if protocol.is_light or [AXES.index(axis) for axis in protocol.axes] != axes:
             continue
-        loads = loads_of(name, design, count)
+        loads = usual_loads(name, design, count, ranges)
         columns = loads[..., axes].reshape(count, -1)
         covariance = np.cov(columns.T, bias=True).reshape(given.shape[1], -1)
         covariance.flat[:: len(covariance) + 1] += RIDGE * np.trace(covariance) / len(covariance)

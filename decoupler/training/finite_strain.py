@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.linalg
 
+from dataset.loads import Loads
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
-from decoupler.data.usual_loads import images_of, loads_of
+from decoupler.data.usual_loads import images_of, usual_loads
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
@@ -266,7 +267,7 @@ def trained_at_strain(
     posterior = posterior_of(response, data)
     protocol, design = str(data.made_from.get("protocol")), data.design
     if protocol in PROTOCOLS and design is not None:
-        loads_n = loads_of(protocol, design, DRAWS)
+        loads_n = usual_loads(protocol, design, DRAWS, Loads.stated(data.made_from))
     else:
         loads_n = images_of(data.force_n, [0, 1, 2], DRAWS)
     drawn = drawn_samples(posterior, loads_n.reshape(DRAWS, -1), response.design, data.errors)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from common.threads import one_blas_thread
+from dataset.loads import loads_of
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import Component, acting_component, component_named, force_columns
@@ -106,7 +107,7 @@ def identify(
             size = f"{rows} × {cols} units with pillars {', '.join(pairs.layout.pillar_names)}"
             raise SampleError(f"the pairs are of {size}, the design is not: give this array's design.")
         if loads_n is None:
-            loads_n = loads_like(pairs.force_n, axes, design, most)
+            loads_n = loads_like(pairs.force_n, axes, design, most, loads_of(response))
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
     usual_n = loads_n[..., axes]

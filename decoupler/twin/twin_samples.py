@@ -9,9 +9,9 @@ from common.errors import DesignError
 from common.storage.files import digest
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
-from dataset.protocols import pad_protocol
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, read_resistances, read_through, simulate_part
+from dataset.settings import DatasetSettings
+from dataset.simulation import read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
@@ -51,12 +51,13 @@ def simulate_twin(
     decoder = twin.read_decoder()
     if decoder.posterior is not None:
         raise DesignError("a twin at finite strain draws no samples yet: identify the sensor without finite strain.")
-    axes = [axis for axis in pad_protocol(settings.protocol).axes if axis not in decoder.component.axes]
+    axes = [axis for axis in settings.on_pads.axes if axis not in decoder.component.axes]
     if axes or decoder.inverse is None or decoder.ensemble is None:
         known = ", ".join(decoder.component.forces)
         raise DesignError(
             f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
         )
+    settings = settings.suited(response)
     exact = replace(settings, **vars(Imperfections()))
     numbers = numbers or range(settings.samples)
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)

@@ -101,7 +101,7 @@ class Bar:
         ['0', '1', '2', '3', '3.89']
         """
         ticks, room = np.array(ROUND.tick_values(self.low, self.high)), ROOM * (self.high - self.low)
-        inside = ticks[(ticks > self.low + room) & (ticks < self.high - room)].tolist()
+        inside = ticks[(ticks > self.low + room) & (ticks < self.high - 1.5 * room)].tolist()  # the end has most digits
         words = {tick: f"{tick:.3g}".replace("-", "−") for tick in (self.low, *inside, self.high)}
         if self.is_cut:
             words[self.high] = f"≥ {words[self.high]}"

@@ -11,7 +11,8 @@ from common.storage.text_file import StrictTables, read_text, tables_of
 from fem.kernel.loads import LOAD_KINDS, Load
 from fem.scene.scene import Block, Body, Inclusion, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
-from geometry.design_file import design_from_dict
+from geometry.design_file import MATERIALS, design_from_dict, with_silicones
+from geometry.silicones import of_silicone
 
 STRICT = StrictTables(SceneError)
 BODIES: dict[str, type[Body]] = {"block": Block, "pillar": Pillar, "unit": Sensor, "array": Sensor}
@@ -51,6 +52,8 @@ def _scene(table: dict[str, Any]) -> Scene:
     STRICT.require_keys(body_table, ("kind", *needed), " in [body]", needed)
 
     material = None
+    if "material" in table:
+        table = table | {"material": STRICT.made("[material]", of_silicone, table=table["material"])}
     if "material" in table or not is_sensor:
         rubber = _needed(table, "material", "; it holds young_mpa and poisson")
         material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", *OF_MODEL), MATERIAL_KEYS)
@@ -95,7 +98,8 @@ def _needed(table: dict[str, Any], key: str, meaning: str) -> dict[str, Any]:
 def _design(table: dict[str, Any], material: Material | None) -> SensorDesign:
     """The design of a unit or an array; a common material fills the rubbers that the table does not give."""
     if material is not None:
-        for name in ("pillar_material", "matrix_material"):
+        table = with_silicones(table)
+        for name in MATERIALS:
             own = STRICT.table(table, name)
             table = table | {name: {"model": material.model} | own if own else stated(material)}
     return design_from_dict(table, "[design]")
@@ -110,6 +114,7 @@ def _load(place: str, entry: dict[str, Any]) -> Load:
 
 
 def _inclusion(place: str, entry: dict[str, Any], model: str) -> Inclusion:
+    entry = STRICT.made(place, of_silicone, table=entry, model=model)
     prism = tuple(key for key in keys_of(Inclusion) if key != "material")
     keys = (*prism, *MATERIAL_KEYS)
     STRICT.require_keys(entry, (*keys, *OF_MODEL), f" in {place}", keys)

@@ -20,10 +20,11 @@ from common.errors import DesignError
 from common.storage.files import cache_folder, digest, write_text
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
+from dataset.loads import PAPERS, displacements
 from dataset.memory import relaxed_forces, remembered
 from dataset.protocols import forces
 from dataset.resistance import effective_lengths, exact_resistances, pillar_lengths
-from dataset.simulation import displacements, require_conducted
+from dataset.simulation import require_conducted
 from geometry.design import Electrics, SensorDesign
 from geometry.layout import AXES, FloatArray, rest_lengths, unit_centres
 from geometry.wiring import crossings, wires
@@ -62,7 +63,7 @@ class Motion:
 class PressAndSlide:
     """A round indenter comes down on one corner of the array, slides to the opposite one, and lifts."""
 
-    peak_mpa: float = 3.0  #: pressure under its middle; 0: the sensor rests
+    peak_mpa: float = PAPERS.middle_mpa  #: pressure under its middle; 0: the sensor rests
     friction: float = 0.2  #: shear over pressure while it slides
     width_mm: float = 15.0  #: standard deviation of its bell
     seconds: float = 6.0  #: of one period: a sixth each at rest, coming down and lifting, half of it sliding

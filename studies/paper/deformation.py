@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dataset.loads import displacements
 from dataset.resistance import largest_factors, pillar_lengths, pillar_strains
-from dataset.simulation import DatasetSettings, displacements, simulate
+from dataset.settings import DatasetSettings
+from dataset.simulation import simulate
 from fem.array.response import ArrayResponse
 from fem.pictures.arrays import uniform_pressure
 from geometry.design import SensorDesign

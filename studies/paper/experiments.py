@@ -11,7 +11,8 @@ from common.pool import in_parallel
 from common.storage.files import digest
 from dataset import Samples
 from dataset.resistance import pillar_strains
-from dataset.simulation import DatasetSettings, LoadError, dataset_cache_key, simulate
+from dataset.settings import DatasetSettings
+from dataset.simulation import LoadError, dataset_cache_key, simulate
 from decoupler.data.columns import Columns, component_named, force_columns
 from decoupler.evaluation.crossval import Fold, Job, fold, jobs_of, split_folds
 from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor

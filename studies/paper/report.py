@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markdown import markdown
 
-from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
+from dataset.loads import NORMAL_MPA, TANGENTIAL_MPA
 from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
 from geometry.layout import rest_lengths

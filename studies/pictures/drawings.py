@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from dataset.protocols import NORMAL_MPA, PROTOCOLS, TANGENTIAL_MPA
+from dataset.loads import NORMAL_MPA, TANGENTIAL_MPA
+from dataset.protocols import PROTOCOLS
 from geometry.design import SensorDesign, Unit
 from geometry.layout import AXES, FloatArray, electrode_centres, unit_centres
 from geometry.prism import Prism, unit_prisms

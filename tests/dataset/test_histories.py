@@ -8,8 +8,8 @@ import pytest
 import tripillar as tp
 from dataset import DatasetSettings, Imperfections, SampleError, measured_again, read_samples, simulate
 from dataset.histories import between, programme
+from dataset.loads import NORMAL_MPA
 from dataset.memory import decays, log_rise, relaxed_forces
-from dataset.protocols import NORMAL_MPA
 from dataset.resistance import pillar_resistances
 from dataset.simulation import simulate_part
 from dataset.table import write_table

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dataset.protocols import FRICTION, NORMAL_MPA, NORMAL_PRELOAD_MPA, PROTOCOLS, TANGENTIAL_MPA, pad_protocol
+from dataset.loads import FRICTION, NORMAL_MPA, TANGENTIAL_MPA, preload_of
+from dataset.protocols import PROTOCOLS, pad_protocol
 from geometry import Array, DesignError, SensorDesign
 
 PAPER = SensorDesign()
@@ -78,7 +79,7 @@ def test_shear_stays_within_the_friction_cone_and_the_papers_peaks(name):
     assert (shear / pressure).max() > 0.8 * FRICTION  # preload is not dragged: a contact ends at 4.5/5 of the cone
     assert pressure.max() <= NORMAL_MPA[1] * (1 + 1e-12)
     assert shear.max() <= TANGENTIAL_MPA[1] * (1 + 1e-12)
-    assert pressure.min() >= (NORMAL_PRELOAD_MPA if name == "contact" else NORMAL_MPA[0])
+    assert pressure.min() >= (preload_of(NORMAL_MPA) if name == "contact" else NORMAL_MPA[0])
     for axis in (X, Y):  # drags to every side alike
         sideways = traction[..., axis] / pressure
         assert min(sideways.max(), -sideways.min()) > 0.7 * FRICTION

@@ -1,6 +1,5 @@
 """Rubbers from bench series: simulated ones come back, bad ones are mended or refused in one line."""
 
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,9 +14,8 @@ from decoupler.rubber.fit import fit_elastic, identified
 from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import read_series
-from decoupler.rubber.silicones import SILICONES, surrounded
 from fem.kernel.law import LAWS
-from geometry.design import Material, Memory, SensorDesign, with_model
+from geometry.design import Material, Memory, SensorDesign
 from geometry.design_file import read_design
 from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench
 
@@ -147,14 +145,6 @@ def test_two_ways_of_reading_tell_contacts(series):
     assert found.contact_ohm == pytest.approx(15e3)
     assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
     assert identified(read.averaged(16, "")).contact_ohm is None
-
-
-def test_published_silicones_state_their_source_and_surround_the_pillars():
-    assert all(re.search(r"\(\d{4}\)|\.com/", silicone.source) for silicone in SILICONES.values())
-    design = surrounded(SensorDesign(), "elastosil-m4601")
-    assert design.matrix_material.young_mpa == 0.72
-    assert design.pillar_material == SensorDesign().pillar_material
-    assert surrounded(with_model(SensorDesign(), "yeoh"), "dragon-skin-30").matrix_material.stiffening == 0.0104
 
 
 def test_forces_are_those_of_the_laws_of_solids():

@@ -166,13 +166,14 @@ def test_what_is_missing_unknown_no_choice_or_no_number_is_refused_and_every_par
     for given in inspect.signature(job_of(name)).parameters.values():
         assert given.kind is given.VAR_KEYWORD or re.search(rf"\b{given.name}\b", told), given.name
     for key, parameter in PARAMETERS[name].items():
-        (kind, *_) = kinds(parameter)
+        (kind, *others) = kinds(parameter)
         wrong, must = ("abc", "must be a number") if kind is float else ("1.5", "must be a whole number")
         if get_origin(kind) is Literal:
             wrong, must = "magic", f"must be one of {', '.join(get_args(kind))}"
         elif kind not in (int, float):
             continue
-        said = house.refusal(*typed(name, NEEDED.get(name, {}) | {key: wrong}))
+        pair = [wrong] if others == [float] else []
+        said = house.refusal(*typed(name, NEEDED.get(name, {}) | {key: wrong}), *pair)
         assert f" {wrong} {must}. See 'tripillar {name} --help'." in said
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from common.errors import FileFormatError, SceneError
 from dataset import DatasetSettings, simulate
-from dataset.simulation import displacements
+from dataset.loads import displacements
 from decoupler import require_same_sensor
 from decoupler.data.columns import component_named
 from decoupler.inverse.sensor_model import SensorModel

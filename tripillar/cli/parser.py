@@ -110,7 +110,7 @@ def _in_one_line(error: Any) -> str:
         message = (
             f"{typed} is missing: {(argument.parameter.help or '').partition(';')[0].rstrip('.')}."
             if error.keyword is None
-            else f"{typed} needs a value."
+            else f"{typed} needs {'a value' if (count := argument.token_count()[0]) == 1 else f'{count} values'}."
         )
     elif isinstance(error, cyclopts.CoercionError) and argument is not None and token is not None:
         kinds = {error.target_type, *get_args(error.target_type)}

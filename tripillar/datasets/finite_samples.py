@@ -9,7 +9,7 @@ from common.storage.journal import Journal
 from dataset.finite_strain import Group, GroupSolver, group_cache_key, n_groups, samples_of
 from dataset.measurement import Readout
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings
+from dataset.settings import DatasetSettings
 from fem.array.response import ArrayResponse
 from fem.finite.samples import typical_conduction
 from tripillar.datasets.parts import made_parts
@@ -56,6 +56,7 @@ def simulate_finite(
     OSError
         If a file cannot be written.
     """
+    settings = settings.suited(response)
     journal, keys = groups_of(response, settings), [f"{number:07d}" for number in range(n_groups(settings.samples))]
     groups = journal.kept(keys, Group.of_plain)
     missing = [number for number, key in enumerate(keys) if key not in groups]

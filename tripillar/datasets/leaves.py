@@ -18,7 +18,8 @@ from common.storage.journal import Journal, hashes_of, intact
 from dataset.leaves import Leaf, leaf_size, n_leaves, packed, put, write_header, write_leaf
 from dataset.measurement import Readout
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, dataset_cache_key, simulate, simulate_part
+from dataset.settings import DatasetSettings
+from dataset.simulation import dataset_cache_key, simulate, simulate_part
 from dataset.stored import is_current, read_samples
 from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile

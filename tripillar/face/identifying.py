@@ -382,10 +382,11 @@ def _next_loads(
 
 
 def _usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
-    """Random loads of a protocol, (n, rows, cols, 3) [N]."""
+    """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]."""
     if protocol not in stages.PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
-    return stages.loads_of_protocol(protocol, design, stages.LOADS)
+    loads = stages.loads_of(stages.respond(design, current().bars)[1])
+    return stages.usual_loads(protocol, design, stages.LOADS, loads)
 
 
 def _proposed(loads: "tuple[stages.NextLoad, ...]") -> list[str]:

@@ -4,6 +4,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from common.errors import DesignError
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -16,6 +18,7 @@ else:
     Indenter = Pair = str
 
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
+LARGE_ERROR, MAX_ERROR = 0.05, 0.2  #: estimated, of forces or electrodes: beyond it is warned of, or refused
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 #: sizes of each shape, that which it needs first
 SIZES = {
@@ -40,6 +43,7 @@ def press(
     friction: float = 0.0,
     out: File | None = None,
     picture: File | None = None,
+    force: bool = False,
 ) -> "stages.Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
@@ -71,6 +75,8 @@ def press(
         NetCDF file: a sample, and maps of the contact.
     picture : path, optional
         PNG file of the contact.
+    force : bool
+        Give a contact, too, whose estimated error is above 20 %.
 
     Returns
     -------
@@ -94,12 +100,22 @@ def press(
         sensor, indenter, depth_mm, at_mm=_pair("at_mm", at_mm), slide_mm=_pair("slide_mm", slide_mm),
         friction=friction, progress=lambda step: begin()(0, step),
     )  # fmt: skip
+    errors = {"the forces": contact.error_estimate, "the electrodes": contact.electrode_error_estimate}
+    worst = max(errors, key=lambda what: errors[what])
+    stated = f"the estimated error of {worst} is {errors[worst]:.0%}, above {{:.0%}}"
+    if errors[worst] > MAX_ERROR and not force:
+        raise DesignError(
+            f"{stated.format(MAX_ERROR)}: press with a shape that touches more of the top, or less close to electrodes "
+            "and sides, or take the contact as it is by --force."
+        )
     strain = stages.largest_strain(contact)
     if out is not None:
         stages.write_contact(contact, Path(out))
     if picture is not None:
         stages.draw_contact(contact, Path(picture))
     caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
+    if errors[worst] > LARGE_ERROR:
+        caller.say(f"warning: {stated.format(LARGE_ERROR)}")
     if contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
@@ -108,6 +124,12 @@ def press(
     if strain > STRAIN_CAP:
         caller.say(
             f"warning: a pillar is strained by {strain:.0%}: linear strain ends near {STRAIN_CAP:.0%}; press less deep"
+        )
+    moved_mm = float(np.linalg.norm(contact.displacement_mm, axis=0).max())
+    if moved_mm > stages.LARGE_SHARE * sensor.unit.height_mm:
+        caller.say(
+            f"warning: the top moves by {moved_mm:.3g} mm, over {stages.LARGE_SHARE:g} of the slab's height of "
+            f"{sensor.unit.height_mm:g} mm: linear elasticity holds for small strains only; press less deep"
         )
     return contact
 

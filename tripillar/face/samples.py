@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
+
 from common.errors import DesignError, require_type
 from dataset.imperfections import Imperfections, place_of
 from geometry.design import SensorDesign, with_model
@@ -14,10 +16,14 @@ from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Option
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
+    Pair = tuple[float, float] | None
 else:
     SensorLike = Path
+    Pair = tuple[float, float]
 
-Kind = Literal[Protocol, "indent"]
+Kind = Literal[Protocol, "table", "indent"]
+RANGES = ("pressure_mpa", "shear_mpa")  #: of loads
+MAX_REDRAWN = 0.2  #: of all draws, beyond which what is left is said to be another distribution
 NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
 SPECIMEN = Options(
     Imperfections,
@@ -38,6 +44,9 @@ def dataset(
     out: Annotated[File | None, NEEDED] = None,
     seed: int = 0,
     cap: float = 0.3,
+    pressure_mpa: Pair = None,
+    shear_mpa: Pair = None,
+    loads: File | None = None,
     history: float | None = None,
     rate: float | None = None,
     crossbar: Circuit | None = None,
@@ -59,7 +68,8 @@ def dataset(
         open.
     protocol : str
         Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along all axes;
-        light, by 10 N at most; with -fz or -fx along one axis. indent: shapes pressed and dragged.
+        light, by 10 N at most; with -fz or -fx along one axis. table: those of a table, at random. indent: shapes
+        pressed and dragged.
     samples : int
         Number of samples to make.
     out : path, optional
@@ -68,6 +78,13 @@ def dataset(
         Seed of the random loads and noise.
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
+    pressure_mpa : tuple of float, optional
+        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, of a design that bears 3; of others the
+        largest that they bear, down to a fifth of it.
+    shear_mpa : tuple of float, optional
+        Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
+    loads : path, optional
+        Table of known loads (CSV), as of 'identify', for the protocol table.
     history : float, optional
         Seconds of a series of presses, holds, releases, ramps and touches that each sample becomes; the design's rubber
         remembers and relaxes. Default: samples without a time.
@@ -123,8 +140,16 @@ def dataset(
         read["dead_pillars"] = tuple(place_of(at) if isinstance(at, str) else at for at in read["dead_pillars"])
     if rate is not None and history is None:
         raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
-    asked = {"history_s": history, "rate_hz": rate}
+    asked = {"history_s": history, "rate_hz": rate, "pressure_mpa": pressure_mpa, "shear_mpa": shear_mpa}
     read |= {name: value for name, value in asked.items() if value is not None}
+    if protocol == "table" and loads is None:
+        raise DesignError("protocol='table' draws from a table of loads: give loads=, too.")
+    if protocol != "table" and loads is not None:
+        raise DesignError(f"loads={loads} belongs to protocol='table': choose it, or leave loads= out.")
+    if loads is not None:
+        force_n = [each.force_n for each in stages.read_loads(Path(loads), sensor)]
+        traction_mpa = np.reshape(force_n, (len(force_n), -1, 3)) / stages.forces(np.ones(3), sensor)
+        read["table_mpa"] = tuple(tuple(map(tuple, each)) for each in traction_mpa.tolist())
     settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
     # refuses what the array lacks before anything is solved
     settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
@@ -136,7 +161,7 @@ def dataset(
             raise DesignError("workers= and scheduler= belong to strain='finite' and to directories, out=data.zarr.")
         stages.require_memory(sensor, settings, names)
     if is_finite or twin is not None:
-        stages.pad_protocol(protocol)
+        _ = settings.on_pads  # refuses others
     elif protocol == stages.INDENT:
         stages.require_pressable(sensor)
     if history is not None and (is_finite or twin is not None):
@@ -145,6 +170,7 @@ def dataset(
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
+    said, settings = _loads_said(settings, solved), settings.suited(solved)
     made: stages.Samples | stages.StoredSamples
     story: dict[str, Any] = {}
     if is_finite:
@@ -166,6 +192,7 @@ def dataset(
             made.write(path, dtype)
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
+    result |= {name: list(value) for name in RANGES if (value := getattr(settings, name)) is not None}
     kind = "samples" if history is None else "series"
     line = f"{samples} {kind}, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
     line += f"; {story['kept']} {kind} are of earlier runs" if story.get("kept") else ""
@@ -175,8 +202,28 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
-    caller.answer(lambda: result, line, out)
+    share = story["redrawn"] / (samples + story["redrawn"])
+    if history is None and share > MAX_REDRAWN:
+        line += (
+            f"\n{share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: lower "
+            "the loads by --pressure or --shear, or raise --cap"
+        )
+    result |= {"redrawn_share": share} if history is None else {}
+    caller.answer(lambda: result, f"{said}{line}", out)
     return made
+
+
+def _loads_said(settings: "stages.DatasetSettings", response: "stages.ArrayResponse") -> str:
+    """A line on loads that are not the paper's; else nothing."""
+    if settings.table_mpa is not None:
+        return f"{settings.summary(response.design)}\n"
+    suited = settings.suited(response)
+    if suited.loads == stages.PAPERS:
+        return ""
+    said = suited.loads_said(response.design)
+    if suited == settings:
+        return f"loads: {said}\n"
+    return f"the paper's loads strain this design's pillars beyond the cap of {settings.cap:g}; its own: {said}\n"
 
 
 def _sensor(source: "SensorLike | None") -> "tuple[SensorDesign, stages.TwinFile | None, stages.ArrayResponse | None]":

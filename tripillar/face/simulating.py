@@ -31,7 +31,7 @@ def board(
     *,
     chip: Annotated[Literal["auto", "atmega328p", "atmega2560", "python"], Flag(name=("--board",))] = "auto",
     link: File | None = None,
-    pressure_mpa: float = 3.0,
+    pressure_mpa: float | None = None,
     period_s: float = 6.0,
     mode: Circuit = "zero-potential",
     rate_hz: int | None = None,
@@ -54,9 +54,9 @@ def board(
         Board to be: the firmware on a simulated chip, or the same frames from Python.
     link : path, optional
         Link of this name to the port, to be kept while it runs.
-    pressure_mpa : float
+    pressure_mpa : float, optional
         Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
-        rest.
+        rest; default: 3, of a design that does not bear it the middle of its own range.
     period_s : float
         Period of the press and slide [s].
     mode : str
@@ -106,11 +106,15 @@ def board(
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
     own = Imperfections(**SPECIMEN.of(more))
-    script = stages.PressAndSlide(peak_mpa=pressure_mpa, seconds=period_s)
+    asked_mpa = {} if pressure_mpa is None else {"peak_mpa": pressure_mpa}
+    script = stages.PressAndSlide(seconds=period_s, **asked_mpa)
     if design is None or isinstance(design, SensorDesign | Path | str):
         response = stages.respond(design_of(design), caller.bars)[1]
     else:
         response = design
+    if pressure_mpa is None and (loads := stages.loads_of(response)) != stages.PAPERS:
+        script = replace(script, peak_mpa=loads.middle_mpa)
+        caller.say(f"the design does not bear the paper's 3 MPa; the indenter presses with {loads.middle_mpa:.3g} MPa")
     seen = replace(response, design=stages.seen_by(electronics.crossbar(told), response.design))
     motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)
     rows, cols = motion.resistance_ohm.shape[1:3]

@@ -9,10 +9,12 @@ if TYPE_CHECKING:
     from dataset.finite_strain import n_groups, require_finite
     from dataset.indentation import largest_strain, samples_of as samples_of_contacts, write_contact
     from dataset.leaves import is_zarr, require_zarr_place
+    from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
-    from dataset.protocols import INDENT, PROTOCOLS, pad_protocol
+    from dataset.protocols import INDENT, PROTOCOLS, forces, pad_protocol
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
-    from dataset.simulation import DatasetSettings, require_memory
+    from dataset.settings import DatasetSettings
+    from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
-    from decoupler.data.usual_loads import loads_of as loads_of_protocol
+    from decoupler.data.usual_loads import usual_loads
     from decoupler.evaluation.assessment import Assessment, as_plain, assess
     from decoupler.evaluation.crossval import Fold, cross_validate, over_folds, split_folds, summary
     from decoupler.evaluation.metrics import ForceErrors, evaluate as errors_on
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from decoupler.rubber.pictures import draw_rubber
     from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
     from decoupler.rubber.series import Series, read_series
-    from decoupler.rubber.silicones import surrounded
+    from geometry.silicones import surrounded
     from decoupler.rubber.unknown import write_test
     from decoupler.touch.assessment import TouchAssessment, assess_touch
     from decoupler.touch.bare import BareDecoder
@@ -61,7 +63,7 @@ if TYPE_CHECKING:
     from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, about_z, press, read_solid
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
-    from fem.methods.solving import beyond_linear, follow
+    from fem.methods.solving import LARGE_SHARE, beyond_linear, follow
     from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
     from fem.pictures.deformation import QUANTITIES, DeformedPicture

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     Pressures = float | Sequence[float] | None
     Scale = float | str | None
 else:
-    Pressures = Annotated[tuple[float, ...], Flag(consume_multiple=True, show_default="3")]
+    Pressures = Annotated[tuple[float, ...], Flag(consume_multiple=True)]
     Scale = str
 
-PRESSURES = (3.0,)  #: [MPa] where none is asked for
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
 FILM_STEPS = 5  #: loads solved for a film at finite strain, between which it interpolates
 MEND = "write model = 'neo-hookean' in the rubbers for finite strain"
@@ -91,8 +90,8 @@ def view(
     save : path, optional
         File to write: .png, .html, .mp4 or .vtm; default: open a window.
     pressure_mpa : float or sequence of float
-        Pressure at the indenter's middle or on every pad [MPa]; several are drawn side by side; default: 3. A scene has
-        its own loads.
+        Pressure at the indenter's middle or on every pad [MPa]; several are drawn side by side; default: 3, of a design
+        that does not bear it the middle of its own range. A scene has its own loads.
     load : str, optional
         Load: a round indenter over the middle of the array, or all pads alike; default: indenter.
     colour : str
@@ -142,6 +141,8 @@ def view(
     given = stages.read_body(Path(body)) if isinstance(body, Path | str) else body or design_of(design)
     if isinstance(given, stages.Scene) and (pressure_mpa is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave pressure_mpa= and load= out.")
+    if not pressures and isinstance(given, SensorDesign):
+        pressures = (_usual_pressure(given),)
     panels, factor = _shown(given, file, pressures, load or "indenter", colour, factor, camera)
     lines, largest = [], {}
     for name, parts in panels.items():
@@ -251,8 +252,8 @@ def _require_model(model: "stages.AnyDecoder", name: str, design: SensorDesign) 
 
 
 def _pressures(given: "Pressures") -> tuple[float, ...]:
-    """The pressures that are asked for, sound and different."""
-    pressures = PRESSURES if given is None else (given,) if isinstance(given, int | float) else tuple(given)
+    """The pressures that are asked for, sound and different; none: those that suit the design."""
+    pressures = () if given is None else (given,) if isinstance(given, int | float) else tuple(given)
     for value in pressures:
         if not (math.isfinite(value) and 0 < value <= MAX_MPA):
             raise DesignError(
@@ -261,6 +262,18 @@ def _pressures(given: "Pressures") -> tuple[float, ...]:
     if len(set(pressures)) < len(pressures) or len(pressures) > MAX_PANELS:
         raise DesignError(f"pressure_mpa= takes at most {MAX_PANELS} different values, one for each picture.")
     return pressures
+
+
+def _usual_pressure(design: SensorDesign) -> float:
+    """The middle of the loads that suit a design [MPa]."""
+    loads = stages.loads_of(stages.respond(with_model(design, "linear"), current().bars)[1])
+    if loads != stages.PAPERS:
+        most, area_mm2 = loads.normal_mpa[1], design.pad.size_mm**2
+        current().say(
+            f"the design does not bear the paper's {stages.PAPERS.middle_mpa:g} MPa; shown in the middle of its own "
+            f"range, which ends at {most:.3g} MPa ({most * area_mm2:.3g} N a pad)"
+        )
+    return loads.middle_mpa
 
 
 def _factor(scale: "Scale") -> float | None:

@@ -15,7 +15,8 @@ from common.storage.files import digest, write_json, write_text
 from common.storage.journal import Journal, hashes_of, intact
 from common.storage.seal import say_made_anew
 from dataset.samples import Samples
-from dataset.simulation import DatasetSettings, dataset_cache_key, simulate
+from dataset.settings import DatasetSettings
+from dataset.simulation import dataset_cache_key, simulate
 from dataset.stored import in_memory, is_current, read_samples
 from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler

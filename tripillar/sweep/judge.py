@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from common.errors import DesignError
+from dataset.loads import displacements, largest_pressures
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import largest_factors
-from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
@@ -214,16 +214,6 @@ def loads_at_cap(response: ArrayResponse, cap: float, n: int, seed: int) -> tupl
     factor = largest_factors(moved, design.unit, cap).min()
     force_n = forces(traction * factor, design).reshape(n, design.array.rows, design.array.cols, 3)
     return force_n, moved * factor
-
-
-def largest_pressures(response: ArrayResponse, cap: float) -> tuple[float, float]:
-    """Largest pressure [MPa] on one pad alone, the weakest, and on all pads at once, with strains below the cap."""
-    n_units = response.design.n_units
-    down = -np.array([*np.eye(n_units), np.ones(n_units)])
-    traction = np.zeros((n_units + 1, n_units, 3))
-    traction[..., AXES.index("z")] = down
-    factors = largest_factors(displacements(response, traction, ("z",)), response.design.unit, cap)
-    return float(factors[:-1].min()), float(factors[-1])
 
 
 def _told(value: float, otherwise: str) -> float | str:

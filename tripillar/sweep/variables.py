@@ -9,11 +9,11 @@ from typing import Any, Self, TypeGuard
 from common.errors import DesignError
 from common.storage.files import stated
 from common.storage.text_file import read_text, tables_of
-from decoupler.rubber.silicones import surrounded
 from geometry.design import PAD_KINDS, SensorDesign
 from geometry.layout import LAYOUTS
 from geometry.layout_file import KEYS as LAYOUT_KEYS
 from geometry.layout_file import layout_from_tables, layout_tables
+from geometry.silicones import surrounded
 
 Table = dict[str, Any]  #: a design file's nested tables
 

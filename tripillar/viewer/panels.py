@@ -8,6 +8,7 @@ import numpy as np
 from common.errors import DesignError
 from common.storage.text_file import read_text, tables_of
 from dataset.resistance import pillar_lengths, pillar_strains
+from fem.methods.solving import LARGE_SHARE
 from fem.pictures.arrays import PAD_LOADS, WHERE, pressed_sensor, solve_array_field
 from fem.pictures.parts import AROUND, Parts, sensor_parts, solve_scene_parts
 from fem.scene.scene import Scene
@@ -62,21 +63,25 @@ def is_linear(body: SensorDesign | Scene) -> bool:
 def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """Warning that linear rubber is drawn beyond `LINEAR_UP_TO`; empty elsewhere.
 
-    A sensor is judged by the largest strain of a pillar, a scene by its largest displacement over its height.
+    A sensor is judged by the largest strain of a pillar and, as scenes that are solved, by the largest displacement
+    over its height; a scene's picture by that alone.
     """
     if not is_linear(body):
         return ""
-    if isinstance(body, SensorDesign):
-        return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()))
     parts = [part for panel in panels.values() for part in panel.values()]
     height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    share = max(largest_mm(part.displacement_mm) for part in parts) / height
-    return f"linear, but moved by {share:.0%} of its height" if share > LINEAR_UP_TO else ""
+    moved = max(largest_mm(part.displacement_mm) for part in parts) / height
+    if isinstance(body, SensorDesign):
+        return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()), moved)
+    return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
 
 
-def beyond_linear(strain: float) -> str:
-    """Warning of the largest strain of a pillar beyond `LINEAR_UP_TO`; empty up to it."""
-    return f"linear, but a pillar strain of {strain:.0%}" if strain > LINEAR_UP_TO else ""
+def beyond_linear(strain: float, moved: float = 0.0) -> str:
+    """Warning of the largest strain of a pillar beyond `LINEAR_UP_TO`, or of a displacement over the height beyond
+    `LARGE_SHARE`; empty up to these."""
+    said = [f"a pillar strain of {strain:.0%}"] if strain > LINEAR_UP_TO else []
+    said += [f"moved by {moved:.0%} of its height"] if moved > LARGE_SHARE else []
+    return f"linear, but {' and '.join(said)}" if said else ""
 
 
 def pillar_strain(design: SensorDesign, parts: Parts) -> float:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.loads import displacements
 from dataset.resistance import pillar_lengths, pillar_resistances
-from dataset.simulation import displacements
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, Pad, SensorDesign

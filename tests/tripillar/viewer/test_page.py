@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.loads import displacements
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import largest_factors
-from dataset.simulation import DatasetSettings, displacements, simulate
+from dataset.settings import DatasetSettings
+from dataset.simulation import simulate
 from decoupler import train
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.closed_forms import layer_response

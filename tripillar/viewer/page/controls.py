@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from common.errors import TriPillarError
-from dataset.protocols import NORMAL_MPA, TANGENTIAL_MPA
+from dataset.loads import Loads
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from tripillar.viewer.page.scene import TITLES
 
-MAX_PRESSURE_MPA = NORMAL_MPA[1]  #: of a pad, as in the datasets
-MAX_SHEAR_MPA = TANGENTIAL_MPA[1]
+STEPS = 100  #: of a load's slider
 SCALES = (1, 2, 5, 10)  #: of displacements
 NOISES = {0.0: "exact", 0.001: "0.1 % noise", 0.005: "0.5 % noise", 0.01: "1 % noise"}  #: of the readings, relative
 WIDTH_MM = (5.0, 40.0)  #: of the indenter; further where the pitch is
@@ -61,14 +60,15 @@ class Choice:
 Controls = dict[str, Range | Choice]
 
 
-def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
-    """The controls for an array, each with its start value."""
+def controls_of(design: SensorDesign, has_sensor: bool, loads: Loads) -> Controls:
+    """The controls for an array, each with its start value; loads end where those of its datasets do."""
     colours = {name: title.split(" [")[0] for name, title in TITLES.items()}
     half_x, half_y = design.slab_mm[0] / 2, design.slab_mm[1] / 2
     middle = design.array.rows // 2 * design.array.cols + design.array.cols // 2
     pitch = design.array.pitch_mm
-    pressure = Range(start=0.0, max=MAX_PRESSURE_MPA, step=0.05)
-    shear = Range(start=0.0, max=MAX_SHEAR_MPA, step=0.01)
+    pressure, shear = (
+        Range(start=0.0, max=high, step=high / STEPS) for _, high in (loads.normal_mpa, loads.tangential_mpa)
+    )
     angle = Range(start=0.0, max=360.0, step=5.0)
     sources = ("pads", "indenter", "sensor") if has_sensor else ("pads", "indenter")
     return {
@@ -78,7 +78,7 @@ def controls_of(design: SensorDesign, has_sensor: bool) -> Controls:
         "shear": shear,
         "angle": angle,
         "cone": Choice(start=True, among=(True, False)),  # whether shear is held within friction
-        "peak": replace(pressure, start=3.0),
+        "peak": replace(pressure, start=loads.middle_mpa),
         "at_x": Range(start=0.0, min=-half_x, max=half_x, step=0.5),
         "at_y": Range(start=0.0, min=-half_y, max=half_y, step=0.5),
         "width": Range(start=pitch, min=min(WIDTH_MM[0], pitch), max=max(WIDTH_MM[1], pitch), step=0.5),
@@ -139,8 +139,11 @@ def traction_of(pressure_mpa: float, shear_mpa: float, angle_deg: float) -> Floa
     return np.array([shear_mpa * math.cos(angle), shear_mpa * math.sin(angle), -pressure_mpa])
 
 
-def sliders_of(traction_mpa: FloatArray) -> tuple[float, float, float]:
-    """Pressure, shear [MPa] and angle [°] of a traction (3,), cut to the ends of the page's sliders."""
+def sliders_of(traction_mpa: FloatArray, loads: Loads) -> tuple[float, float, float]:
+    """Pressure, shear [MPa] and angle [°] of a traction (3,), cut to the ends of the sliders and rounded like them."""
     tx, ty, tz = traction_mpa.tolist()
-    pressure, shear = min(max(-tz, 0.0), MAX_PRESSURE_MPA), min(math.hypot(tx, ty), MAX_SHEAR_MPA)
-    return pressure, shear, math.degrees(math.atan2(ty, tx)) % 360.0
+    pressure, shear = (
+        min(round(size, 2 - math.floor(math.log10(high))), high)
+        for size, (_, high) in ((max(-tz, 0.0), loads.normal_mpa), (math.hypot(tx, ty), loads.tangential_mpa))
+    )
+    return pressure, shear, float(round(math.degrees(math.atan2(ty, tx)) % 360.0))

@@ -103,7 +103,7 @@ function showControls() {
       control.max = limit;
       control.value = value;
       const output = control.parentElement.querySelector("output");
-      output.textContent = `${+Math.min(value, limit).toFixed(2)} ${output.dataset.unit}`;
+      output.textContent = `${+Math.min(value, limit).toPrecision(3)} ${output.dataset.unit}`;
     } else if (control.type === "checkbox") control.checked = value;
     else if (control.localName === "select") control.value = facts.kinds[name].among.indexOf(value);
     else control.classList.toggle("on", control.value === value);
@@ -138,7 +138,8 @@ function showTexts() {
 }
 
 function showNumbers() {
-  const { pad } = controls, isFollowed = controls.source === "sensor";
+  const { pad } = controls, isFollowed = controls.source === "sensor", most = facts.kinds.pressure.max;
+  const digits = Math.max(1, Math.ceil(1 - Math.log10(most)));
   const [strain, place] = largestStrain(facts, said), gauge = document.querySelector(".gauge div");
   Object.assign(said, { unit_name: nameOf(pad), strain: words(strain, 1), strain_at: place, rms: missed(said) });
   gauge.style.width = `${Math.min(100 * strain / facts.cap, 100)}%`;
@@ -146,9 +147,9 @@ function showNumbers() {
   fill(byId("pads"), lying(), "button", (button, unit) => {
     const [x, y, z] = said.traction_mpa.slice(3 * unit), eighth = Math.round(4 * Math.atan2(y, x) / Math.PI);
     button.id = `pad-${unit}`;
-    asCell(button, unit, colour(-z, facts.kinds.pressure.max));
-    text(part(button, 0, "span"), Math.abs(z) > 0.02 ? words(-z, Math.abs(z) < 10 ? 1 : 0) : "");
-    text(part(button, 1, "small"), Math.hypot(x, y) > 0.02 ? ARROWS[(eighth + 8) % 8] : "");
+    asCell(button, unit, colour(-z, most));
+    text(part(button, 0, "span"), Math.abs(z) > 0.004 * most ? words(-z, Math.abs(z) < 10 ? digits : 0) : "");
+    text(part(button, 1, "small"), Math.hypot(x, y) > 0.004 * most ? ARROWS[(eighth + 8) % 8] : "");
   });
   showRows(byId("unit-pillars"), unitPillars(facts, said, pad));
   showRows(byId("unit-forces"), unitForces(said, pad, isFollowed), forcesHead(isFollowed));

@@ -14,13 +14,11 @@ import numpy as np
 from aiohttp import WSMsgType, web
 
 from common.errors import TriPillarError
-from dataset.protocols import FRICTION
+from dataset.loads import loads_of
 from fem.pictures.arrays import ArrayField, indenter_tractions
 from fem.pictures.deformation import Bar
 from geometry.layout import FloatArray
 from tripillar.viewer.page.controls import (
-    MAX_PRESSURE_MPA,
-    MAX_SHEAR_MPA,
     ControlError,
     controls_of,
     mapping,
@@ -38,7 +36,6 @@ from tripillar.viewer.panels import beyond_linear
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
 UNDRAWN = "drawn at rest: no pillar bears these forces"
-LIMITS_MPA = np.array([MAX_SHEAR_MPA, MAX_SHEAR_MPA, MAX_PRESSURE_MPA])  #: of a pad's traction in a restored state
 CAP_PCT = 30  #: largest pillar strain of the datasets and of the paper
 MAX_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
 BURST_S = 1.0  #: worth of messages that are read at once after a silence
@@ -69,7 +66,8 @@ class Page:
         self._subject, self._design = subject, subject.field.design
         self._traction = np.zeros((self._design.n_units, 3))
         self._generator = np.random.default_rng(0)
-        self._kinds = controls_of(self._design, subject.feed is not None)
+        self._loads = loads_of(subject.sensor.response)
+        self._kinds = controls_of(self._design, subject.feed is not None, self._loads)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
         self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
         self._is_changed = asyncio.Event()
@@ -161,7 +159,7 @@ class Page:
             "pads": self._design.pad.kind,
             "pillars": self._design.unit.layout.pillar_names,
             "cap": CAP_PCT,
-            "friction": FRICTION,
+            "friction": round(self._loads.friction, 3),
             "decoupler": self._subject.decoupler,
             "sensor": None if feed is None else feed.port,
             "kinds": {name: asdict(kind) for name, kind in self._kinds.items()},
@@ -178,8 +176,7 @@ class Page:
             if given.keys() & {*LOAD_SLIDERS, "cone"}:
                 self._traction[self.controls["pad"]] = self._held(*LOAD_SLIDERS)
             elif given.keys() & {"pad", "source"}:
-                pressure, shear, angle = sliders_of(self._traction[self.controls["pad"]])
-                values = round(pressure, 2), round(shear, 2), float(round(angle))
+                values = sliders_of(self._traction[self.controls["pad"]], self._loads)
                 self.controls |= dict(zip(LOAD_SLIDERS, values, strict=True))
         self._is_changed.set()
 
@@ -190,7 +187,8 @@ class Page:
             raise ControlError(f"a state has 'controls' and 'traction_mpa', not {shortened(list(state))}.")
         given, n = taken(self._kinds, state["controls"]), 3 * self._design.n_units
         traction = np.array(numbers_of("traction_mpa", state["traction_mpa"], n, -1e3, 1e3)).reshape(-1, 3)
-        self._traction = np.clip(traction, -LIMITS_MPA, LIMITS_MPA * (1, 1, 0))
+        most_mpa = np.array([self._loads.tangential_mpa[1]] * 2 + [self._loads.normal_mpa[1]])
+        self._traction = np.clip(traction, -most_mpa, most_mpa * (1, 1, 0))
         self.controls |= given
         self._is_changed.set()
 
@@ -268,7 +266,7 @@ class Page:
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""
         pressed, dragged, towards = (self.controls[name] for name in (pressure, shear, angle))
-        held = min(dragged, FRICTION * pressed) if self.controls["cone"] else dragged
+        held = min(dragged, self._loads.friction * pressed) if self.controls["cone"] else dragged
         return traction_of(pressed, held, towards)
 
 

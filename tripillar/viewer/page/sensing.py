@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from common.errors import TriPillarError
+from dataset.loads import displacements, loads_of
 from dataset.measurement import measured
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import (
@@ -20,7 +21,6 @@ from dataset.resistance import (
     pillar_strains,
     rest_resistances,
 )
-from dataset.simulation import displacements
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.touch.touch_file import AnyDecoder
@@ -99,8 +99,9 @@ def net_forces(model: AnyDecoder) -> Decouple:
 def inverse_forces(response: ArrayResponse) -> Decouple:
     """The forces of the response's own inverse, where there is no trained model."""
     design, joint = response.design, component_named("all")
-    generator = np.random.default_rng(0)
-    loads = np.concatenate([PROTOCOLS[name].draw(generator, LOADS, design) for name in ("contact", "three-axis")])
+    generator, ranges = np.random.default_rng(0), loads_of(response)
+    drawn = [PROTOCOLS[name].draw(generator, LOADS, design, ranges) for name in ("contact", "three-axis")]
+    loads = np.concatenate(drawn)
     within = largest_factors(displacements(response, loads), design.unit, MAX_STRAIN)
     loads *= np.minimum(within, 1.0)[:, None, None]  # a pillar that turns over cannot be inverted
     force_n = force_columns(by_unit(forces(loads, design), design), joint)

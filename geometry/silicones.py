@@ -3,10 +3,14 @@
 Batches differ by tens of percent: these are to begin with, until yours is measured.
 """
 
+import reprlib
 from dataclasses import dataclass, replace
+from typing import Any
 
 from common.errors import DesignError
 from geometry.design import SensorDesign
+
+POISSON = 0.49  #: of a silicone, unless told: they keep their volume
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +24,9 @@ class Silicone:
 
 SOROTOKI = "Caasenbrood, Sorotoki, src/fem/materials/samples, github.com/BJCaasenbrood/SorotokiCode"
 SILICONES = {
+    "dragon-skin-10": Silicone(
+        young_mpa=0.216, stiffening=0.0069, source=f"c₁ = 0.036, c₂ = 0.00025 (and c₃ = 0.000023) MPa: {SOROTOKI}"
+    ),
     "dragon-skin-30": Silicone(young_mpa=0.922, stiffening=0.0104, source=f"c₁ = 0.1536, c₂ = 0.0016 MPa: {SOROTOKI}"),
     "ecoflex-00-30": Silicone(young_mpa=0.0504, stiffening=0.0119, source=f"c₁ = 0.0084, c₂ = 0.0001 MPa: {SOROTOKI}"),
     "ecoflex-00-50": Silicone(young_mpa=0.087, stiffening=0.0069, source=f"c₁ = 0.0145, c₂ = 0.0001 MPa: {SOROTOKI}"),
@@ -39,15 +46,33 @@ SILICONES = {
 }
 
 
+def of_silicone(table: Any, model: str = "linear") -> Any:
+    """The table of a material with the numbers of the published silicone that it names; any other as it is.
+
+    A table names one by its key `silicone`; its name alone may stand for the table. `model` is that of a table that
+    states none. `DesignError` if no silicone has that name, or the modulus is given, too.
+    """
+    if isinstance(table, str):
+        table = {"silicone": table}
+    if not isinstance(table, dict) or "silicone" not in table:
+        return table
+    name, given = table["silicone"], {key: value for key, value in table.items() if key != "silicone"}
+    if not isinstance(name, str) or name not in SILICONES:
+        raise DesignError(f"{reprlib.repr(name)} is no published silicone; these are {', '.join(SILICONES)}.")
+    if "young_mpa" in given:
+        raise DesignError(f"silicone = '{name}' has a modulus of its own: leave out young_mpa, or the name.")
+    found = SILICONES[name]
+    is_yeoh = given.get("model", model) == "yeoh"
+    own = {"young_mpa": found.young_mpa, "poisson": POISSON}
+    return own | ({"stiffening": found.stiffening} if is_yeoh else {}) | given
+
+
 def surrounded(design: SensorDesign, name: str) -> SensorDesign:
     """A design whose pillars stand in a published silicone; `DesignError` if there is none of that name."""
     if name not in SILICONES:
         raise DesignError(
             f"{name} is neither a rubber file (.toml) nor a published silicone; these are {', '.join(SILICONES)}."
         )
-    silicone = SILICONES[name]
-    is_yeoh = design.matrix_material.model == "yeoh"
-    matrix = replace(
-        design.matrix_material, young_mpa=silicone.young_mpa, stiffening=silicone.stiffening if is_yeoh else 0.0
-    )
-    return replace(design, matrix_material=matrix)
+    matrix = design.matrix_material
+    numbers = of_silicone({"silicone": name, "model": matrix.model, "poisson": matrix.poisson})
+    return replace(design, matrix_material=replace(matrix, **{"stiffening": 0.0} | numbers))
