@@ -1,5 +1,7 @@
 """A design's cell: a grid where it is of one rubber, tetrahedra with pillars of another or from its CAD solids.
 
+Boxes that pillars of another rubber cut are in `cut_cell.py`, which chooses.
+
 A cell is x, y ∈ [−a, a], or the part of it beyond mirror planes. Its base is clamped, its side faces are free. It is
 refined until the answer of an array of its copies is as accurate as asked.
 """
@@ -307,19 +309,26 @@ class DesignCell:
 
         The answer by the refined cell comes with it.
         """
-        if not self.is_grid:
-            stages = MESH_STAGES[sum(tolerance < limit for limit in MESH_LIMITS) :]
-        else:
-            stages = GRID_STAGES[self.design.pad.kind][int(tolerance < COARSE) :]
-            stages = stages if tolerance < FINE else stages[:-1]
         steps: tuple[str, ...] = ()
-        for stage in stages:
+        for stage in self.stages(tolerance):
             progress(f"cell, level {stage[1]:g}")
             cell, found = self.at_stage(stage, answer, difference)
             steps += cell.steps
             if cell.error_estimate <= tolerance:
                 break
         return replace(cell, steps=steps), found
+
+    def stages(self, tolerance: float) -> tuple[Stage, ...]:
+        """Stages that may be needed for a tolerance."""
+        if not self.is_grid:
+            return MESH_STAGES[sum(tolerance < limit for limit in MESH_LIMITS) :]
+        stages = GRID_STAGES[self.design.pad.kind][int(tolerance < COARSE) :]
+        return stages if tolerance < FINE else stages[:-1]
+
+    @property
+    def extrapolation_error(self) -> float:
+        """Error over the extrapolation's step, of a grid."""
+        return EXTRAPOLATION_ERROR[self.design.pad.kind]
 
     def at_stage(self, stage: Stage, answer: Asked, difference: Difference) -> tuple[RefinedCell, FloatArray]:
         """Cells condensed at the levels of a stage, and an answer by them.
@@ -336,7 +345,7 @@ class DesignCell:
             better: Kinds = {free: cell.extrapolated(one[free], factor) for free, cell in two.items()}
             if all(cell.is_definite for cell in better.values()):  # extrapolated in these degrees alone
                 of_levels = difference(answer(low), answer(_of_degree(better, COMPARED_DEGREE)))
-                of_levels *= EXTRAPOLATION_ERROR[self.design.pad.kind]
+                of_levels *= self.extrapolation_error
             else:
                 better, of_levels = two, factor * difference(answer(one), answer(low))
             cells, found = ((1.0, better),), answer(better)

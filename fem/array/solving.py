@@ -13,13 +13,14 @@ from common.storage.cache import kept, kept_value
 from common.storage.files import digest
 from fem.array.closed_forms import layer_response
 from fem.array.coupled_cells import CoupledArray, Kinds, TruncatedArray
-from fem.array.design_cell import MAX_TESTED, PADS, DesignCell, RefinedCell, electrode_means
+from fem.array.cut_cell import refine
+from fem.array.design_cell import MAX_TESTED, PADS, RefinedCell, electrode_means
 from fem.array.response import ArrayResponse, read_response, write_response
 from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
-VERSION = 6  #: raise when the same design and settings give another response, so that cached ones are not reused
-CELL_VERSION = 7  #: the same of refined cells
+VERSION = 7  #: raise when the same design and settings give another response, so that cached ones are not reused
+CELL_VERSION = 8  #: the same of refined cells
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -176,7 +177,7 @@ def refined_cell(
         return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
 
     def make() -> RefinedCell:
-        return DesignCell(design, from_cad=from_cad).refined(tolerance, influence, block_error, progress)[0]
+        return refine(design, tolerance, influence, block_error, progress, from_cad=from_cad)[0]
 
     if not cached:
         return make()

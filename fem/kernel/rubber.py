@@ -312,6 +312,12 @@ class Rubber:
             return np.einsum("mnk,emi->eink", whole, pull[:, 0] * self._volume[..., None], optimize=True)
         return (table.in_space(pull) * self.dx[:, None, None]) @ shown
 
+    @property
+    def _alike(self) -> FloatArray:
+        """Numbers in which elements of one stiffness agree, (n_elements, k), each of at most about 1."""
+        parts = (self.pull.reshape(self.n_elements, -1), self.law.lame_mpa, self.law.mu_mpa)
+        return np.column_stack([part / np.abs(part).max() for part in parts])
+
     @cached_property
     def condensed(self) -> Condensed | None:
         """Elements by kind, their insides eliminated; None where nothing is inside, or an element is of many rubbers.
@@ -321,9 +327,7 @@ class Rubber:
         surface, inside = self.reference.surface, self.reference.inside
         if not len(inside) or self.law.mu_mpa.shape[1] > 1:
             return None
-        parts = (self.pull.reshape(self.n_elements, -1), self.law.lame_mpa, self.law.mu_mpa)
-        rounded = np.round(np.column_stack([part / np.abs(part).max() for part in parts]), ALIKE)
-        _, first, kind = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        _, first, kind = np.unique(np.round(self._alike, ALIKE), axis=0, return_index=True, return_inverse=True)
         n, m = 3 * len(surface), 3 * len(inside)
         stiffness, inner = np.empty((len(first), n // 3, n // 3, 3, 3)), np.empty((len(first), m, n))
         at_once = max(1, CHUNK_VALUES // (9 * self.nodes.shape[1] ** 2))
