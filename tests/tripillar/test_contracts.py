@@ -258,7 +258,7 @@ rubber --data bare.csv --out r.csv -> --out r.csv must be a file that ends in .t
 design --extend small.toml -> small.toml: has no table [rubber]
 design --extend missing.toml -> missing.toml: no such file
 design --extend small.toml --out small.toml -> small.toml is read by this command
-design --extend chewing-gum -> neither a rubber file (.toml) nor a published silicone; these are dragon-skin-30,
+design --extend chewing-gum -> neither a rubber file (.toml) nor a published silicone; these are dragon-skin-10,
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
 export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
