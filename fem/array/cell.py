@@ -13,8 +13,9 @@ displacements begin where a free side meets the clamped base: six do what nine p
 elimination. A side shared with a neighbour moves by port modes; one at the rim is free, and moves as its nodes do.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,10 +26,12 @@ from scipy.linalg import cholesky, solve_triangular
 from fem.kernel.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
 from fem.kernel.mirrors import Parity, flipped_rectangles, images, parities
 from fem.kernel.system import System
+from fem.kernel.reference import IntArray
 from geometry.layout import FloatArray
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
 FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
+OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))  #: of each face
 Free = tuple[int, ...]  #: numbers of the `FACES` that no neighbour shares
 CLAMPED = 0.7  #: exponent of displacements at the clamped end of a free side: 0.6 as ν → 0.5, 0.71 at 0.3
 ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
@@ -285,6 +288,7 @@ class CellSides:
     compliance: FloatArray  #: with the nodes held, (k·3, k·3)
     unknowns: int
     residual: float
+    _known: dict[int, Any] = field(default_factory=dict, repr=False)  #: by degree, see `_pulls`
 
     @classmethod
     def of(cls, system: System, rectangles: FloatArray, free: Free = ()) -> "CellSides":
@@ -310,6 +314,23 @@ class CellSides:
             residual=residual,
         )
 
+    def _pulls(self, ports: PortModes) -> tuple[FloatArray, list[tuple[IntArray, IntArray, FloatArray, FloatArray]]]:
+        """Modes at all nodes (n, n_modes), and for the nodes of every face and edge: these, the degrees of freedom of
+        modes that move them, and the rows of Φᵀ K_BB and Φᵀ f_B of these nodes alone. Made once for all places."""
+        if ports.degree not in self._known:
+            n, k, values = len(self.points_mm), self.transfer.shape[1], ports.values(self.points_mm)
+            on = np.column_stack([on_faces(self.points_mm, self.half_mm, OTHERS[face]) for face in range(len(FACES))])
+            pulls = []
+            for where in np.unique(on, axis=0):
+                own = np.flatnonzero((on == where).all(axis=1))
+                moving = np.flatnonzero(np.abs(values[own]).max(axis=0) > 0)
+                weights = values[np.ix_(own, moving)].T
+                sides = (weights @ self.stiffness.reshape(n, 9 * n)[own]).reshape(-1, 3 * n)
+                loads = (weights @ self.transfer.reshape(n, 3 * k)[own]).reshape(-1, k)
+                pulls.append((own, (3 * moving[:, None] + np.arange(3)).ravel(), sides, loads))
+            self._known[ports.degree] = values, pulls
+        return self._known[ports.degree]
+
     def cell(self, degree: int, free: Free = ()) -> CondensedCell:
         """The cell with ports of a degree on all sides but the free ones.
 
@@ -322,12 +343,16 @@ class CellSides:
             [(x, y)[axis] == side for number, (axis, side) in enumerate(FACES) if number not in free], axis=0
         )
         kept = np.flatnonzero(np.repeat(np.broadcast_to(moving, x.shape), degree))
-        values = ports.values(self.points_mm[follows])[:, kept]
+        values, pulls = self._pulls(ports)
         n, m, k = len(self.points_mm), 3 * len(kept), self.transfer.shape[1]
-
-        K = (values.T @ self.stiffness.reshape(n, 9 * n)[follows]).reshape(m, n, 3)
-        S = np.einsum("apc,pq->aqc", K[:, follows], values, optimize=True).reshape(m, m)
-        L = (values.T @ self.transfer.reshape(n, 3 * k)[follows]).reshape(m, k)
+        K, L = (np.zeros((3 * ports.n_modes, count)) for count in (3 * n, k))
+        for own, rows, of_sides, of_loads in pulls:
+            if follows[own[0]]:
+                K[rows] += of_sides
+                L[rows] += of_loads
+        dofs = (3 * kept[:, None] + np.arange(3)).ravel()
+        K, L = K[dofs].reshape(m, n, 3), L[dofs]
+        S = np.einsum("apc,pq->aqc", K[:, follows], values[follows][:, kept], optimize=True).reshape(m, m)
         C = self.compliance
         loose = (3 * np.flatnonzero(~follows)[:, None] + np.arange(3)).ravel()
         if len(loose):
@@ -336,7 +361,6 @@ class CellSides:
             half = solve_triangular(lower, coupling, lower=True, overwrite_b=True, check_finite=False)
             of_modes, of_loads = half[:, :m], half[:, m:]
             S, L, C = S - of_modes.T @ of_modes, L - of_modes.T @ of_loads, C + of_loads.T @ of_loads
-        dofs = (3 * kept[:, None] + np.arange(3)).ravel()
         stiffness, transfer = np.eye(3 * ports.n_modes), np.zeros((3 * ports.n_modes, k))
         stiffness[np.ix_(dofs, dofs)] = (S + S.T) / 2
         transfer[dofs] = L

@@ -69,7 +69,7 @@ GRID_STAGES: dict[str, tuple[Stage, ...]] = {
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for tetrahedra, whose levels count refinements
-MESH_STAGES: tuple[Stage, ...] = ((0, 1, 5), (0, 2, 7), (1, 3, 8), (2, 4, 8), (3, 5, 9))
+MESH_STAGES: tuple[Stage, ...] = ((0, 1, 5), (0, 2, 7), (2, 3, 8), (2, 4, 8), (3, 5, 9))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 MESH_LIMITS = (2e-2, 4e-3, 2e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
 #: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times

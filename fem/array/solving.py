@@ -19,8 +19,8 @@ from fem.array.response import ArrayResponse, read_response, write_response
 from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
-VERSION = 7  #: raise when the same design and settings give another response, so that cached ones are not reused
-CELL_VERSION = 8  #: the same of refined cells
+VERSION = 8  #: raise when the same design and settings give another response, so that cached ones are not reused
+CELL_VERSION = 9  #: the same of refined cells
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
