@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
-METHOD = 3  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
+METHOD = 4  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 
@@ -195,16 +195,20 @@ def _one_mesh(task: MeshTask, envelope_mm: float) -> TetMesh:
     """One run of the mesher, with every face on its plane."""
     points, cells = fill(task, envelope_mm)
     points, cells = _used(points, cells[task.outline.holds(points[cells].mean(axis=1))])
-    prism = prisms_at(points[cells].mean(axis=1), task.prisms)
+    middles = points[cells].mean(axis=1)
+    prism = prisms_at(middles, task.prisms)
     faces, sides = faces_between(cells)
-    region = np.where(prism <= task.outlined, -prism, task.region[prism])[sides]
-    faces, sides = (each[(sides[:, 1] >= 0) & (region[:, 0] != region[:, 1])] for each in (faces, sides))
+    faces, sides = (each[sides[:, 1] >= 0] for each in (faces, sides))
+    is_outlined = np.array([each.holds(middles)[sides] for each in task.prisms[: task.outlined]])
+    ends = is_outlined[..., 0] != is_outlined[..., 1] if task.outlined else np.zeros((0, len(faces)), bool)
+    differ = ends.any(axis=0) | (np.diff(task.region[prism][sides], axis=1)[:, 0] != 0)
     own = [
         faces[
-            (prism[sides] == number).any(axis=1)
-            | ((number <= task.outlined) & (each.distance(points[faces].mean(axis=1)) <= 2 * envelope_mm))
-        ]  # a part that ends where an outlined one does has faces of its own there
-        for number, each in enumerate(task.prisms, start=1)
+            ends[number] | (differ & (each.distance(points[faces].mean(axis=1)) <= 2 * envelope_mm))
+            if number < task.outlined  # a part that ends where an outlined one does has faces of its own there
+            else differ & (prism[sides] == number + 1).any(axis=1)
+        ]
+        for number, each in enumerate(task.prisms)
     ]
     for each, along in zip(task.prisms, own, strict=True):
         points = snap_to_prism(points, along, each, 2 * envelope_mm)

@@ -20,7 +20,7 @@ from geometry.mesh import MeshTask, cached_mesh, prism_surface
 from geometry.prism import MESHED_SIDES, Prism, prisms_at
 
 IntArray = NDArray[np.int64]
-METHOD = 1  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
+METHOD = 2  #: raise when the same scene gives another kind of mesh, so that cached ones are not reused
 EDGES_ACROSS = 2.5  #: edges across the thinnest extent of the body, before any refinement
 MAX_CELLS = 20_000  #: wanted at most, before any refinement
 ACROSS_PRISM = 1.5  #: edges beside a prism inside the body, in terms of its narrow side

@@ -1,9 +1,15 @@
-"""Bisection keeps the body, the conformity and the shape of the cells."""
+"""Meshes follow outlines, and bisection keeps the body, the conformity and the shape of the cells."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from skfem import MeshTet
 
+from fem.array.design_cell import DesignCell, pad_plate, plate_on
+from fem.kernel.system import System
 from fem.meshes.tetrahedra import bisected
+from geometry.design import Pad, SensorDesign
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.scenes import box_mesh
 
@@ -36,3 +42,13 @@ def test_eight_refinements_keep_what_matters():
         outside = [(corners[:, :, axis] == c).all(axis=1) for axis in range(3) for c in (0.0, 3.0)]
         assert np.any(outside, axis=0).all()
     assert flatness(mesh) > 0.2 * worst
+
+
+@pytest.mark.parametrize("height_mm", [8.0, 9.0])
+def test_plates_have_their_outline_where_leaning_pillars_of_another_rubber_cross_it(height_mm: float):
+    # the upper electrodes end at the plate's edges; below, their pillars cross the planes of these
+    stiff = replace(SensorDesign().pillar_material, young_mpa=180.0)
+    unit = replace(SensorDesign().unit, height_mm=height_mm)
+    plated = SensorDesign(unit=unit, pad=Pad(kind="stiff"), pillar_material=stiff)
+    body = DesignCell(plated).tetrahedra(0)
+    System(body, plate_on(pad_plate(plated)))  # refuses a mesh without a line at an edge
