@@ -202,6 +202,8 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
+        if sensor.matrix_material.model == "linear":
+            line += "; linear rubber was taken for neo-Hookean of the same E and ν"
     share = story["redrawn"] / (samples + story["redrawn"])
     if history is None and share > MAX_REDRAWN:
         line += (
