@@ -59,7 +59,8 @@ def array_response(
     `progress` is called with the name of each step as it begins. Returns the response, its file, and whether it was
     there already; where the cache cannot be written to, the file is missing. Only what bends the body counts: another
     resistivity or a reference finds the same file. Rubber of another law has the response of its tangent at rest. A
-    `DesignError` says what a method is no model of, a `GeometryError` or `SolverError` that the mesh or an answer cannot be trusted.
+    `DesignError` says what a method is no model of, a `GeometryError` or `SolverError` that the mesh or an answer
+    cannot be trusted.
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)

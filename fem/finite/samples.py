@@ -30,14 +30,15 @@ from fem.kernel.system import State
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
 
-#: most iterations on the finer grid: where rubber at pads' edges needs more, the answer is left as it is, and what it
-#: may be off by of the last change is stated
-FINER, STALLED = 5, 4.0
+#: most iterations on the finer grid, of one rubber and of two: where rubber at pads' edges needs more, the answer is
+#: left as it is, and what it may be off by of the last change is stated
+FINER, STALLED = {True: 5, False: 10}, 4.0
+MAX_ERROR = 0.1  #: estimated, of a sample: there elements at plates' edges collapse, and the finer grid has no answer
 AT_ONCE = 8  #: samples solved together, which bounds the memory
 #: lines of the coarse grid and of the finer one, as shares of the pad and of the height; of one rubber and of two
 GRIDS = {
     True: (((0.5,), (0.5, 1.0)), ((0.2, 0.8), (0.2, 0.8, 1.0))),
-    False: (((0.5,), (0.5, 1.0)), ((0.4, 0.8), (0.2, 0.8, 1.0))),
+    False: (((0.5,), (0.5, 1.0)), ((0.4, 0.8), (1 / 3, 2 / 3, 1.0))),
 }
 #: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of eight
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
@@ -72,7 +73,7 @@ class FiniteSamples:
     @property
     def settled(self) -> NDArray[np.bool_]:
         """Where it is an answer, (m,)."""
-        return self.change <= TOLERANCE
+        return (self.change <= TOLERANCE) & (self.error_estimate <= MAX_ERROR)
 
 
 class SampleSolver:
@@ -107,7 +108,7 @@ class SampleSolver:
     ) -> None:
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self._resistance_per_n = resistance_per_n
-        self._loaded = [*design.unit.layout.loaded]
+        self._loaded, self._finer = [*design.unit.layout.loaded], FINER[design.is_homogeneous]
         coarse, fine = GRIDS[design.is_homogeneous]
         self.coarse, self.fine = PreloadedArray(design, *coarse), PreloadedArray(design, *fine)
         self._piezo = Piezoresistivity.of(design.electrics)
@@ -144,7 +145,7 @@ class SampleSolver:
         if not on.any():
             return coarse, on, None
         start = self._on_finer(preload, coarse.state.part(np.flatnonzero(on)))
-        return coarse, on, self.fine.base(preload).relaxed(force_n[on], TOLERANCE, FINER, start)
+        return coarse, on, self.fine.base(preload).relaxed(force_n[on], TOLERANCE, self._finer, start)
 
     def _on_finer(self, preload: float, state: State) -> FloatArray:
         """Steps (m, n) of `Linearised` from the preload on the finer grid to states of the coarse one.
