@@ -132,7 +132,8 @@ class SampleSolver:
     def _nearest(self, force_n: FloatArray) -> FloatArray:
         """The preload (m,) nearest to the middle of the pressures of samples (m, k, 3) [N]."""
         middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
-        return np.where(middle < np.mean(self._preloads_mpa), *self._preloads_mpa)
+        low, high = self._preloads_mpa
+        return np.where(middle < (low + high) / 2, low, high)
 
     @cached_property
     def _preloads_mpa(self) -> FloatArray:

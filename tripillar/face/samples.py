@@ -97,7 +97,8 @@ def dataset(
     correct : bool
         Correct the crossbar's crosstalk, as a live sensor does.
     strain : str, optional
-        Model: linear, or finite strain (neo-Hookean, stiff pads); default: the design's materials'.
+        Model: linear, or finite strain (stiff pads; linear rubber is taken for neo-Hookean); default: the design's
+        materials'.
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
