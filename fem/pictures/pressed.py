@@ -27,7 +27,7 @@ from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres
 
 FIRST_STEP = 0.25  #: of the load: what there is to show where the search is stopped
-PER_SOLVE = 40.0  #: time of a search over that of a linear solve, measured on one rubber and two
+PER_SOLVE = 20.0  #: time of a search over that of a linear solve, measured on one rubber and two
 SAME_MM = 1e-9  #: between a mirror plane and a line in it
 
 
@@ -96,14 +96,14 @@ def pressed_array(
     """
     watch = watch or Watch()
     cell = solve_array_field(design, watch.progress)
-    x, y, z = design.pad.offset_x_mm, design.pad.offset_y_mm, design.unit.height_mm
+    middle = np.array([[design.pad.offset_x_mm, design.pad.offset_y_mm, design.unit.height_mm]])
     found: FiniteArrayField | None = None
     for lines, name in zip(GRIDS[design.is_homogeneous], ("coarse grid", "finer grid"), strict=True):
         grid = _part(array_grid(design, *lines), mirrors)
         linear, start = System(array_body(design, grid, "linear"), loads, mirrors), process_time()
         solved, _ = checked_solve(Factor(linear.rest_matrix(), definite=True, upper=True), linear.full_loads)
         moved, seconds = linear.displaced(solved)[0], PER_SOLVE * (process_time() - start)
-        watch.say(f"{name}: {linear.n_unknowns:,} unknowns, about {seconds:.2g} s of processor time; Ctrl-C ends it")
+        watch.say(f"{name}: {linear.n_unknowns:,} unknowns, about {seconds:.2g} s of processor time")
 
         def at(reached: float, iterations: int, name: str = name) -> None:
             if watch.is_stopped():
@@ -115,10 +115,10 @@ def pressed_array(
         except Stopped:
             if found is None:
                 raise
-            watch.say("stopped: the coarse grid's answer is shown")
+            watch.say("stopped: all of the load is shown, as the coarse grid has it")
             return found
         u = last.state.u
-        share = float((u * moved).sum() / (moved**2).sum())
+        share = float((u * moved).sum() / ((moved**2).sum() or 1.0))
         field, other = (unfolded(grid, linear.body, mirrors, [((1, 1), one)]) for one in (u, moved))
         before = found
         found = FiniteArrayField(
@@ -130,7 +130,7 @@ def pressed_array(
             watch.say(f"stopped: {last.load_factor:.0%} of the load is shown, as the coarse grid has it")
             break
         if before is not None:
-            one, two = (field.observe([[x, y, z]]).displacement_mm(field.state) for field in (before, found))
+            one, two = (field.observe(middle).displacement_mm(field.state) for field in (before, found))
             error = float(np.linalg.norm(two - one) / np.linalg.norm(two))
             watch.say(f"finite strain, right to about {error:.1%} of the pads' displacement")
     assert found is not None
