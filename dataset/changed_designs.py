@@ -32,7 +32,7 @@ class Answers:
 def answers(
     response: ArrayResponse, sensitivities: ResponseSensitivities, force_n: FloatArray, other: SensorDesign
 ) -> Answers:
-    """Answers of a design near the response's, of stiff pads on one rubber, or of that itself; kept in the cache.
+    """Answers of a design near the response's, of stiff pads, or of that itself; kept in the cache.
 
     The response's derivatives say the linear one of the other design. Loads (m, k, 3) [N] are along x, y, z; z negative
     pushes down.

@@ -1,4 +1,4 @@
-"""Samples at finite strain: stiff pads on neo-Hookean rubber, solved in groups of a fixed size.
+"""Samples at finite strain: stiff pads on rubber of its own law, solved in groups of a fixed size.
 
 A group is drawn and solved as a whole, with random generators of its own. So a sample depends on the seed and its
 number alone, not on how many are made with it, and groups can be made in any order, by any process, and kept.
@@ -25,7 +25,7 @@ from fem.finite.samples import SampleSolver
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
-METHOD = 9  #: raise when the same settings give other samples
+METHOD = 10  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled
@@ -72,8 +72,11 @@ def require_finite(design: SensorDesign) -> None:
             "finite strain needs stiff pads: a uniform traction of fixed direction on soft rubber has no equilibrium "
             'from about half of its Young\'s modulus on. Write [pad] kind = "stiff" in the design.'
         )
-    if not design.is_homogeneous:
-        raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
+    if design.electrics.is_conduction and not design.is_homogeneous:
+        raise DesignError(
+            "conduction at finite strain takes arrays of one rubber so far: give the pillars the matrix's, or write "
+            "model = 'eq1' in [electrics]."
+        )
 
 
 class GroupSolver:

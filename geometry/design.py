@@ -333,10 +333,15 @@ def lone_unit(design: SensorDesign) -> SensorDesign:
 
 
 def bent(design: SensorDesign) -> SensorDesign:
-    """What bends of a sensor: no references, resistivity or contacts of its own, rubber that remembers nothing."""
+    """What bends of a sensor at small strain: no references, resistivity or contacts of its own, linear rubber."""
     electrics = replace(design.electrics.by_four_wires, temperature_coefficient=0.0)
-    settled = design.pillar_material.settled
-    return replace(design, unit=design.unit.body, resistivity_ohm_mm=1.0, electrics=electrics, pillar_material=settled)
+    settled = replace(design, pillar_material=design.pillar_material.settled)
+    return replace(at_rest(settled), unit=design.unit.body, resistivity_ohm_mm=1.0, electrics=electrics)
+
+
+def at_rest(design: SensorDesign) -> SensorDesign:
+    """The same sensor with the tangent at rest of its rubbers, which is linear rubber of the same E and ν."""
+    return with_model(design, "linear")
 
 
 def with_model(design: SensorDesign, model: str) -> SensorDesign:

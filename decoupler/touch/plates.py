@@ -21,7 +21,7 @@ from common.storage.files import digest
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
 from fem.contact.surface import N_LOADS, moved_by_wrenches
-from geometry.design import SensorDesign, bent
+from geometry.design import SensorDesign, at_rest, bent
 from geometry.layout import FloatArray
 
 VERSION = 3  #: raise when the same design gives another response, so that cached ones are not reused
@@ -54,7 +54,7 @@ def plate_response(
 
     `progress` and errors as of `surface_compliance`.
     """
-    solved = design if design.electrics.is_conduction else bent(design)
+    solved = at_rest(design) if design.electrics.is_conduction else bent(design)
     cache_key = digest("plates", VERSION, solved)
 
     def make() -> PlateResponse:

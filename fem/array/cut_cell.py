@@ -10,9 +10,10 @@ from itertools import product
 import numpy as np
 
 from fem.array.cell import CondensedCell, Free, condense
-from fem.array.design_cell import ORDER, WEIGHTS, Asked, DesignCell, Difference, RefinedCell, Stage, functionals
+from fem.array.design_cell import WEIGHTS, Asked, DesignCell, Difference, RefinedCell, Stage, functionals
 from fem.kernel.elements import Basis, hexahedra
 from fem.kernel.kinks import KinkedRubber
+from fem.kernel.mixed import ORDER
 from fem.kernel.system import System
 from fem.levels import richardson_factor
 from fem.meshes.grid import Grid

@@ -16,11 +16,11 @@ from skfem import MeshTet
 
 from fem.array.cell import CellSides, CondensedCell, Free, PortModes, condense
 from fem.array.coupled_cells import Kinds, places
-from fem.kernel.elements import Basis, hexahedra
 from fem.kernel.field import Field, Places
 from fem.kernel.law import LAWS
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.kernel.mirrors import QUARTER, Mirror
+from fem.kernel.mixed import mixed_rubber
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.levels import richardson_factor
@@ -30,7 +30,7 @@ from fem.meshes.tetrahedra import Tetrahedra
 from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.scene.tetrahedra import AdaptedTetrahedra
-from geometry.design import Material, SensorDesign, lone_unit
+from geometry.design import Material, SensorDesign, at_rest, lone_unit
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh, suited_settings
 
@@ -52,7 +52,6 @@ WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 
 #: of a homogeneous cell: electrodes of the paper's sensor err by 0.6 % (level 3: 0.3 %, in four times the time); with
 #: degree 8 it changes a contact's forces at a rim by 0.2 %
 GRID_LEVEL, GRID_DEGREE = 2, 6
-ORDER = 2  #: of a grid's elements
 MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
 CAD_LEVEL = 0.5  #: edges of the coarsest mesh of CAD solids, relative to `suited_settings`: half as fine
 PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
@@ -134,21 +133,7 @@ def grid_system(
     Points of integration have shares (n_rubbers, nx, ny, nz) of the rubbers between `quadrature_lines`; without them
     all is of the first.
     """
-    grid, (element, pressure) = Grid(lines), hexahedra(ORDER)
-    basis = Basis(grid.mesh, element)
-    mixed = np.ones((1, grid.mesh.nelements, 1))
-    if shares is not None:
-        places = basis.mapping.F(basis.X)
-        x, y, z = (np.searchsorted(quadrature_lines(line), at) - 1 for line, at in zip(lines, places, strict=True))
-        mixed = shares[:, x, y, z]
-    body = Rubber(basis, pressure, LAWS["linear"].of(rubbers[: len(mixed)], mixed))
-    return System(body, plate_on(plate), mirrors)
-
-
-def quadrature_lines(lines: FloatArray) -> FloatArray:
-    """Lines of a grid along an axis, and those between the boxes that its points of integration stand for."""
-    ends = np.concatenate([[0.0], np.cumsum(np.polynomial.legendre.leggauss(ORDER + 1)[1]) / 2])
-    return np.append((lines[:-1, None] + np.diff(lines)[:, None] * ends[:-1]).ravel(), lines[-1])
+    return System(mixed_rubber(Grid(lines), LAWS["linear"], rubbers, shares), plate_on(plate), mirrors)
 
 
 def functionals(design: SensorDesign) -> FloatArray:
@@ -201,8 +186,9 @@ class DesignCell:
 
     A level of a grid divides its edges. That of tetrahedra counts how often the coarsest mesh was halved where it errs:
     for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.scene.tetrahedra`). That mesh is
-    of prisms, or of the solids of CAD. Rectangles (k, 4) are loaded or observed of the cell's top face, by default the
-    `functionals`; a stiff pad's plate is bonded to it unless `has_plate` says otherwise.
+    of prisms, or of the solids of CAD. Rubber of whatever law is taken by its tangent at rest. Rectangles (k, 4) are
+    loaded or observed of the cell's top face, by default the `functionals`; a stiff pad's plate is bonded to it unless
+    `has_plate` says otherwise.
     """
 
     def __init__(
@@ -212,7 +198,7 @@ class DesignCell:
         from_cad: bool = False,
         has_plate: bool = True,
     ) -> None:
-        self.design, self.from_cad = design, from_cad
+        self.design, self.from_cad = at_rest(design), from_cad
         self.squares = functionals(design)
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None

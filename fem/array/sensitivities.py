@@ -27,9 +27,9 @@ from fem.array.design_cell import (
     functionals,
     grid_system,
     pad_plate,
-    quadrature_lines,
 )
 from fem.array.solving import ResponseSettings, array_response, response_cache_key
+from fem.kernel.mixed import quadrature_lines
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from geometry.shares import pillar_shares

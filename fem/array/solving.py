@@ -58,8 +58,9 @@ def array_response(
 
     `progress` is called with the name of each step as it begins. Returns the response, its file, and whether it was
     there already; where the cache cannot be written to, the file is missing. Only what bends the body counts: another
-    resistivity or a reference finds the same file. A `DesignError` says what a method is no model of, a `GeometryError`
-    or `SolverError` that the mesh or an answer cannot be trusted.
+    resistivity or a reference finds the same file. Rubber of another law has the response of its tangent at rest. A
+    `DesignError` says what a method is no model of, a `GeometryError` or `SolverError` that the mesh or an answer
+    cannot be trusted.
     """
     settings = (settings or ResponseSettings()).suited(design)
     cache_key = response_cache_key(design, settings)
@@ -88,12 +89,7 @@ def solve_response(
     With `cached` a condensed cell, and the displacements under conduction, may come from the cache, and are left there:
     arrays of another size are made of the cell.
     """
-    settings, model = (settings or ResponseSettings()).suited(design), design.matrix_material.model
-    if model != "linear":
-        raise DesignError(
-            f"the influence matrix is of linear rubber, this design's is {model}: write model = 'linear' in both its "
-            "materials, or solve it as a scene."
-        )
+    settings = (settings or ResponseSettings()).suited(design)
     if settings.method == "layer" and design.electrics.is_conduction:
         raise DesignError(
             "method 'layer' gives electrodes alone, conduction needs the strain in the pillars: take "

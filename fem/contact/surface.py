@@ -181,19 +181,14 @@ def endless_surface(design: SensorDesign) -> SurfaceCompliance:
 
 
 def require_bare(design: SensorDesign) -> None:
-    """Refuse a design whose top is not bare linear rubber, or has too many tiles."""
+    """Refuse a design whose top is not bare rubber, or has too many tiles."""
     if design.pad.kind == "stiff":
         raise DesignError("this asks for bare rubber, these pads are stiff plates: write kind = 'soft'.")
     require_pressable(design)
 
 
 def require_pressable(design: SensorDesign) -> None:
-    """Refuse a design whose rubber is not linear, whose loads must be on pads, or whose top has too many tiles."""
-    model = design.matrix_material.model
-    if model != "linear":
-        raise DesignError(
-            f"contact by shape is solved at small strain, this rubber is {model}: write model = 'linear'."
-        )
+    """Refuse a design whose loads must be on pads, or whose top has too many tiles."""
     if design.electrics.is_conduction and design.pad.kind == "soft":
         raise DesignError("conduction under contact takes plates: write kind = 'stiff' in [pad], or model = 'eq1'.")
     number = 3 * design.n_units * tiles_per_pitch(design) ** 2
@@ -211,7 +206,8 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     source = DesignCell(design, cell_rectangles(design))
     own = plain = own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
-        matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), [design.matrix_material])
+        rubbers = [source.design.matrix_material]
+        matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), rubbers)
         plain = CellSides.of(System(matrix), source.rectangles).cell(MESH_DEGREE)
     elif source.plate is not None:
         plain = _extrapolated(DesignCell(design, source.rectangles, has_plate=False))

@@ -17,38 +17,33 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from common.errors import DesignError
 from common.storage.cache import kept_value
 from common.storage.files import digest
 from fem.conduction.potentials import Piezoresistivity, unit_conductances
 from fem.conduction.reduced import Deformations, ReducedConduction, mended, reduced_conduction
-from fem.kernel.elements import hexahedra
-from fem.kernel.factor import Factor
-from fem.kernel.field import rows_at, slopes_at
-from fem.kernel.loads import StiffLoad
-from fem.kernel.newton import Linearised, Relaxed, Unwanted, find_equilibrium
-from fem.kernel.plates import skew, spins
+from fem.finite.preloaded import PRELOADS, TOLERANCE, PreloadedArray
+from fem.kernel.field import rows_at
+from fem.kernel.newton import Relaxed
+from fem.kernel.plates import spins
 from fem.kernel.reference import IntArray, tabulated
-from fem.kernel.rubber import Rubber
-from fem.kernel.system import State, System
-from fem.meshes.grid import Grid
+from fem.kernel.system import State
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres, upper_electrodes
+from geometry.layout import FloatArray, pillar_vectors, pillar_volumes, unit_centres
 
-PRELOADS_MPA = (0.0, 2.0)  #: uniform pressures from whose tangents samples are solved
-TOLERANCE = 5e-5  #: relative change of the pads' motion by an iteration at which a sample ends
-#: most iterations on the finer grid: where rubber at pads' edges needs more, the answer is left as it is, and what it
-#: may be off by of the last change is stated
-FINER, STALLED = 5, 4.0
-MAX_ITERATIONS = 16  #: on the coarse grid with one tangent
-RENEWALS = 2  #: of the tangent, of samples that have not settled then
+#: most iterations on the finer grid, of one rubber and of two: where rubber at pads' edges needs more, the answer is
+#: left as it is, and what it may be off by of the last change is stated
+FINER, STALLED = {True: 5, False: 10}, 4.0
+MAX_ERROR = 0.1  #: estimated, of a sample: there elements at plates' edges collapse, and the finer grid has no answer
 AT_ONCE = 8  #: samples solved together, which bounds the memory
-#: lines of the grids, as shares of the pad and of the height
-COARSE = (0.5, 1.0), (0.5, 1.0)
-FINE = (0.2, 0.8, 1.0), (0.2, 0.8, 1.0)
+#: lines of the coarse grid and of the finer one, as shares of the pad and of the height; of one rubber and of two
+GRIDS = {
+    True: (((0.5,), (0.5, 1.0)), ((0.2, 0.8), (0.2, 0.8, 1.0))),
+    False: (((0.5,), (0.5, 1.0)), ((0.4, 0.8), (1 / 3, 2 / 3, 1.0))),
+}
 #: error of the finer grid over the difference of both, from pairs of units at strains of 0.1 to 0.3 on a grid of eight
 #: times the elements; and how much of the difference may be left after it is subtracted, as in arrays of 3 × 3 units
 EXTRAPOLATED, LEFT = 0.15, 0.4
+LEFT_OF_TWO = 0.5  #: the same of two rubbers, of matrices 6 and 121 times as soft as the pillars, 1 × 1 and 2 × 2 units
 #: the same of ratios of resistances, from arrays of 2 × 2 units at strains to 0.3 and whole conduction on such a grid
 RATIO_EXTRAPOLATED, RATIO_LEFT = 0.2, 0.45
 PROBE_N = 0.1  #: force on a pad by which resistances are differentiated: strains of 1e-4, errors of their square
@@ -61,106 +56,6 @@ REDUCED_ERROR = 2e-3  #: largest relative error of a resistance by few potential
 
 #: displacements (m, k, n_upper, 3) of electrodes to booleans (m,): of samples that need no answer
 UnwantedMotion = Callable[[FloatArray], NDArray[np.bool_]]
-
-
-def array_grid(design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> Grid:
-    """The whole slab, with lines along the pads' edges, between units, and at shares of each pad and of the height."""
-    pitch, size = design.array.pitch_mm, design.pad.size_mm
-    lines = [design.unit.height_mm * np.array([0.0, *height])]
-    for count, offset in ((design.array.rows, design.pad.offset_y_mm), (design.array.cols, design.pad.offset_x_mm)):
-        low = pitch / 2 + offset - size / 2
-        unit = np.unique(np.round([low, *(low + size * share for share in pad), pitch], 9))
-        lines.append(np.concatenate([[0.0], *(unit + k * pitch for k in range(count))]) - count * pitch / 2)
-    return Grid(lines[::-1])
-
-
-class PreloadedArray:
-    """An array of k units of one rubber on one grid, its lines as of `array_grid`."""
-
-    def __init__(self, design: SensorDesign, pad: tuple[float, ...], height: tuple[float, ...]) -> None:
-        self.design, self.grid = design, array_grid(design, pad, height)
-        rubber = replace(design.matrix_material, model="neo-hookean")
-        self.body = Rubber.of(self.grid.mesh, hexahedra(2), [rubber])
-        offset = [design.pad.offset_x_mm, design.pad.offset_y_mm, 0.0]
-        #: of the electrodes on their plates, (n_upper, 3)
-        self.arm = upper_electrodes(design.unit) * (1.0, 1.0, 0.0) - offset
-        self._bases: dict[float, Linearised] = {}
-
-    def base(self, preload_mpa: float) -> Linearised:
-        """The equilibrium under a uniform pressure on all pads, found once; `UnreachableLoadError` if there is none."""
-        if preload_mpa not in self._bases:
-            down = -preload_mpa * self.design.pad.size_mm**2
-            system = self.system(np.tile([0.0, 0.0, down], (self.design.n_units, 1)))
-            factor = system.new_factor()
-            self._bases[preload_mpa] = Linearised.at(system, find_equilibrium(system, factor).state, factor)
-        return self._bases[preload_mpa]
-
-    def system(self, force_n: FloatArray) -> System:
-        """The array under forces (k, 3) on its pads [N]."""
-        pad = self.design.pad
-        middles = unit_centres(self.design) + np.array([pad.offset_x_mm, pad.offset_y_mm])
-        loads = [
-            StiffLoad(center_mm=(x, y), size_mm=(pad.size_mm, pad.size_mm), force_n=(fx, fy, fz))
-            for (x, y), (fx, fy, fz) in zip(middles.tolist(), force_n.tolist(), strict=True)
-        ]
-        return System(self.body, loads)
-
-    def electrodes(self, state: State) -> FloatArray:
-        """Displacements (m, k, n_upper, 3) [mm] of the electrodes in m states."""
-        moved = np.einsum("mkij,ej->mkei", state.turn, self.arm)
-        return np.asarray(state.shift[:, :, None] + moved)
-
-    @cached_property
-    def influence(self) -> FloatArray:
-        """Linear displacement of the electrodes per newton on each pad, (3 n_upper k, 3 k) [mm/N]."""
-        moved = self.linear(np.eye(3 * self.design.n_units))
-        return np.asarray(self.electrodes(moved).reshape(len(moved.u), -1).T)
-
-    def linear(self, force_n: FloatArray) -> State:
-        """Linear motions of the array at rest under forces (m, 3 k) on its pads [N]."""
-        rest, k = self.base(0.0), self.design.n_units
-        loads = np.zeros((len(force_n), rest.system.n_blocks, 3))
-        loads[:, -2 * k : -k] = force_n.reshape(len(force_n), k, 3)
-        (change, _), n = rest.changes(loads, np.zeros(1)), len(rest.system.free)
-        u = rest.system.nodal_change(rest.state.rotation, change)
-        spin = change[:, n + k :] / rest.system.plates.half_mm[:, None]
-        return State(u=u, p=np.zeros(0), shift=change[:, n : n + k], turn=skew(spin))
-
-    def forces_of(self, moved: FloatArray) -> FloatArray:
-        """Forces (m, 3 k) [N] that move the linear array most nearly by displacements (m, k, n_upper, 3) [mm]."""
-        return np.asarray(moved.reshape(len(moved), -1) @ self._inverse.T)
-
-    @cached_property
-    def _inverse(self) -> FloatArray:
-        return np.asarray(np.linalg.pinv(self.influence))
-
-    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
-        """Rows (3 n, n_nodes) of `slopes_at` at points (n, 3) [mm]."""
-        return slopes_at(self.body, *self.grid.located(points_mm))
-
-    def solve(self, preload_mpa: float, force_n: FloatArray, unwanted: Unwanted) -> Relaxed:
-        """Equilibria of samples under forces (m, k, 3) [N], by the tangent of a preload and, if need be, their own.
-
-        Samples that are not wanted keep the change they had.
-        """
-        base = self.base(preload_mpa)
-        found = base.relaxed(force_n, TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
-        for number in np.flatnonzero(found.change > TOLERANCE):
-            own = slice(number, number + 1)
-            for _ in range(RENEWALS):
-                if found.change[number] <= TOLERANCE or unwanted(found.state.part(np.array([number])))[0]:
-                    break
-                about = Linearised.at(base.system, found.state.part(int(number)), self._factor)
-                last = about.relaxed(force_n[own], TOLERANCE, MAX_ITERATIONS, unwanted=unwanted)
-                for name, values in vars(last.state).items():
-                    getattr(found.state, name)[own] = values
-                found.change[own] = last.change
-                found.iterations[own] += last.iterations
-        return found
-
-    @cached_property
-    def _factor(self) -> Factor:
-        return next(iter(self._bases.values())).system.new_factor()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,16 +73,16 @@ class FiniteSamples:
     @property
     def settled(self) -> NDArray[np.bool_]:
         """Where it is an answer, (m,)."""
-        return self.change <= TOLERANCE
+        return (self.change <= TOLERANCE) & (self.error_estimate <= MAX_ERROR)
 
 
 class SampleSolver:
-    """Finite-strain response of an array of one rubber whose pads are rigid plates.
+    """Finite-strain response of an array whose pads are rigid plates.
 
     Parameters
     ----------
     design : SensorDesign
-        Of one neo-Hookean rubber, or a `DesignError`.
+        Of one rubber or two, of its own law; linear rubber is taken for neo-Hookean.
     influence_mm_per_n : array, shape (k, n_upper, 3, k, 3), optional
         Linear response of the electrodes by a much finer grid, per newton on each pad; None leaves each grid its own.
     resistance_per_n : array, shape (k, n_pillars, k, 3), optional
@@ -211,17 +106,11 @@ class SampleSolver:
         unwanted: UnwantedMotion | None = None,
         typical: SensorDesign | None = None,
     ) -> None:
-        if not design.is_homogeneous:
-            raise DesignError("finite strain takes arrays of one rubber so far: give the pillars the matrix's.")
-        if (model := design.matrix_material.model) in ("mooney-rivlin", "yeoh"):
-            raise DesignError(
-                f"model='{model}' is for scenes: samples are solved of neo-Hookean rubber only so far; write "
-                "model = 'neo-hookean'."
-            )
         self.design, self._influence, self._unwanted = design, influence_mm_per_n, unwanted
         self._resistance_per_n = resistance_per_n
-        self._loaded = [*design.unit.layout.loaded]
-        self.coarse, self.fine = PreloadedArray(design, *COARSE), PreloadedArray(design, *FINE)
+        self._loaded, self._finer = [*design.unit.layout.loaded], FINER[design.is_homogeneous]
+        coarse, fine = GRIDS[design.is_homogeneous]
+        self.coarse, self.fine = PreloadedArray(design, *coarse), PreloadedArray(design, *fine)
         self._piezo = Piezoresistivity.of(design.electrics)
         self._reduced = typical_conduction(typical or design) if design.electrics.is_conduction else None
 
@@ -233,7 +122,7 @@ class SampleSolver:
         """
         m, found = len(force_n), dict[str, Any]()
         nearest = self._nearest(force_n)
-        for preload in PRELOADS_MPA:
+        for preload in self._preloads_mpa:
             own = np.flatnonzero(nearest == preload)
             for some in np.split(own, range(AT_ONCE, len(own), AT_ONCE)) if len(own) else []:
                 for name, values in vars(self._together(preload, force_n[some])).items():
@@ -243,7 +132,12 @@ class SampleSolver:
     def _nearest(self, force_n: FloatArray) -> FloatArray:
         """The preload (m,) nearest to the middle of the pressures of samples (m, k, 3) [N]."""
         middle = -(force_n[..., 2].min(axis=1) + force_n[..., 2].max(axis=1)) / 2 / self.design.pad.size_mm**2
-        return np.where(middle < np.mean(PRELOADS_MPA), *PRELOADS_MPA)
+        low, high = self._preloads_mpa
+        return np.where(middle < (low + high) / 2, low, high)
+
+    @cached_property
+    def _preloads_mpa(self) -> FloatArray:
+        return self.coarse.young_mpa * np.array(PRELOADS)
 
     def _solved(self, preload: float, force_n: FloatArray) -> tuple[Relaxed, NDArray[np.bool_], Relaxed | None]:
         """Samples on the coarse grid, which of them have settled, and these on the finer one."""
@@ -252,7 +146,7 @@ class SampleSolver:
         if not on.any():
             return coarse, on, None
         start = self._on_finer(preload, coarse.state.part(np.flatnonzero(on)))
-        return coarse, on, self.fine.base(preload).relaxed(force_n[on], TOLERANCE, FINER, start)
+        return coarse, on, self.fine.base(preload).relaxed(force_n[on], TOLERANCE, self._finer, start)
 
     def _on_finer(self, preload: float, state: State) -> FloatArray:
         """Steps (m, n) of `Linearised` from the preload on the finer grid to states of the coarse one.
@@ -289,7 +183,8 @@ class SampleSolver:
             difference = answers - rough[on]
             moved[on] = answers + EXTRAPOLATED * difference
             size = np.maximum(_norms(moved[on]), 1e-300)
-            left[on] = np.hypot(LEFT * _norms(difference) / size, STALLED * fine.change)
+            part = LEFT if self.design.is_homogeneous else LEFT_OF_TWO
+            left[on] = np.hypot(part * _norms(difference) / size, STALLED * fine.change)
         if fine is not None and self._reduced is not None:
             less, sound = self._ratios(self.coarse, coarse.state.part(np.flatnonzero(on)))
             more, whole = self._ratios(self.fine, fine.state)
@@ -409,7 +304,7 @@ def _typical_deformations(design: SensorDesign) -> Deformations:
     force_n[..., 0] = FRICTION * share * np.cos(angle) * force_n[..., 2]
     force_n[..., 1] = FRICTION * share * np.sin(angle) * force_n[..., 2]
     solver = SampleSolver(design)
-    fields = solver.fields(force_n * (design.matrix_material.young_mpa * design.pad.size_mm**2))
+    fields = solver.fields(force_n * (solver.coarse.young_mpa * design.pad.size_mm**2))
 
     def deformations(points_mm: FloatArray, pillar: IntArray, weight_mm3: FloatArray) -> Iterator[FloatArray]:
         for centre in unit_middles(design):

@@ -17,6 +17,7 @@ iterations diverge at large loads; Anderson's acceleration takes of the last one
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,14 @@ PRESSURE_MM_PER_MPA = 0.02  #: weight of pressures beside displacements where ch
 AT_ONCE = 40_000  #: points of integration whose stress is worked on at a time: more would leave the cache
 NEARLY = 0.1  #: change below which displacements tell whether a sample is wanted at all
 
+#: of the load factor that is reached and of the iterations of the next step so far; may raise `Stopped`
+Seen = Callable[[float, int], None]
 LoadPath = list[tuple[float, float, float]]  #: fractions of the full load f, g = f · u there [mJ], and its slope
 Unwanted = Callable[[State], NDArray[np.bool_]]  #: states of m samples to booleans (m,): of those that need no answer
+
+
+class Stopped(Exception):  # no error: it is asked for
+    """Raised by who watches a search, to have the last load step that converged."""
 
 
 class UnreachableLoadError(SolverError):
@@ -71,6 +78,7 @@ class Equilibrium:
     steps: int = 0  #: load steps that converged
     stored_mj: float = 0.0  #: energy in the rubber
     work_mj: float = 0.0  #: of the loads; NaN where they have no potential
+    load_factor: float = 1.0  #: below 1 where the search was stopped
 
     @property
     def is_found(self) -> bool:
@@ -230,21 +238,31 @@ def _work(path: LoadPath) -> float:
     return float(s[-1] * g[-1] - below.sum())
 
 
-def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibrium:
+def find_equilibrium(
+    system: System, factor: Factor | None = None, first_step: float = 1.0, seen: Seen = lambda reached, iterations: None
+) -> Equilibrium:
     """Load a body from rest to its full loads.
 
-    A factor of the system's tangents can be used again; it is left with the last one. An `UnreachableLoadError` says
-    which load was reached, the place that gave way, and what would help.
+    A factor of the system's tangents can be used again; it is left with the last one. `seen` is called before every
+    iteration, from a first load step of this size; where it raises `Stopped` after a step that converged, the answer is
+    that step's. An `UnreachableLoadError` says which load was reached, the place that gave way, and what would help.
     """
     factor = factor or system.new_factor()
-    state, reached, step = system.rest(), 0.0, 1.0
+    state, reached, step = system.rest(), 0.0, first_step
     found, path = Equilibrium(state=state, residual=0.0, least_j=1.0, iterations=0, is_stable=True), LoadPath()
     if system.misfit(state, 1.0).size == 0.0:
         return found
     iterations = steps = 0
     while reached < 1.0:
         step = min(step, 1.0 - reached)
-        found = _equilibrium_at(system, factor, state, reached + step, path)
+        last = found
+        try:
+            found = _equilibrium_at(system, factor, state, reached + step, path, partial(seen, reached))
+        except Stopped:
+            if not reached:
+                raise
+            found = replace(last, load_factor=reached)
+            break
         iterations += found.iterations
         is_reached = found.is_found
         if is_reached:
@@ -255,6 +273,7 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
             step /= 2
             if step < MIN_STEP:
                 raise _refusal(system, reached, found)
+            found = last
             continue
         reached, state, path = reached + step, found.state, ahead
         steps, step = steps + 1, 2 * step
@@ -262,13 +281,16 @@ def find_equilibrium(system: System, factor: Factor | None = None) -> Equilibriu
     return replace(found, iterations=iterations, steps=steps, stored_mj=stored, work_mj=work)
 
 
-def _equilibrium_at(system: System, factor: Factor, state: State, load_factor: float, path: LoadPath) -> Equilibrium:
+def _equilibrium_at(
+    system: System, factor: Factor, state: State, load_factor: float, path: LoadPath, seen: Callable[[int], None]
+) -> Equilibrium:
     """Newton's method at one load, from a state in equilibrium with a smaller one; begins the path with its slope."""
     misfit = system.misfit(state, load_factor)
     start, before = misfit.residual, np.inf
     tangent: Linearised | None = None
     is_stable: bool | None = None
     for iteration in range(MAX_ITERATIONS + 1):
+        seen(iteration)
         rested = _rested(system, state, load_factor, RESTED * misfit.size)
         if rested is not state:
             state, misfit = rested, system.misfit(rested, load_factor)

@@ -2,21 +2,19 @@
 
 Of linear rubber the array is never meshed. One cell is solved for every port mode and every pad force, the copies are
 coupled as for the response, and what is observed at points of the cell follows for all units by one matrix product. At
-finite strain nothing is superposed: every load is solved for itself, on the coarsest grid that is right to 2 % as
-estimated.
+finite strain every load is solved for itself (`pressed.py`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from common.errors import DesignError, SceneError
+from common.errors import DesignError
 from fem.array.coupled_cells import CoupledArray
 from fem.array.design_cell import CellInterior, DesignCell
-from fem.kernel.field import Field
 from fem.kernel.loads import FollowerLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import SensorDesign, lone_unit
@@ -140,35 +138,6 @@ def solve_array_field(
     coupled = CoupledArray(interior.cell, design.array.rows, design.array.cols)
     return ArrayField(
         design=design, rectangles_mm=rectangles, interior=interior, coupled=coupled, has_plates=cell.plate is not None
-    )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FiniteArrayField:
-    """An array under one load at finite strain, seen as an `ArrayField` is."""
-
-    design: SensorDesign
-    rectangles_mm: FloatArray  #: (k, 4): what is loaded on each cell
-    force_n: FloatArray  #: (n_units, k·3)
-    has_plates: bool  #: whether those are rigid plates
-    field: Field = field(repr=False)  #: of the whole slab
-
-    @property
-    def state(self) -> FieldState:
-        """The array's only state."""
-        return FieldState(force_n=self.force_n, port_mm=np.zeros((len(self.force_n), 0)))
-
-    def observe(self, points_mm: FloatArray, region: int | None = None) -> Observer:
-        """Choose points of the cell to look at; the region makes no difference to displacement."""
-        places = np.pad(unit_centres(self.design), ((0, 0), (0, 1)))[:, None] + np.atleast_2d(points_mm)
-
-        return Observer(lambda _: self.field.displacement_at(places.reshape(-1, 3)).reshape(places.shape), no_stress)
-
-
-def no_stress(state: FieldState | None = None) -> NoReturn:
-    """Refuse pictures of stress at finite strain."""
-    raise SceneError(
-        "stress at finite strain is not drawn yet: show displacement or vertical, and save .png, .html or .mp4."
     )
 
 

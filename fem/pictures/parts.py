@@ -22,17 +22,11 @@ from fem.kernel.loads import Rectangle
 from fem.kernel.mirrors import parities
 from fem.kernel.reference import tabulated
 from fem.kernel.system import System
-from fem.methods.cell_scene import design_of_cells, forces_on_cells
+from fem.methods.cell_scene import design_of_cells, forces_on_cells, has_alike_plates
 from fem.methods.plan import Plan, make_plan
 from fem.methods.solving import follow
-from fem.pictures.arrays import (
-    FINITE_TOLERANCE,
-    ArrayField,
-    FieldState,
-    FiniteArrayField,
-    no_stress,
-    solve_array_field,
-)
+from fem.pictures.arrays import FINITE_TOLERANCE, ArrayField, FieldState, solve_array_field
+from fem.pictures.pressed import FiniteArrayField, Watch, no_stress, pressed_array
 from fem.scene.scene import Scene, Sensor
 from geometry.design import Unit, lone_unit
 from geometry.layout import FloatArray, electrode_centres, pad_squares, unit_centres
@@ -213,9 +207,7 @@ def _on_units(
     return under
 
 
-def solve_scene_parts(
-    scene: Scene, stress: bool, progress: Callable[[str], None] = lambda step: None
-) -> dict[str, Part]:
+def solve_scene_parts(scene: Scene, stress: bool, watch: Watch | None = None) -> dict[str, Part]:
     """Solve a scene and cut what is seen of it into parts.
 
     A unit or an array has pillars, matrix, electrodes and pads, these being the loaded rectangles. A block has
@@ -226,10 +218,12 @@ def solve_scene_parts(
     SceneError, GeometryError, SolverError
         If it cannot be solved.
     """
+    watch = watch or Watch()
+    progress = watch.progress
     if stress and not scene.is_linear:
         no_stress()
     if isinstance(scene.body, Sensor):
-        return sensor_parts(*_loaded_array(scene, scene.body, progress), stress)
+        return sensor_parts(*_loaded_array(scene, scene.body, watch), stress)
     progress("solve")
     field = scene_field(scene)
     progress("stress" if stress else "parts")
@@ -244,9 +238,7 @@ def solve_scene_parts(
     return {"inclusions": quadratic(field, inside, stress), "matrix": quadratic(field, ~inside, stress)}
 
 
-def _loaded_array(
-    scene: Scene, body: Sensor, progress: Callable[[str], None]
-) -> tuple[ArrayField | FiniteArrayField, FieldState]:
+def _loaded_array(scene: Scene, body: Sensor, watch: Watch) -> tuple[ArrayField | FiniteArrayField, FieldState]:
     """A scene's unit or array: by superposition on one cell, or at finite strain; unloaded it shows its pads."""
     design, local = body.design, dict[Rectangle, int]()
     force_n = forces_on_cells(scene, body, local).reshape(design.n_units, -1)
@@ -256,13 +248,19 @@ def _loaded_array(
     elif scene.is_linear:
         design = design_of_cells(scene, body)
     if scene.is_linear:
-        array = solve_array_field(design, progress, rectangles if local and not scene.stiff_loads else None)
+        array = solve_array_field(design, watch.progress, rectangles if local and not scene.stiff_loads else None)
         return array, array.under(force_n)
-    progress("solve")
-    has_plates, field = bool(scene.stiff_loads), scene_field(scene)
-    pressed = FiniteArrayField(
-        design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=has_plates, field=field
-    )
+    (x0, y0, x1, y1), has_plates = rectangles[0].tolist(), bool(scene.stiff_loads)
+    is_square = len(local) == 1 and np.isclose(x1 - x0, y1 - y0)
+    if is_square and (has_alike_plates(scene) or not has_plates):
+        pad = replace(design.pad, size_mm=x1 - x0, offset_x_mm=(x0 + x1) / 2, offset_y_mm=(y0 + y1) / 2)
+        own = replace(design, pad=replace(pad, kind="stiff" if has_plates else "soft"))
+        pressed = pressed_array(own, force_n, scene.loads, make_plan(scene, field=True).mirrors, watch)
+    else:
+        watch.progress("solve")
+        pressed = FiniteArrayField(
+            design=design, rectangles_mm=rectangles, force_n=force_n, has_plates=has_plates, field=scene_field(scene)
+        )
     return pressed, pressed.state
 
 

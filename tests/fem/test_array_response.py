@@ -19,7 +19,7 @@ from fem.array.solving import (
     response_cache_key,
     solve_response,
 )
-from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit
+from geometry.design import Array, Electrics, Material, Pad, SensorDesign, Unit, with_model
 from studies import bench
 
 UNIT = SensorDesign(array=Array(rows=1, cols=1))
@@ -117,13 +117,24 @@ def test_unrolling_keeps_offsets_and_rims():
     assert (whole[0, 0, :, :, 3, 0] == 0).all()
 
 
+def test_another_law_has_the_response_of_its_tangent_at_rest():
+    """That of linear rubber of the same E and ν, from the same file of the cache; the design stays what it is."""
+    soft = replace(UNIT, matrix_material=Material(young_mpa=3.0))
+    for design in (UNIT, soft):
+        own = with_model(design, "yeoh")
+        assert response_cache_key(own, ResponseSettings()) == response_cache_key(design, ResponseSettings())
+    settings = ResponseSettings(tolerance=2e-2)
+    linear, yeoh = (solve_response(one, settings) for one in (UNIT, with_model(UNIT, "yeoh")))
+    assert np.array_equal(yeoh.influence_mm_per_n, linear.influence_mm_per_n)
+    assert yeoh.design.matrix_material.model == "yeoh"
+
+
 @pytest.mark.parametrize(
     ("settings", "design"),
     [
         ({"tolerance": float("nan")}, {}),
         ({"method": "layer"}, {"pad": Pad(kind="stiff")}),
         ({"method": "layer"}, {"electrics": Electrics(model="conduction")}),
-        ({}, {"matrix_material": Material(model="neo-hookean")}),
     ],
 )
 def test_what_no_method_answers_is_refused(settings, design):

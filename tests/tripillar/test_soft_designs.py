@@ -72,14 +72,22 @@ def test_a_table_of_loads_is_a_protocol(house):
 
 
 def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(house):
-    """By its own load the top moves by a part of its height; by the paper's 3 MPa linear rubber would pass the base."""
+    """By its own load the top moves by a part of its height; by the paper's 3 MPa linear rubber would pass the base.
+
+    The most that can be drawn moves it by its height.
+    """
     done = house.tripillar("view", "soft.toml", "--save", "own.vtm", "--json")
     ((name, moved_mm),) = json.loads(done.stdout)["largest_displacement_mm"].items()
     assert float(name.split()[0]) < 0.1
     assert 0.5 < moved_mm < 0.4 * 10.0
     assert "the design does not bear the paper's 3 MPa; shown in the middle of its own range" in done.stderr
-    far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", "3")
+    refused = house.tripillar("view", "soft.toml", "--save", "far.vtm", "--pressure", "3")
+    assert refused.returncode == 2
+    most = re.search(r"farther than the 10 mm that it is high: draw at most (\S+) MPa, or write", refused.stderr)
+    assert most, refused.stderr
+    far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", most[1])
     (moved_mm,) = far["largest_displacement_mm"].values()
+    assert 9.0 < moved_mm <= 10.0
     assert f"and moved by {moved_mm / 10:.0%} of its height" in far["note"]
     paper = house.tripillar("view", "small.toml", "--save", "paper.vtm")
     assert paper.stdout.startswith("3 MPa at the indenter's middle")
@@ -92,6 +100,19 @@ def test_a_press_that_moves_the_top_by_more_than_a_fifth_of_its_height_is_warned
     for depth, is_far in (("1.0", False), ("2.1", True)):
         said = house.tripillar(*punch, "--depth", depth).stderr
         assert ("mm, over 0.2 of the slab's height of 10 mm" in said) == is_far, said
+
+
+def test_another_law_is_pressed_by_its_tangent_at_rest_which_is_said(house):
+    """The same contact as linear rubber's; the response says it, too."""
+    text = (house.folder / "soft.toml").read_text().replace("young_mpa", 'model = "neo-hookean"\nyoung_mpa')
+    (house.folder / "neo.toml").write_text(text)
+    ball = "press", "--shape", "sphere", "--radius", "10", "--depth", "0.5", "--json", "--design"
+    (linear, own) = (house.tripillar(*ball, f"{name}.toml") for name in ("soft", "neo"))
+    assert json.loads(own.stdout)["net_force_n"] == json.loads(linear.stdout)["net_force_n"]
+    told = "the contact of neo-hookean rubber is that of its tangent at rest; where the top moves by more than 0.2 of"
+    assert told in own.stderr
+    assert "tangent" not in linear.stderr
+    assert "tangent at rest" in house.tripillar("response", "--design", "neo.toml", "--out", "neo.nc").stderr
 
 
 def test_a_board_is_pressed_and_a_page_loaded_within_the_range(tmp_path):

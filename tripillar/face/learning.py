@@ -295,6 +295,12 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
     (stages.require_pressable if is_plated else stages.require_bare)(design)
+    if (model := design.matrix_material.model) != "linear":
+        caller.say(
+            f"warning: touches of {model} rubber are pressed on its tangent at rest; those that move the top by more "
+            f"than {stages.LARGE_SHARE:g} of the slab's height, {stages.LARGE_SHARE * design.unit.height_mm:g} mm, are "
+            "beyond it"
+        )
     if is_plated and shapes:
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."

@@ -125,8 +125,14 @@ def press(
         caller.say(
             f"warning: a pillar is strained by {strain:.0%}: linear strain ends near {STRAIN_CAP:.0%}; press less deep"
         )
+    model, least_mm = sensor.matrix_material.model, stages.LARGE_SHARE * sensor.unit.height_mm
+    if model != "linear":
+        caller.say(
+            f"warning: the contact of {model} rubber is that of its tangent at rest; where the top moves by more than "
+            f"{stages.LARGE_SHARE:g} of the slab's height, {least_mm:g} mm, finite strain tells"
+        )
     moved_mm = float(np.linalg.norm(contact.displacement_mm, axis=0).max())
-    if moved_mm > stages.LARGE_SHARE * sensor.unit.height_mm:
+    if moved_mm > least_mm:
         caller.say(
             f"warning: the top moves by {moved_mm:.3g} mm, over {stages.LARGE_SHARE:g} of the slab's height of "
             f"{sensor.unit.height_mm:g} mm: linear elasticity holds for small strains only; press less deep"

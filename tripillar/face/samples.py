@@ -97,7 +97,8 @@ def dataset(
     correct : bool
         Correct the crossbar's crosstalk, as a live sensor does.
     strain : str, optional
-        Model: linear, or finite strain (neo-Hookean, stiff pads); default: the design's materials'.
+        Model: linear, or finite strain (stiff pads; linear rubber is taken for neo-Hookean); default: the design's
+        materials'.
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
@@ -202,6 +203,8 @@ def dataset(
             f", {story['unsolved']} had no solution and were redrawn, too; finite strain, estimated error "
             f"{errors.mean():.1e} on average, {errors.max():.1e} at most"
         )
+        if sensor.matrix_material.model == "linear":
+            line += "; linear rubber was taken for neo-Hookean of the same E and ν"
     share = story["redrawn"] / (samples + story["redrawn"])
     if history is None and share > MAX_REDRAWN:
         line += (

@@ -63,11 +63,13 @@ if TYPE_CHECKING:
     from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, about_z, press, read_solid
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
+    from fem.kernel.newton import Stopped
     from fem.methods.solving import LARGE_SHARE, beyond_linear, follow
     from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
     from fem.pictures.deformation import QUANTITIES, DeformedPicture
     from fem.pictures.parts import Parts, write_field
+    from fem.pictures.pressed import Watch
     from fem.scene.scene import Scene
     from fem.scene.scene_file import read_scene
     from fem.scene.solution import Solution, solution_as_plain
@@ -90,8 +92,8 @@ if TYPE_CHECKING:
     from hardware.readout.forces import Forces, LiveSensor, replay
     from hardware.readout.known_loads import calibrated, doubt_about
     from hardware.recording import Recording, read_recording
-    from hardware.session import RECORDING_QUEUE, connect, counts_within, follows, hashes_of, live, measure_link
-    from hardware.session import record_scans
+    from hardware.session import RECORDING_QUEUE, connect, counts_within, ended_by_signal, follows, hashes_of, live
+    from hardware.session import measure_link, record_scans
     from hardware.streams.stream import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
@@ -124,7 +126,8 @@ if TYPE_CHECKING:
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import serve
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
+    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, require_drawable
+    from tripillar.viewer.panels import suited_scale
 
 
 __getattr__ = lazily(__name__)

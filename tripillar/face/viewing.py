@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -181,13 +181,24 @@ def _shown(
 ) -> "tuple[dict[str, stages.Parts], float]":  # fmt: skip
     """Solve for what is shown, and show it until its window is closed or write it; its parts by picture, the scale."""
     kind, bars = "" if save is None else save.suffix, current().bars
-    advance = bars.begin("fields", total=4)
+    advance = bars.begin("fields", total=1)
     stress = kind == ".vtm" or stages.QUANTITIES[colour].of_stress
-    panels = stages.panels_of(body, pressures_mpa, load, stress, lambda step: advance(1, step))
+    caller, is_linear = current(), stages.is_linear(body)
+    # what is superposed is soon there; a search at finite strain has something to show where it is ended
+    takes_signals = caller.is_typed and not is_linear
+    with stages.ended_by_signal() if takes_signals else nullcontext(lambda: False) as is_ended:
+        watch = stages.Watch(progress=lambda step: advance(0, step), say=bars.say, is_stopped=is_ended)
+        try:
+            panels = stages.panels_of(body, pressures_mpa, load, stress, watch)
+        except stages.Stopped:
+            caller.say("interrupted before a load step had converged: there is nothing to show")
+            leave_at_once(130)
+        stages.require_drawable(body, panels, pressures_mpa)
+        steps = 1 if kind != ".mp4" or is_linear or is_ended() else FILM_STEPS
+        shares = [step / steps for step in range(1, steps)]
+        before = [stages.panels_of(body, pressures_mpa, load, stress, watch, share) for share in shares]
     factor = stages.suited_scale(panels) if scale is None else scale
     warning = stages.linear_note(body, panels)
-    steps = 1 if kind != ".mp4" or stages.is_linear(body) else FILM_STEPS
-    before = [stages.panels_of(body, pressures_mpa, load, stress, share=step / steps) for step in range(1, steps)]
     advance(1, "")
     if save is None:
         stages.DeformedPicture(panels, colour, factor, camera, "window", warning=warning).plotter.show()

@@ -33,7 +33,9 @@ def meshed(design: SensorDesign, bars: Bars) -> Stage:
 
 
 def respond(design: SensorDesign, bars: Bars, settings: ResponseSettings | None = None) -> tuple[Stage, ArrayResponse]:
-    """Solve for the array's response. The array itself is never meshed."""
+    """Solve for the array's response, and say so where it is the tangent of another law. No array is ever meshed."""
+    if (model := design.matrix_material.model) != "linear":
+        bars.say(f"the response of {model} rubber is its tangent at rest: linear rubber of the same E and ν")
     advance = bars.begin("response", total=1)
     response, path, reused = array_response(design, settings, lambda step: advance(0, step))
     note = response_note(response)

@@ -1,6 +1,6 @@
 """The panels of a picture: a design under pressures, or a scene under its own loads."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from dataset.resistance import pillar_lengths, pillar_strains
 from fem.methods.solving import LARGE_SHARE
 from fem.pictures.arrays import PAD_LOADS, WHERE, pressed_sensor, solve_array_field
 from fem.pictures.parts import AROUND, Parts, sensor_parts, solve_scene_parts
+from fem.pictures.pressed import Watch
 from fem.scene.scene import Scene
 from fem.scene.scene_file import scene_from_dict
 from geometry.design import SensorDesign
@@ -34,20 +35,27 @@ def panels_of(
     pressures_mpa: Sequence[float],
     load: str,
     stress: bool,
-    progress: Callable[[str], None] = lambda step: None,
+    watch: Watch | None = None,
     share: float = 1.0,
 ) -> dict[str, Parts]:
     """Solve for the panels, by name of the load: one for each pressure of a design, one for a scene.
 
-    Bodies at finite strain may be under a share of the load.
+    Bodies at finite strain may be under a share of the load, and under less where `watch` stops the search.
     """
-    if isinstance(body, Scene):
-        return {"the scene's load": solve_scene_parts(body.under(share), stress, progress)}
-    if not is_linear(body):
+    watch = watch or Watch()
+    scenes = {"the scene's load": body} if isinstance(body, Scene) else {}
+    if isinstance(body, SensorDesign) and not is_linear(body):
         scenes = {f"{mpa:g} MPa {WHERE[load]}": pressed_sensor(body, load, mpa) for mpa in pressures_mpa}
-        return {name: solve_scene_parts(scene.under(share), stress, progress) for name, scene in scenes.items()}
-    field = solve_array_field(body, progress)
-    progress("pads")
+    panels = dict[str, Parts]()
+    for name, scene in scenes.items():
+        parts = solve_scene_parts(scene.under(share), stress, watch)
+        panels[f"{watch.load_factor:.0%} of {name}" if watch.load_factor < 1.0 else name] = parts
+        if watch.is_stopped():
+            break
+    if isinstance(body, Scene) or panels:
+        return panels
+    field = solve_array_field(body, watch.progress)
+    watch.progress("pads")
     one = sensor_parts(field, field.state(PAD_LOADS[load](body, 1.0)), stress)
     return {
         f"{pressure:g} MPa {WHERE[load]}": {name: part.times(pressure) for name, part in one.items()}
@@ -60,6 +68,31 @@ def is_linear(body: SensorDesign | Scene) -> bool:
     return (body.material if isinstance(body, Scene) else body.matrix_material).model == "linear"
 
 
+def require_drawable(body: SensorDesign | Scene, panels: dict[str, Parts], pressures_mpa: Sequence[float]) -> None:
+    """Refuse pictures of linear rubber that moves farther than it is high: nothing about them is right."""
+    if not is_linear(body):
+        return
+    height, moved = _height_and_moved(panels)
+    if moved <= height:
+        return
+    most = f"{height / moved:.2g} of the load"
+    if pressures_mpa:
+        mpa = max(pressures_mpa) * height / moved
+        step = 10.0 ** (np.floor(np.log10(mpa)) - 1)
+        most = f"{np.floor(mpa / step) * step:.3g} MPa"
+    raise DesignError(
+        f"linear rubber moves by {moved:.3g} mm there, farther than the {height:g} mm that it is high: draw at most "
+        f"{most}, or write model = 'neo-hookean' in the rubbers for finite strain."
+    )
+
+
+def _height_and_moved(panels: dict[str, Parts]) -> tuple[float, float]:
+    """The body's height and the largest displacement [mm]."""
+    parts = [part for panel in panels.values() for part in panel.values()]
+    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
+    return height, max(largest_mm(part.displacement_mm) for part in parts)
+
+
 def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """Warning that linear rubber is drawn beyond `LINEAR_UP_TO`; empty elsewhere.
 
@@ -68,9 +101,8 @@ def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """
     if not is_linear(body):
         return ""
-    parts = [part for panel in panels.values() for part in panel.values()]
-    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    moved = max(largest_mm(part.displacement_mm) for part in parts) / height
+    height, moved = _height_and_moved(panels)
+    moved /= height
     if isinstance(body, SensorDesign):
         return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()), moved)
     return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
@@ -99,9 +131,7 @@ def suited_scale(panels: dict[str, Parts]) -> float:
 
     1, 2 or 5 times a power of ten; 1 where nothing moves.
     """
-    parts = [part for panel in panels.values() for part in panel.values()]
-    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    largest = max(largest_mm(part.displacement_mm) for part in parts)
+    height, largest = _height_and_moved(panels)
     if largest == 0.0:
         return 1.0
     wanted = AUTO * height / largest

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.errors import DesignError
+from fem.finite.preloaded import PreloadedArray
 from fem.finite.samples import EXTRAPOLATED, SampleSolver
 from fem.kernel.newton import find_equilibrium
-from geometry.design import Array, Electrics, Material, SensorDesign
+from fem.kernel.system import State
+from geometry.design import Array, Electrics, Material, SensorDesign, with_model
 from geometry.layout import pillar_ends
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2))
@@ -67,13 +68,41 @@ def test_resistances_have_no_jumps_along_a_path_of_loads(solver, few_potentials)
     assert np.abs(np.diff(changes, 4, axis=0)).max() / np.sqrt(70) < 1e-4
 
 
-def test_pillars_of_another_rubber_are_refused():
-    with pytest.raises(DesignError, match="one rubber"):
-        SampleSolver(replace(PAIR, pillar_material=Material(young_mpa=3.0)))
+@pytest.mark.parametrize("matrix_mpa", [1.0, 0.3], ids=["6 times as soft", "20 times as soft"])
+def test_two_rubbers_are_a_finer_grid_s_to_the_stated_error(matrix_mpa):
+    """A lone unit, lines four times as dense in each direction as at first, at strains far from linear."""
+    alone = replace(PAIR, array=Array(rows=1, cols=1), matrix_material=Material(young_mpa=matrix_mpa))
+    finer = PreloadedArray(alone, (0.1, 0.3, 0.5, 0.7, 0.9), (0.2, 0.4, 0.6, 0.8, 1.0))
+    solver = SampleSolver(alone, influence_mm_per_n=finer.influence.reshape(1, 2, 3, 1, 3))
+    force = np.array([[[0.02, -0.03, -0.25]]]) * solver.coarse.young_mpa * 144.0
+    found, (moved,) = solver.displacements(force), finer.linear(force.reshape(1, 3)).shift
+    state = find_equilibrium(finer.system(force[0])).state
+    truth = finer.electrodes(State(*(part[None] for part in (state.u, state.p, state.shift, state.turn))))[0]
+    size = np.linalg.norm(truth)
+    assert np.linalg.norm(moved - state.shift) > 0.1 * np.linalg.norm(state.shift)  # linear rubber is elsewhere
+    assert np.linalg.norm(found.displacement_mm[0] - truth) / size < found.error_estimate[0] < 0.05
+
+
+@pytest.mark.parametrize("changes", [{"model": "yeoh", "stiffening": 0.3}, {"model": "mooney-rivlin"}], ids=str)
+def test_samples_are_of_the_designs_own_law(changes):
+    """The answer is Newton's by that law on both grids, extrapolated; by the neo-Hookean one it is another."""
+    rubber = Material(**changes)
+    alone = replace(PAIR, array=Array(rows=1, cols=1), matrix_material=rubber, pillar_material=rubber)
+    solver, force = SampleSolver(alone), FORCES_N[1:, :1]
+    found = solver.displacements(force)
+    other = SampleSolver(with_model(alone, "neo-hookean")).displacements(force)
+    moved = []
+    for array in (solver.coarse, solver.fine):
+        state = find_equilibrium(array.system(force[0])).state
+        moved.append(state.shift + np.einsum("kij,ej->kei", state.turn, array.arm)[0])
+    expected = moved[1] + EXTRAPOLATED * (moved[1] - moved[0])
+    off, apart = (np.linalg.norm(one.displacement_mm[0, 0] - expected) for one in (found, other))
+    assert found.settled.all()
+    assert off < 2e-3 * np.linalg.norm(expected) < 0.2 * apart
 
 
 def test_samples_that_do_not_settle_get_a_tangent_of_their_own(solver, found, monkeypatch):
-    monkeypatch.setattr("fem.finite.samples.MAX_ITERATIONS", 3)
+    monkeypatch.setattr("fem.finite.preloaded.MAX_ITERATIONS", 3)
     again = solver.displacements(FORCES_N[1:])
     assert again.settled.all()
     assert again.iterations[0] > 3
