@@ -124,7 +124,8 @@ if TYPE_CHECKING:
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import serve
     from tripillar.viewer.saving import FRAMES, SAVERS, save_blocks
-    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, panels_of, read_body, suited_scale
+    from tripillar.viewer.panels import is_linear, largest_mm, linear_note, moved_share, panels_of, read_body
+    from tripillar.viewer.panels import suited_scale
 
 
 __getattr__ = lazily(__name__)

@@ -68,12 +68,16 @@ def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """
     if not is_linear(body):
         return ""
-    parts = [part for panel in panels.values() for part in panel.values()]
-    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    moved = max(largest_mm(part.displacement_mm) for part in parts) / height
+    moved = max(map(moved_share, panels.values()))
     if isinstance(body, SensorDesign):
         return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()), moved)
     return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
+
+
+def moved_share(parts: dict[str, Parts]) -> float:
+    """Largest displacement over the body's height."""
+    height_mm = max(float(np.ptp(part.points_mm[:, 2])) for part in parts.values())
+    return max(largest_mm(part.displacement_mm) for part in parts.values()) / height_mm
 
 
 def beyond_linear(strain: float, moved: float = 0.0) -> str:
@@ -99,12 +103,10 @@ def suited_scale(panels: dict[str, Parts]) -> float:
 
     1, 2 or 5 times a power of ten; 1 where nothing moves.
     """
-    parts = [part for panel in panels.values() for part in panel.values()]
-    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    largest = max(largest_mm(part.displacement_mm) for part in parts)
+    largest = max(map(moved_share, panels.values()))
     if largest == 0.0:
         return 1.0
-    wanted = AUTO * height / largest
+    wanted = AUTO / largest
     tens = 10.0 ** np.floor(np.log10(wanted))
     return float(max(step * tens for step in ROUND if step * tens <= wanted * (1 + 1e-9)))
 
