@@ -79,7 +79,7 @@ def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(
     assert 0.5 < moved_mm < 0.4 * 10.0
     assert "the design does not bear the paper's 3 MPa; shown in the middle of its own range" in done.stderr
     far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", "60%", "100%")["largest_displacement_mm"]
-    assert list(far)[0] == name
+    assert next(iter(far)) == name
     assert list(far.values()) == pytest.approx([moved_mm, moved_mm / 0.6], rel=1e-4)  # linear; pressures have 6 digits
     refused = house.refusal("view", "soft.toml", "--save", "no.vtm", "--pressure", "3")
     assert "times its height under 3 MPa: give shares of what the design bears, such as --pressure 60%" in refused
