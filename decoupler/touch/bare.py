@@ -108,7 +108,10 @@ class BareDecoder(TouchDecoder):
         least_n = MIN_DEVIATION * self.design.matrix_material.young_mpa * self.design.array.pitch_mm**2
         floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + least_n**2)
         of_near = np.broadcast_to(near_deviation, blend.shape)[:, :3]
-        alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + (1.0 - touching) * self.hidden_n**2)
+        # a press that hardly stands out may as well be one on other units
+        elsewhere = self._standing_out**2 / max(at_rest - len(self.sensing.rest_mm2), self._standing_out**2)
+        hidden = max(1.0 - touching, elsewhere)
+        alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + hidden * self.hidden_n**2)
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
