@@ -74,7 +74,7 @@ def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
 
 
-def moved_share(parts: dict[str, Parts]) -> float:
+def moved_share(parts: Parts) -> float:
     """Largest displacement over the body's height."""
     height_mm = max(float(np.ptp(part.points_mm[:, 2])) for part in parts.values())
     return max(largest_mm(part.displacement_mm) for part in parts.values()) / height_mm
