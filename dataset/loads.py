@@ -86,11 +86,13 @@ def loads_of(response: "ArrayResponse", cap: float = CAP) -> Loads:
 
     A design bears the paper's loads if their middle, on the weakest pad alone and on all pads at once, strains no
     pillar beyond `CAP`: a smaller cap draws more of them again, as the paper's does. Its own largest pressure is the
-    smaller of `largest_pressures` at the cap, rounded down to two digits.
+    smaller of `largest_pressures` at the cap, and no more than what sinks an electrode by the cap times the height, as
+    stiff pillars lean over in soft rubber before they are strained; rounded down to two digits.
     """
     if min(largest_pressures(response, max(cap, CAP))) >= PAPERS.middle_mpa:
         return PAPERS
-    most_mpa = min(largest_pressures(response, cap))
+    sinks_mm = np.abs(_pressed_mm(response)[..., AXES.index("z")]).max()
+    most_mpa = min(*largest_pressures(response, cap), cap * response.design.unit.height_mm / float(sinks_mm))
     step = 10.0 ** (math.floor(math.log10(most_mpa)) - 1)
     high = float(f"{math.floor(most_mpa / step) * step:.2g}")
     return Loads.of((float(f"{LOWEST * high:.3g}"), high))
@@ -98,12 +100,16 @@ def loads_of(response: "ArrayResponse", cap: float = CAP) -> Loads:
 
 def largest_pressures(response: "ArrayResponse", cap: float) -> tuple[float, float]:
     """Largest pressure [MPa] on one pad alone, the weakest, and on all pads at once, with strains below the cap."""
-    n_units = response.design.n_units
-    down = -np.array([*np.eye(n_units), np.ones(n_units)])
-    traction = np.zeros((n_units + 1, n_units, 3))
-    traction[..., AXES.index("z")] = down
-    factors = largest_factors(displacements(response, traction, ("z",)), response.design.unit, cap)
+    factors = largest_factors(_pressed_mm(response), response.design.unit, cap)
     return float(factors[:-1].min()), float(factors[-1])
+
+
+def _pressed_mm(response: "ArrayResponse") -> FloatArray:
+    """Displacements (n_units + 1, n_units, n_upper, 3) [mm] by 1 MPa on each pad alone, then on all at once."""
+    n_units = response.design.n_units
+    traction = np.zeros((n_units + 1, n_units, 3))
+    traction[..., AXES.index("z")] = -np.array([*np.eye(n_units), np.ones(n_units)])
+    return displacements(response, traction, ("z",))
 
 
 def displacements(response: "ArrayResponse", traction_mpa: FloatArray, axes: tuple[str, ...] = AXES) -> FloatArray:

@@ -1,6 +1,7 @@
 """``python -m studies.touched --model touch.safetensors``: touch of shapes that no library has, at rest, and lightly.
 
-Cones, rings, roof edges and two balls on one tool, pressed and dragged as the protocol `indent` does its shapes.
+Cones, rings, roof edges and two balls on one tool, pressed and dragged as the protocol `indent` does its shapes;
+``--newtons 0.5 5`` draws contacts by their net forces, ``--known`` shapes of the library's kinds.
 """
 
 import json
@@ -13,7 +14,7 @@ from cyclopts import Parameter
 
 from common.errors import DesignError
 from dataset import Samples
-from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, largest_strain, samples_of
+from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, drawn_press, largest_strain, samples_of
 from dataset.measurement import ReadingError
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
@@ -27,6 +28,7 @@ from tripillar.terminal.progress import Bars
 
 MAX_STRAIN = 0.3
 CELLS = 48
+STEPS, CLOSE, TINY_N = 4, 0.1, 1e-6  #: of the search for a depth: how many, its logarithm's error, the least force
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,26 +91,63 @@ class TwoBalls(Shape):
         return half, half
 
 
-def unknown_contacts(surface: SurfaceCompliance, count: int, seed: int) -> list[Contact]:
-    """Contacts of the four kinds in turn, each below a strain of 0.3."""
+def unknown_contacts(
+    surface: SurfaceCompliance,
+    count: int,
+    seed: int,
+    newtons: tuple[float, float] | None = None,
+    *,
+    known: bool = False,
+) -> list[Contact]:
+    """Contacts of the four kinds in turn, or of the library's kinds, each below a strain of 0.3.
+
+    `newtons` is the range of their net force along z, drawn evenly in its logarithm; default: as deep as `indent` goes.
+    """
     found: list[Contact] = []
     attempt = 0
     while len(found) < count:
         generator = np.random.default_rng([seed, len(found), attempt])
         attempt += 1
         try:
-            contact = _drawn(generator, surface, len(found) % 4)
+            contact = drawn_press(generator, surface) if known else _drawn(generator, surface, len(found) % 4)
+            if newtons is not None:
+                low, high = newtons
+                contact = _pressed_to(contact, low * (high / low) ** generator.uniform())
         except ContactError:  # it misses the sensor
             continue
-        if largest_strain(contact) <= MAX_STRAIN:
+        net_n = float(contact.net_force_n[2])
+        is_within = newtons is None or newtons[0] <= net_n <= newtons[1]
+        if is_within and largest_strain(contact) <= MAX_STRAIN:
             found.append(contact)
             attempt = 0
     return found
 
 
-def unknown_samples(design: SensorDesign, errors: ReadingError, count: int, seed: int) -> Samples:
-    """Unknown contacts with a sensor, as it is read."""
-    data = samples_of(unknown_contacts(surface_compliance(design)[0], count, seed))
+def _pressed_to(contact: Contact, net_n: float) -> Contact:
+    """A contact's shape pressed to about a net force, and no deeper than `indent` goes; its slide in proportion."""
+    for _ in range(STEPS):
+        ratio = (net_n / max(float(contact.net_force_n[2]), TINY_N)) ** (2 / 3)  # as a ball's
+        if abs(np.log(ratio)) < CLOSE:
+            break
+        depth_mm = min(contact.depth_mm * ratio, DEPTH[1] * contact.design.unit.height_mm)
+        contact = press(
+            contact.surface, contact.shape, depth_mm, at_mm=contact.at_mm, friction=contact.friction, cells=CELLS,
+            slide_mm=(contact.slide_mm[0] * ratio, contact.slide_mm[1] * ratio),
+        )  # fmt: skip
+    return contact
+
+
+def unknown_samples(
+    design: SensorDesign,
+    errors: ReadingError,
+    count: int,
+    seed: int,
+    newtons: tuple[float, float] | None = None,
+    *,
+    known: bool = False,
+) -> Samples:
+    """Such contacts with a sensor, as it is read."""
+    data = samples_of(unknown_contacts(surface_compliance(design)[0], count, seed, newtons, known=known))
     read = errors.read(data.resistance_ohm, np.random.default_rng(seed))
     return replace(data, resistance_ohm=read, noise=errors.noise, bits=errors.bits)
 
@@ -178,15 +217,17 @@ def assess_unknown(
     model: Annotated[Path, Parameter(help="File of `tripillar train --touch`.")],
     contacts: Annotated[int, Parameter(help="Contacts of unknown shapes.")] = 120,
     seed: Annotated[int, Parameter(help="Seed of the contacts and of the noise.")] = 77,
+    newtons: Annotated[tuple[float, float] | None, Parameter(help="Least and largest net force [N].")] = None,
+    known: Annotated[bool, Parameter(help="Press shapes of the library's kinds.")] = False,
 ) -> None:
     """Print the errors of touch on shapes that its library has not, at rest and under touches of 1 N."""
     decoder = read_touch(model)
-    data = unknown_samples(decoder.design, decoder.errors, contacts, seed)
+    data = unknown_samples(decoder.design, decoder.errors, contacts, seed, newtons, known=known)
     with Bars() as bars:
         advance = bars.begin("touches", total=contacts)
         found = assess_touch(decoder, data, lambda done: advance(done, ""))
     none = float(np.sqrt((data.force_n[..., 2] ** 2).mean()))
-    lightly = at_rest_and_lightly(decoder, 200, seed) if isinstance(decoder, BareDecoder) else {}
+    lightly = at_rest_and_lightly(decoder, 200, seed) if newtons is None and isinstance(decoder, BareDecoder) else {}
     print(json.dumps({"0 N misses fz by": none} | found.plain() | lightly, indent=2))
 
 

@@ -12,7 +12,7 @@ from decoupler.evaluation.metrics import component_errors
 from decoupler.touch.decoder import TouchDecoder
 from geometry.layout import FloatArray, unit_centres
 
-LOADED_N = 1.0  #: force of a unit from which on it is loaded
+LOADED_N, LOADED = 1.0, 0.1  #: force of a unit from which on it is loaded, or that share of the largest if it is less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class TouchAssessment:
     by_force: dict[str, Assessment]  #: of units, by force
     net_fz_median_pct: float  #: median relative error of the net force along z
     centre_mm: float  #: median distance of the centre of pressure from the true one
-    loaded_rmse_n: float  #: of Fz on units that carry over `LOADED_N`
+    loaded_rmse_n: float  #: of Fz on loaded units
     loaded_coverage: tuple[float, float]  #: shares of these errors within the 68 % and the 95 % half-width
 
     def plain(self) -> dict[str, Any]:
@@ -60,7 +60,8 @@ def assess_touch(
         coverage = float(within[0][..., k].mean()), float(within[1][..., k].mean())
         by_force[name] = Assessment(errors=own, coverage=coverage, **nothing)
     true_net_n = true_n[..., 2].sum(axis=1)
-    pressed, loaded = true_net_n > 0, true_n[..., 2] > LOADED_N
+    pressed, least_n = true_net_n > 0, min(LOADED_N, LOADED * float(true_n[..., 2].max(initial=0.0)))
+    loaded = true_n[..., 2] > least_n
     net_ratio = found_n[pressed][..., 2].sum(axis=1) / true_net_n[pressed]
     places, moment = unit_centres(decoder.design), np.stack([each.moment_nmm for each in touches])
     true_moment = None if data.moment_nmm is None else data.moment_nmm.reshape(shape)

@@ -6,8 +6,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtri
 
-from decoupler.touch.decoder import WIDTHS, TouchContact, TouchDecoder, Touched
+from decoupler.touch.decoder import AT_REST, WIDTHS, TouchContact, TouchDecoder, Touched
 from decoupler.touch.morph import PRIOR, BareSensing, Fit, Part, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
@@ -28,8 +30,11 @@ RISE = 25.0  #: of the cost since fits were sought, from which they are sought a
 PAUSES = 4, 30
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
 TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
-OF_FORCE, OF_LARGEST, MIN_DEVIATION_N = 0.03, 0.01, 0.05  #: of a force's deviation, beside what the fits say
-HIDDEN = 4.0  #: χ² that a touch may add to a scan and be missed
+OF_FORCE, OF_LARGEST = 0.03, 0.01  #: of a force's deviation, beside what the fits say
+MIN_DEVIATION = 3.64e-5  #: of the same, over the rubber's modulus times the pitch squared: 0.05 N of the paper's sensor
+SCALE = 0.2  #: of changes of squared lengths, over the height squared
+DIRECTIONS = 4000  #: of readings under light touches, by which these are told from rest
+RESTING, SEED = 1000, 0  #: scans at rest that are drawn to see how like a press these may be
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +59,7 @@ class BareDecoder(TouchDecoder):
         return Regression(
             reading=self.sensing.reading(self.library.moved_mm.astype(float)).astype(np.float32),
             unit=self.library.unit.astype(np.float32),
-            scale_mm2=2.0 * self.design.unit.height_mm,
+            scale_mm2=SCALE * self.design.unit.height_mm**2,
             noise=self.sensing.deviation(np.zeros_like(self.sensing.rest_mm2), self.errors),
         )
 
@@ -100,9 +105,13 @@ class BareDecoder(TouchDecoder):
         apart += [np.sqrt(share * (1.0 - share)) * (morphed - near), np.sqrt(1.0 - touching) * blend]
         shared = np.sqrt(touching) * np.column_stack([*by_fits, *(each.ravel() for each in apart)])
         force = load[:, :3]
-        floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + MIN_DEVIATION_N**2)
+        least_n = MIN_DEVIATION * self.design.matrix_material.young_mpa * self.design.array.pitch_mm**2
+        floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + least_n**2)
         of_near = np.broadcast_to(near_deviation, blend.shape)[:, :3]
-        alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + (1.0 - touching) * self.hidden_n**2)
+        # a press that hardly stands out may as well be one on other units
+        elsewhere = self._standing_out**2 / max(at_rest - len(self.sensing.rest_mm2), self._standing_out**2)
+        hidden = max(1.0 - touching, elsewhere)
+        alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + hidden * self.hidden_n**2)
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
@@ -143,6 +152,27 @@ class BareDecoder(TouchDecoder):
                     break
         return found
 
+    def is_like_a_press(self, relative: FloatArray) -> bool:
+        return bool((self._directions @ relative.astype(np.float32)).max() >= self._standing_out)
+
+    @cached_property
+    def _directions(self) -> NDArray[np.float32]:
+        """Readings under light presses (n, m) over their deviations, brought to length 1."""
+        some = self.regression.reading[:: -(-len(self.regression.reading) // DIRECTIONS)] / self.regression.noise
+        return (some / np.linalg.norm(some, axis=1, keepdims=True)).astype(np.float32)
+
+    @cached_property
+    def _standing_out(self) -> float:
+        """Length along one of these directions that a scan at rest passes with a probability of `AT_REST`.
+
+        The largest of many normal numbers that depend on each other is as that of fewer that do not: as many as give
+        the median of scans that are drawn.
+        """
+        resting = np.random.default_rng(SEED).standard_normal((RESTING, self._directions.shape[1]), np.float32)
+        median = float(np.median((resting @ self._directions.T).max(axis=1)))
+        number = np.log(0.5) / log_ndtr(median)
+        return float(-ndtri(AT_REST / number))
+
     @cached_property
     def hidden(self) -> FloatArray:
         return self._alone(self.hidden_n)
@@ -151,11 +181,13 @@ class BareDecoder(TouchDecoder):
     def hidden_n(self) -> FloatArray:
         """Deviation of the force on each unit (units, 3) [N] by a touch that is not told from rest.
 
-        Half of what 95 % of the library's presses on the unit have at most when they are as light as that.
+        Half of what 95 % of the library's presses on the unit have at most when they are drawn evenly from nothing up
+        to what stands out.
         """
         readings, units = self.regression.reading, self.regression.unit[:, :, :3].astype(float)
         seen = ((readings / self.regression.noise) ** 2).sum(axis=1)
-        scale = np.sqrt(HIDDEN / np.maximum(seen, 1e-9))
+        part = np.random.default_rng(SEED).uniform(size=len(seen))
+        scale = part * self._standing_out / np.sqrt(np.maximum(seen, 1e-9))
         top = units[:, :, 2].argmax(axis=1)
         found = np.empty(units.shape[1:])
         for unit in range(len(found)):

@@ -190,10 +190,14 @@ class TouchDecoder(ABC):
         """Touch of one reading (m,) [mm²], after the scan before if there was one."""
         own = self.sensing.deviation(reading, self.errors)
         at_rest = float((reading / own) @ (reading / own))
-        if at_rest >= chdtri(len(reading), AT_REST):
+        if at_rest >= chdtri(len(reading), AT_REST) or self.is_like_a_press(reading / own):
             return self.pressed(reading, np.hypot(own, self.of_model * np.abs(reading).max()), at_rest, last)
         none, wait = np.zeros((self.design.n_units, self.n_loads)), max(last.wait - 1, 0) if last else 0
         return Touched(load=none, factors=self.hidden, chi2=at_rest / len(reading), wait=wait)
+
+    def is_like_a_press(self, relative: FloatArray) -> bool:
+        """Whether a reading over its deviations (m,) is more like some press than one scan in 1/`AT_REST` at rest."""
+        return False
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""

@@ -36,7 +36,8 @@ MARGIN = 0.03  #: of a picture's width or height, around what it shows
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
 MIN_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
 SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
-LIFT_MM, PAD_LIFT_MM = 0.15, 0.2  #: by which electrodes are drawn before the pillars' ends, and pads' outlines above
+#: of the body's height, by which electrodes are drawn before the pillars' ends, and pads' outlines above them
+LIFT, PAD_LIFT = 0.015, 0.02
 SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
 GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
 INK = "#21292f"
@@ -356,6 +357,7 @@ class DeformedPicture:
 
     def _draw(self, panel: str, parts: Parts) -> None:
         solid, glassy = ({}, {}) if self._is_live else (SOLID, GLASSY)
+        height_mm = max(float(np.ptp(part.points_mm[:, 2])) for part in parts.values())
         for name, part in parts.items():
             if self._is_live and name == "electrodes":
                 continue
@@ -367,7 +369,7 @@ class DeformedPicture:
                 skin = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
                     boundary_edges=True, feature_edges=False, manifold_edges=False
                 )
-                skin.points[:, 2] += PAD_LIFT_MM
+                skin.points[:, 2] += PAD_LIFT * height_mm
                 look = {"scalars": "strength", "line_width": 2.5 * self._line, "lighting": False, **self.bars[-1].look}
             else:
                 skin = whole.extract_surface(algorithm="dataset_surface")
@@ -378,7 +380,7 @@ class DeformedPicture:
                     skin = skin.compute_normals(cell_normals=False, split_vertices=True, feature_angle=SHARP)
             elif name == "electrodes":
                 look = {"color": "#c98a4b", **solid}
-                skin.points[:, 2] += LIFT_MM * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
+                skin.points[:, 2] += LIFT * height_mm * np.sign(skin.points[:, 2] - part.points_mm[:, 2].mean())
             self.actors[name] = self.plotter.add_mesh(self._moved(panel, name, skin), **look)
             if name == "matrix":  # PyVista's own smooth shading would draw a copy, which stays at rest
                 self.actors[name].prop.interpolation = "flat" if self._is_live else "phong"

@@ -36,7 +36,7 @@ SLICES, AROUND = 16, 3  #: of a pillar's surface: along it, and along each of it
 #: slices, around, squares along a pad's side, and level of the cell's grid by whose lines the matrix is cut
 FINE, COARSE = (SLICES, AROUND, 12, 2), (8, 1, 6, 1)
 INSIDE = 1e-9  #: of a pad's side, by which it is drawn smaller: stress jumps at its edge
-APART_MM = 0.02  #: by which a unit's pillars are drawn smaller, each more than the one before: no two faces coincide
+APART = 0.002  #: of the height, by which pillars are drawn smaller, each more than the one before: no faces coincide
 TOLERANCE = 1e-2  #: of a picture, where the scene asks for a finer one
 LEVEL = 2  #: of the grid of a picture of boxes
 QUADRILATERAL, HEXAHEDRON, QUADRATIC_TETRAHEDRON, TRIQUADRATIC = 9, 12, 24, 29  #: VTK's numbers of cells
@@ -94,8 +94,8 @@ class ArrayParts:
     """Pillars, matrix, electrodes and pads of an array, under one load after the other; stiff pads are named plates.
 
     Pillars, electrodes (upper and lower) and pads are surfaces, the matrix is the whole slab in boxes. Where a unit's
-    pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by 0.02 to
-    0.06 mm all around, which nobody sees. `is_coarse` parts are drawn and moved more quickly.
+    pillars overlap their faces would coincide with each other and with the slab's: they are made smaller by
+    0.2 % of the height and more all around, which nobody sees. `is_coarse` parts are drawn and moved more quickly.
     """
 
     def __init__(self, array: ArrayField | FiniteArrayField, is_coarse: bool = False) -> None:
@@ -110,7 +110,7 @@ class ArrayParts:
             pads.append(sheet(corner, (1 - INSIDE) * a, (1 - INSIDE) * b, across, across))
         self._pads = "plates" if array.has_plates else "pads"
         self._parts = {
-            "pillars": _on_units(array, pillar_surface(unit, slices, around, APART_MM), region=1),
+            "pillars": _on_units(array, pillar_surface(unit, slices, around, APART * unit.height_mm), region=1),
             "matrix": _on_units(array, boxes, region=0, cell_type=HEXAHEDRON),
             "electrodes": _on_units(array, electrode_surface(unit), region=1),
             self._pads: _on_units(array, joined(pads)),
@@ -228,7 +228,10 @@ def solve_scene_parts(scene: Scene, stress: bool, watch: Watch | None = None) ->
     field = scene_field(scene)
     progress("stress" if stress else "parts")
     if scene.inclusions and not scene.is_linear:  # of whatever rubber: surfaces that the field moves
-        points, quads = joined([column_surface(one, SLICES, AROUND, APART_MM) for one in scene.inclusions])
+        apart_mm = [APART * (one.top_mm[2] - one.base_mm[2]) for one in scene.inclusions]
+        points, quads = joined(
+            [column_surface(each, SLICES, AROUND, mm) for each, mm in zip(scene.inclusions, apart_mm, strict=True)]
+        )
         moved = field.displacement_at(points)
         inclusions = Part(points_mm=points, cells=quads, cell_type=QUADRILATERAL, displacement_mm=moved)
         return {"inclusions": inclusions, "matrix": quadratic(field, field.body.region == 0)}

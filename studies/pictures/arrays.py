@@ -9,6 +9,8 @@ import numpy as np
 from PIL import Image
 
 from common.storage.files import replacing
+from dataset.loads import loads_of
+from fem.array.solving import array_response
 from fem.pictures.arrays import indenter_tractions, solve_array_field
 from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import Parts, sensor_parts
@@ -16,6 +18,7 @@ from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 from studies.charts import save_small
 from studies.program import run_alone
+from tripillar.face.bodies import design as written
 from tripillar.viewer.page.controls import traction_of
 from tripillar.viewer.panels import panels_of
 
@@ -27,8 +30,10 @@ SMALL_MB = 1.0  #: that a moving picture may have: READMEs are read on phones, t
 
 def draw(folder: Path) -> None:
     """Draw the array pressed, three pressures side by side, and an indenter that presses, drags round and lifts."""
-    of_nine = SensorDesign(array=Array(rows=3, cols=3))
+    of_nine, finger = SensorDesign(array=Array(rows=3, cols=3)), written(purpose="finger")
+    usual_mpa = loads_of(array_response(finger)[0]).middle_mpa
     for name, design, pressures in (
+        ("fingertip.png", finger, (float(f"{usual_mpa:.3g}"),)),
         ("deformed-array.png", SensorDesign(), (5.0,)),
         ("tutorial-array.png", of_nine, (1.0, 3.0, 5.0)),
     ):

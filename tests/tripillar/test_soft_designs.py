@@ -81,9 +81,12 @@ def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(
     assert float(name.split()[0]) < 0.1
     assert 0.5 < moved_mm < 0.4 * 10.0
     assert "the design does not bear the paper's 3 MPa; shown in the middle of its own range" in done.stderr
+    far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", "60%", "100%")["largest_displacement_mm"]
+    assert next(iter(far)) == name
+    assert list(far.values()) == pytest.approx([moved_mm, moved_mm / 0.6], rel=1e-4)  # linear; pressures have 6 digits
     refused = house.tripillar("view", "soft.toml", "--save", "far.vtm", "--pressure", "3")
     assert refused.returncode == 2
-    most = re.search(r"farther than the 10 mm that it is high: draw at most (\S+) MPa, or write", refused.stderr)
+    most = re.search(r"times its height there: draw at most (\S+) MPa, or write", refused.stderr)
     assert most, refused.stderr
     far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", most[1])
     (moved_mm,) = far["largest_displacement_mm"].values()

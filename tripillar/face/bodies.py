@@ -2,19 +2,23 @@
 
 import math
 from dataclasses import asdict, replace
+from itertools import takewhile
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from common.errors import DesignError
-from common.storage.files import write_bytes
-from geometry.design import Array, SensorDesign, Unit
-from geometry.design_file import design_to_toml, write_design
+from common.storage.files import write_bytes, write_text
+from common.storage.text_file import read_text
+from geometry.design import SensorDesign
+from geometry.design_file import design_to_toml, whole_design
 from geometry.layout import LAYOUTS, told_by_tilt
 from geometry.wiring import explained
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, Flag, SceneLike, design_of, job, to_write
 
+READY = Path(__file__).parents[1] / "ready"  #: designs that searches found, each with its command and what it feels
+Purpose = Literal["finger", "foot", "seat"]
 LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
 
 
@@ -22,23 +26,26 @@ LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
 def design(
     *,
     out: File | None = None,
-    layout: LayoutName = "song2018",
-    rows: int = Array.rows,
-    cols: int = Array.cols,
+    purpose: Annotated[Purpose | None, Flag(name=("--for",))] = None,
+    layout: LayoutName | None = None,
+    rows: int | None = None,
+    cols: int | None = None,
     extend: str = "",
 ) -> SensorDesign:
-    """Write a design file: the paper's sensor, every number with its meaning.
+    """Write a design file: the paper's sensor or one to cast, every number with its meaning.
 
     Parameters
     ----------
     out : path, optional
         File to write (.toml); default: print it.
-    layout : str
-        Electrodes of a unit and the pillars between them; a design file may state its own.
-    rows : int
-        Number of units along y.
-    cols : int
-        Number of units along x.
+    purpose : str, optional
+        Sensor to cast of silicones on sale, as a search found it, with its range, its errors and how it casts.
+    layout : str, optional
+        Electrodes of a unit and the pillars between them; a design file may state its own. Default: song2018.
+    rows : int, optional
+        Number of units along y; default: 6.
+    cols : int, optional
+        Number of units along x; default: 6.
     extend : str
         Rubber file (.toml) of `tripillar rubber` for its pillars: memory, relaxation, modulus and resistivity; the name
         of a published silicone for the rubber around them, such as ecoflex-00-30; or both with a comma.
@@ -47,21 +54,34 @@ def design(
     --------
     >>> design(rows=2, cols=3).n_units
     6
+    >>> design(purpose="finger").pad.kind
+    'soft'
     """
-    if layout not in LAYOUTS:
+    if layout not in (None, *LAYOUTS):
         raise DesignError(f"layout={layout!r} must be one of {', '.join(LAYOUTS)}.")
-    sensor = SensorDesign(array=Array(rows=rows, cols=cols), unit=Unit(layout=LAYOUTS[layout]))
+    if purpose not in (None, *get_args(Purpose)):
+        raise DesignError(f"purpose={purpose!r} must be one of {', '.join(get_args(Purpose))}.")
+    ready, told = SensorDesign(), ""
+    if purpose is not None:
+        told = read_text(READY / f"{purpose}.toml", "install tripillar again", DesignError)
+        ready = whole_design(told, purpose)
+    size = {name: given for name, given in (("rows", rows), ("cols", cols)) if given is not None}
+    unit = ready.unit if layout is None else replace(ready.unit, layout=LAYOUTS[layout])
+    sensor = replace(ready, array=replace(ready.array, **size), unit=unit)
     for name in filter(None, map(str.strip, str(extend).split(","))):
         if name.endswith(".toml"):
             to_write("out", out, "", [name])
             sensor = stages.extended(sensor, stages.read_rubber(Path(name)))
         else:
             sensor = stages.surrounded(sensor, name)
+    if sensor != ready or not told:  # what is known of another design is not known of it
+        told = design_to_toml(sensor)
     if out is not None:
-        write_design(sensor, Path(out))
+        write_text(told, Path(out))
     current().say(told_by_tilt(sensor.unit))
-    wires = "" if layout == "song2018" else explained(sensor.unit.layout)
-    text = wires if out is not None else design_to_toml(sensor).removesuffix("\n")
+    wires = "" if layout in (None, "song2018") else explained(sensor.unit.layout)
+    about = [line.removeprefix("# ") for line in takewhile(lambda line: line.startswith("#"), told.splitlines())]
+    text = "\n".join(about if purpose else filter(None, [wires])) if out is not None else told.removesuffix("\n")
     current().answer(lambda: asdict(sensor), text, out)
     return sensor
 

@@ -19,6 +19,7 @@ else:
 
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 LARGE_ERROR, MAX_ERROR = 0.05, 0.2  #: estimated, of forces or electrodes: beyond it is warned of, or refused
+USUAL_DEPTH = 0.05  #: of the slab's height
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 #: sizes of each shape, that which it needs first
 SIZES = {
@@ -33,7 +34,7 @@ def press(
     design: DesignLike | None = None,
     *,
     shape: Indenter,
-    depth_mm: float,
+    depth_mm: float | None = None,
     radius_mm: float | None = None,
     size_mm: Pair | None = None,
     length_mm: float | None = None,
@@ -55,8 +56,8 @@ def press(
         Design file (TOML); default: the paper's sensor.
     shape : str or Shape
         Indenter: sphere, cylinder, flat, or an STL file.
-    depth_mm : float
-        Depth of its lowest point below the top at rest [mm].
+    depth_mm : float, optional
+        Depth of its lowest point below the top at rest [mm]; default: a twentieth of the slab's height.
     radius_mm : float, optional
         Radius of a sphere, a lying cylinder or a round flat punch [mm].
     size_mm : str, optional
@@ -93,6 +94,7 @@ def press(
     ((1, 2, 3), True)
     """
     caller, sensor = current(), design_of(design)
+    depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
     sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache

@@ -92,7 +92,7 @@ def assessed_touch_tables(found: "stages.TouchAssessment") -> list[Table]:
     table.add_row("median error of the net Fz", f"{found.net_fz_median_pct:.1f}%")
     table.add_row(escape("median error of the centre of pressure [mm]"), f"{found.centre_mm:.2f}")
     one, two = found.loaded_coverage
-    table.add_row(escape("RMSE of Fz on units that carry over 1 N [N]"), f"{found.loaded_rmse_n:.2f}")
+    table.add_row(escape("RMSE of Fz on loaded units [N]"), f"{found.loaded_rmse_n:.3g}")
     table.add_row("their errors within the 68 % and 95 % deviation", f"{one:.1%} and {two:.1%}")
     return [assessment_table(found.by_force), table]
 

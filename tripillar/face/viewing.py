@@ -22,10 +22,10 @@ from tripillar.face.inputs import BodyLike, DesignLike, File, Flag, Options, des
 from tripillar.terminal.interrupts import leave_at_once
 
 if TYPE_CHECKING:
-    Pressures = float | Sequence[float] | None
+    Pressures = float | str | Sequence[float | str] | None
     Scale = float | str | None
 else:
-    Pressures = Annotated[tuple[float, ...], Flag(consume_multiple=True)]
+    Pressures = Annotated[tuple[str, ...], Flag(consume_multiple=True)]
     Scale = str
 
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
@@ -89,9 +89,10 @@ def view(
         Scene or design file (TOML); default: the paper's sensor.
     save : path, optional
         File to write: .png, .html, .mp4 or .vtm; default: open a window.
-    pressure_mpa : float or sequence of float
-        Pressure at the indenter's middle or on every pad [MPa]; several are drawn side by side; default: 3, of a design
-        that does not bear it the middle of its own range. A scene has its own loads.
+    pressure_mpa : float, str, or a sequence of these
+        Pressure at the indenter's middle or on every pad [MPa], or its share of the most that suits the design, such as
+        60%; several are drawn side by side; default: 3 MPa, of a design that does not bear it the middle of its own
+        range. A scene has its own loads.
     load : str, optional
         Load: a round indenter over the middle of the array, or all pads alike; default: indenter.
     colour : str
@@ -141,9 +142,8 @@ def view(
     given = stages.read_body(Path(body)) if isinstance(body, Path | str) else body or design_of(design)
     if isinstance(given, stages.Scene) and (pressure_mpa is not None or load is not None):
         raise DesignError(f"{body} is a scene, which has its own loads: leave pressure_mpa= and load= out.")
-    if not pressures and isinstance(given, SensorDesign):
-        pressures = (_usual_pressure(given),)
-    panels, factor = _shown(given, file, pressures, load or "indenter", colour, factor, camera)
+    suited_mpa = _suited(given, pressures) if isinstance(given, SensorDesign) else ()
+    panels, factor = _shown(given, file, suited_mpa, load or "indenter", colour, factor, camera)
     lines, largest = [], {}
     for name, parts in panels.items():
         moved = {part_name: stages.largest_mm(part.displacement_mm) for part_name, part in parts.items()}
@@ -262,29 +262,40 @@ def _require_model(model: "stages.AnyDecoder", name: str, design: SensorDesign) 
         current().say("warning: the model was trained for another design: its forces are those of that design")
 
 
-def _pressures(given: "Pressures") -> tuple[float, ...]:
-    """The pressures that are asked for, sound and different; none: those that suit the design."""
-    pressures = () if given is None else (given,) if isinstance(given, int | float) else tuple(given)
-    for value in pressures:
+def _pressures(given: "Pressures") -> tuple[float | str, ...]:
+    """The pressures [MPa], or shares such as 60%, that are asked for, sound and different; none: the usual one."""
+    found: list[float | str] = []
+    for each in () if given is None else (given,) if isinstance(given, int | float | str) else given:
+        text = str(each)
+        try:
+            value = float(text.removesuffix("%"))
+        except ValueError:
+            value = math.nan
         if not (math.isfinite(value) and 0 < value <= MAX_MPA):
             raise DesignError(
-                f"pressure_mpa={value:g} must be above 0 and at most {MAX_MPA:g} MPa; the paper uses 1 to 5."
+                f"pressure_mpa={each} must be above 0 and at most {MAX_MPA:g} MPa, or {MAX_MPA:g}% of the most that "
+                "suits the design; the paper uses 1 to 5 MPa."
             )
-    if len(set(pressures)) < len(pressures) or len(pressures) > MAX_PANELS:
+        found.append(text if text.endswith("%") else value)
+    if len(set(found)) < len(found) or len(found) > MAX_PANELS:
         raise DesignError(f"pressure_mpa= takes at most {MAX_PANELS} different values, one for each picture.")
-    return pressures
+    return tuple(found)
 
 
-def _usual_pressure(design: SensorDesign) -> float:
-    """The middle of the loads that suit a design [MPa]."""
+def _suited(design: SensorDesign, asked: Sequence[float | str]) -> tuple[float, ...]:
+    """The pressures that are asked for [MPa], shares of the design's range taken of it; none: the range's middle."""
+    if asked and not any(isinstance(each, str) for each in asked):
+        return tuple(map(float, asked))
     loads = stages.loads_of(stages.respond(with_model(design, "linear"), current().bars)[1])
+    most, area_mm2 = loads.normal_mpa[1], design.pad.size_mm**2
     if loads != stages.PAPERS:
-        most, area_mm2 = loads.normal_mpa[1], design.pad.size_mm**2
         current().say(
-            f"the design does not bear the paper's {stages.PAPERS.middle_mpa:g} MPa; shown in the middle of its own "
-            f"range, which ends at {most:.3g} MPa ({most * area_mm2:.3g} N a pad)"
+            f"the design does not bear the paper's {stages.PAPERS.middle_mpa:g} MPa; "
+            f"{'shares are' if asked else 'shown in the middle'} of its own range, which ends at {most:.3g} MPa "
+            f"({most * area_mm2:.3g} N a pad)"
         )
-    return loads.middle_mpa
+    shares = (float(each.removesuffix("%")) / 100 if isinstance(each, str) else each / most for each in asked)
+    return tuple(float(f"{share * most:.6g}") for share in shares) or (loads.middle_mpa,)
 
 
 def _factor(scale: "Scale") -> float | None:

@@ -26,7 +26,13 @@ MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
 RENEWED_S = 0.1  #: between two calculations of the deviations, which take twenty times as long as the forces
 RATE_OVER = 64  #: scans whose pace is the rate shown
-MIN_FULL_SCALE_N = 10.0  #: that is drawn brightest, so that noise at rest stays dark
+#: drawn brightest at least, so that noise at rest stays dark: so much, or that share of the most that a softer one feels
+MIN_FULL_SCALE_N, MIN_FULL_SCALE = 10.0, 0.3
+
+
+def digits_of(largest_n: float) -> int:
+    """Decimals of forces: two below 10 N."""
+    return 1 if abs(largest_n) >= 10.0 else 2
 
 
 def force_table(force_n: FloatArray, axes: tuple[str, ...], full_scale_n: float) -> Table:
@@ -44,8 +50,8 @@ def _cell(force: dict[str, float], full_scale_n: float) -> Text:
     number = fz if "z" in force else shear
     red, green, blue = colours(np.array([abs(number) / full_scale_n]))[0].tolist()
     ink = "rgb(0,0,0)" if red + green + blue > 380 else "rgb(255,255,255)"
-    digits = 1 if abs(number) < 1e4 else 0  # a broken sensor's forces keep to their columns, too
-    return Text(f" {number:6.{digits}f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
+    digits = digits_of(full_scale_n) if abs(number) < 1e4 else 0  # a broken sensor's forces keep to their columns, too
+    return Text(f" {round(number, digits) + 0.0:6.{digits}f} {arrow} ", style=f"{ink} on rgb({red},{green},{blue})")
 
 
 def live_view(
@@ -58,19 +64,19 @@ def live_view(
 ) -> RenderableType:
     """The terminal's picture: the table, net load, the link's counts, and what is wrong, if anything."""
     wrench, deviation_n = scan.wrench, scan.deviation_n
-    net, net_deviation = wrench.force_n, wrench.force_deviation_n
+    net, net_deviation, digits = wrench.force_n, wrench.force_deviation_n, digits_of(full_scale_n)
     sums = "   ".join(
-        f"ΣF{axis} {net[k]:8.1f}{'' if net_deviation is None else f' ± {net_deviation[k]:.1f}'} N"
+        f"ΣF{axis} {net[k]:8.{digits}f}{'' if net_deviation is None else f' ± {net_deviation[k]:.{digits}f}'} N"
         for axis, k in zip(axes, (AXES.index(axis) for axis in axes), strict=True)
     )
-    unsure = "" if deviation_n is None else f"; each pad ± {float(deviation_n.mean()):.1f} N (68 %)"
+    unsure = "" if deviation_n is None else f"; each pad ± {float(deviation_n.mean()):.{digits}f} N (68 %)"
     damaged = stats.bad_crc + stats.bad_cobs + stats.bad_form
     link = (
         f"{rate_hz:5.1f} frames/s  {stats.ok} ok  {stats.lost} lost  {damaged} damaged  "
         f"{stats.overruns_said}  {stats.dropped} dropped  {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"
-    head = Text(f"{number} [N], arrows: shear; {full_scale_n:.0f} N is brightest", style="dim")
+    head = Text(f"{number} [N], arrows: shear; {full_scale_n:.3g} N is brightest", style="dim")
     pressed = Text(f"centre of pressure {_centre(wrench)}{unsure}")
     lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums)]
     remembered = [] if scan.memory_rise is None else [memory_line(scan)]
@@ -92,7 +98,8 @@ def contact_lines(scan: Forces) -> list[str]:
     lines = []
     for number, each in enumerate(scan.contacts or (), 1):
         (x, y), (dx, dy), (a, b) = each.centre_mm, each.centre_deviation_mm, 2 * each.half_mm
-        force = f"Fz {each.force_n[2]:.1f} ± {each.force_deviation_n[2]:.1f} N"
+        fz, digits = each.force_n[2], digits_of(each.force_n[2])
+        force = f"Fz {fz:.{digits}f} ± {each.force_deviation_n[2]:.{digits}f} N"
         lines.append(
             f"contact {number}: {force} at x {x:.1f} ± {dx:.1f}, y {y:.1f} ± {dy:.1f} mm, {a:.0f} × {b:.0f} mm"
         )
@@ -113,7 +120,9 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     scanner, axes = sensor.scanner, sensor.model.component.axes
     frame: Forces | None = None
     newest: deque[Scan] = deque(maxlen=RATE_OVER)
-    full_scale, shown = MIN_FULL_SCALE_N, 0.0
+    usual = sensor.model.output_scaling
+    full_scale = min(MIN_FULL_SCALE_N, MIN_FULL_SCALE * float((np.abs(usual.centre) + usual.half_range).max()))
+    shown = 0.0
     with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans_within(scanner, seconds):
             if scan is not None:

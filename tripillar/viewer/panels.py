@@ -72,25 +72,18 @@ def require_drawable(body: SensorDesign | Scene, panels: dict[str, Parts], press
     """Refuse pictures of linear rubber that moves farther than it is high: nothing about them is right."""
     if not is_linear(body):
         return
-    height, moved = _height_and_moved(panels)
-    if moved <= height:
+    moved = max(map(moved_share, panels.values()))
+    if moved <= 1.0:
         return
-    most = f"{height / moved:.2g} of the load"
+    most = f"{1 / moved:.2g} of the load"
     if pressures_mpa:
-        mpa = max(pressures_mpa) * height / moved
+        mpa = max(pressures_mpa) / moved
         step = 10.0 ** (np.floor(np.log10(mpa)) - 1)
         most = f"{np.floor(mpa / step) * step:.3g} MPa"
     raise DesignError(
-        f"linear rubber moves by {moved:.3g} mm there, farther than the {height:g} mm that it is high: draw at most "
-        f"{most}, or write model = 'neo-hookean' in the rubbers for finite strain."
+        f"linear rubber would move by {moved:.3g} times its height there: draw at most {most}, or write model = "
+        "'neo-hookean' in the rubbers for finite strain."
     )
-
-
-def _height_and_moved(panels: dict[str, Parts]) -> tuple[float, float]:
-    """The body's height and the largest displacement [mm]."""
-    parts = [part for panel in panels.values() for part in panel.values()]
-    height = max(float(np.ptp(part.points_mm[:, 2])) for part in parts)
-    return height, max(largest_mm(part.displacement_mm) for part in parts)
 
 
 def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
@@ -101,11 +94,16 @@ def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     """
     if not is_linear(body):
         return ""
-    height, moved = _height_and_moved(panels)
-    moved /= height
+    moved = max(map(moved_share, panels.values()))
     if isinstance(body, SensorDesign):
         return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()), moved)
     return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
+
+
+def moved_share(parts: Parts) -> float:
+    """Largest displacement over the body's height."""
+    height_mm = max(float(np.ptp(part.points_mm[:, 2])) for part in parts.values())
+    return max(largest_mm(part.displacement_mm) for part in parts.values()) / height_mm
 
 
 def beyond_linear(strain: float, moved: float = 0.0) -> str:
@@ -131,10 +129,10 @@ def suited_scale(panels: dict[str, Parts]) -> float:
 
     1, 2 or 5 times a power of ten; 1 where nothing moves.
     """
-    height, largest = _height_and_moved(panels)
+    largest = max(map(moved_share, panels.values()))
     if largest == 0.0:
         return 1.0
-    wanted = AUTO * height / largest
+    wanted = AUTO / largest
     tens = 10.0 ** np.floor(np.log10(wanted))
     return float(max(step * tens for step in ROUND if step * tens <= wanted * (1 + 1e-9)))
 

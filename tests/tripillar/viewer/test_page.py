@@ -14,7 +14,7 @@ from dataset.simulation import simulate
 from decoupler import train
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from fem.array.closed_forms import layer_response
-from fem.pictures.parts import APART_MM, COARSE, pillar_surface
+from fem.pictures.parts import APART, COARSE, pillar_surface
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS, rest_lengths, unit_centres
 from hardware.link.frames import Info, ScanMode
@@ -133,7 +133,7 @@ def test_superposition_is_the_solution(subject):
 def test_pillars_move_as_the_field_says_as_large_as_asked_and_the_chosen_pad_is_marked(subject, scene):
     """Each unit's pillars stand at its centre and move as the solved field does there; drawn in single precision."""
     field, centres = subject.field, np.pad(unit_centres(DESIGN), ((0, 0), (0, 1)))[:, None]
-    points, _ = pillar_surface(DESIGN.unit, *COARSE[:2], APART_MM)
+    points, _ = pillar_surface(DESIGN.unit, *COARSE[:2], APART * DESIGN.unit.height_mm)
     moved = field.observe(points).displacement_mm(field.state(TRACTION))
     assert moved[1, :, 2].min() < -0.3  # 3 MPa on rubber of 6.1 MPa, 10 mm high
     for scale in (5.0, 1.0):

@@ -11,7 +11,7 @@ import pyvista as pv
 
 from fem.pictures.arrays import ArrayField
 from fem.pictures.deformation import (
-    PAD_LIFT_MM,
+    PAD_LIFT,
     QUANTITIES,
     Bar,
     Colour,
@@ -76,7 +76,8 @@ class ArrayScene:
         bar = self._picture.recolour({"": parts}, quantity, scale)
         pads, first = parts[self._pads], chosen * (COARSE[2] + 1) ** 2
         own = first + self._border
-        self.mark.points = pads.points_mm[own] + scale * pads.displacement_mm[own] + (0.0, 0.0, PAD_LIFT_MM)
+        lift_mm = PAD_LIFT * self._field.design.unit.height_mm
+        self.mark.points = pads.points_mm[own] + scale * pads.displacement_mm[own] + (0.0, 0.0, lift_mm)
         self.plotter.set_background(BACKGROUND[is_dark])
         self._letters.prop.color = LETTERS[is_dark]
         self._picture.actors["matrix"].prop.opacity = HAZE[is_dark]
