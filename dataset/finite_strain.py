@@ -5,7 +5,7 @@ number alone, not on how many are made with it, and groups can be made in any or
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from geometry.layout import FloatArray
 METHOD = 10  #: raise when the same settings give other samples
 GROUP = 8  #: samples drawn and solved together
 MAX_DRAWS = 200  #: of one sample, before the protocol is held to be impossible under the cap
+LOWERINGS, BORNE = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15), 0.75  #: of a design's own loads, until so many draws have answers
 FAR = 1.1  #: of the cap: a draw strained beyond it is given up before it has settled
 _STREAM = 17  #: parts these generators from those of linear samples
 
@@ -95,6 +96,15 @@ class GroupSolver:
         unit, far = self.design.unit, FAR * settings.cap
         self._solver = SampleSolver(self.design, influence, per_n, unwanted=lambda u: largest_strains(u, unit) > far)
 
+    def answered(self, settings: DatasetSettings) -> float:
+        """Share of a group's first draws that have answers below the cap."""
+        design, protocol = self.design, settings.on_pads
+        traction = protocol.draw(np.random.default_rng(_STREAM), GROUP, design, settings.loads)
+        with one_blas_thread():
+            found = self._solver.displacements(traction * design.pad.size_mm**2)
+        over = largest_strains(found.displacement_mm, design.unit) > settings.cap
+        return float((found.settled & ~over).mean())
+
     def group(self, settings: DatasetSettings, number: int) -> Group:
         """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
         design, protocol = self.design, settings.on_pads
@@ -115,6 +125,24 @@ class GroupSolver:
 
         kept, redrawn = below_cap(draw, GROUP, MAX_DRAWS, settings, design)
         return Group(**dict(zip(names, kept, strict=True)), redrawn=redrawn - unsolved, unsolved=unsolved)
+
+
+def borne(response: ArrayResponse, settings: DatasetSettings) -> tuple[DatasetSettings, float]:
+    """Settings with a design's own loads, by the linear response, lowered to what finite strain bears; and by how much.
+
+    Very soft rubber folds long before linear rubber strains its pillars by the cap. Loads that are given, or are the
+    paper's, stay as they are.
+    """
+    suited = settings.suited(response)
+    if suited == settings:
+        return settings, 1.0
+    solver, name = GroupSolver(response, settings), "pressure_mpa" if suited.pressure_mpa else "shear_mpa"
+    low, high = getattr(suited, name)
+    for factor in LOWERINGS:
+        lowered = replace(settings, **{name: (float(f"{factor * low:.3g}"), float(f"{factor * high:.3g}"))})
+        if solver.answered(lowered) >= BORNE:
+            break
+    return (settings, 1.0) if factor == 1.0 else (lowered, factor)
 
 
 def n_groups(samples: int) -> int:

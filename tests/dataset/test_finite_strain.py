@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, Samples, read_samples
-from dataset.finite_strain import GROUP, Group, GroupSolver, group_cache_key, n_groups, samples_of
+from dataset.finite_strain import GROUP, Group, GroupSolver, borne, group_cache_key, n_groups, samples_of
 from dataset.resistance import pillar_resistances, pillar_strains
 from dataset.simulation import LoadError
 from fem.array.response import ArrayResponse
@@ -87,6 +87,19 @@ def test_conduction_reads_the_ratios_that_were_solved_of_the_same_displacements(
     by_length = pillar_resistances(conducted.length_mm, pillar_volumes(DESIGN.unit), 4000.0)
     assert conducted.resistance_ohm == pytest.approx(by_length * ratio.reshape(by_length.shape), rel=1e-12)
     assert conducted.made_from["resistance_error_estimate"] == 0.02
+
+
+def test_own_loads_are_lowered_to_what_finite_strain_bears_given_ones_are_not(response, monkeypatch):
+    """Of a design so soft that it does not bear the paper's loads, answered from half of its own on."""
+    soft = replace(response, influence_mm_per_n=10 * response.influence_mm_per_n)
+    own = SETTINGS.suited(soft).pressure_mpa
+    assert own is not None
+    monkeypatch.setattr(GroupSolver, "answered", lambda _, lowered: float(lowered.pressure_mpa[1] <= 0.51 * own[1]))
+    lowered, factor = borne(soft, SETTINGS)
+    assert (factor, lowered.pressure_mpa) == (0.5, pytest.approx([0.5 * one for one in own], rel=5e-3))
+    for untouched in (replace(SETTINGS, pressure_mpa=own), replace(SETTINGS, pressure_mpa=(0.1, 0.2))):
+        assert borne(soft, untouched) == (untouched, 1.0)
+    assert borne(response, SETTINGS) == (SETTINGS, 1.0)
 
 
 def test_what_cannot_be_solved_is_refused(response, solver, monkeypatch):

@@ -171,11 +171,15 @@ def dataset(
         raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
+    if is_finite:
+        stages.require_finite(sensor)
+        settings, factor = stages.borne(solved, settings)
+        if factor < 1.0:
+            caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
     said, settings = _loads_said(settings, solved), settings.suited(solved)
     made: stages.Samples | stages.StoredSamples
     story: dict[str, Any] = {}
     if is_finite:
-        stages.require_finite(sensor)
         advance = caller.bars.begin("dataset", total=stages.n_groups(samples))
         made = stages.simulate_finite(solved, settings, readout, workers, scheduler, advance)
         made = made if names is None else made.only(*names)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from common.lazy import lazily
 
 if TYPE_CHECKING:
-    from dataset.finite_strain import n_groups, require_finite
+    from dataset.finite_strain import borne, n_groups, require_finite
     from dataset.indentation import largest_strain, samples_of as samples_of_contacts, write_contact
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.loads import PAPERS, Loads, loads_of
