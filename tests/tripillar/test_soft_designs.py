@@ -83,7 +83,9 @@ def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(
     assert list(far.values()) == pytest.approx([moved_mm, moved_mm / 0.6], rel=1e-4)  # linear; pressures have 6 digits
     refused = house.tripillar("view", "soft.toml", "--save", "no.vtm", "--pressure", "3")
     assert refused.returncode == 2
-    assert "times its height under 3 MPa: give shares of what the design bears, such as --pressure 60%" in refused.stderr
+    assert (
+        "times its height under 3 MPa: give shares of what the design bears, such as --pressure 60%" in refused.stderr
+    )
     assert not (house.folder / "no.vtm").exists()
     paper = house.tripillar("view", "small.toml", "--save", "paper.vtm")
     assert paper.stdout.startswith("3 MPa at the indenter's middle")
