@@ -83,7 +83,7 @@ def test_rubber_ten_times_softer_is_loaded_a_tenth_and_deforms_alike(protocol, r
 
 @pytest.mark.parametrize("protocol", ["three-axis", "contact", "light"])
 def test_stiff_pillars_in_ecoflex_are_loaded_within_their_range_which_is_stored(protocol, cast, tmp_path):
-    """A tenth of the paper's least load; less than a fifth of the draws pass the cap, by which electrodes sink at most."""
+    """Below the paper's least load; less than a fifth of the draws pass the cap, by which electrodes sink at most."""
     settings = DatasetSettings(protocol=protocol, samples=200)
     data, own = simulate(cast, settings), loads_of(cast)
     assert own.normal_mpa[1] < 0.2 * PAPERS.normal_mpa[0]

@@ -84,10 +84,11 @@ def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(
     far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", "60%", "100%")["largest_displacement_mm"]
     assert next(iter(far)) == name
     assert list(far.values()) == pytest.approx([moved_mm, moved_mm / 0.6], rel=1e-4)  # linear; pressures have 6 digits
-    refused = house.tripillar("view", "soft.toml", "--save", "far.vtm", "--pressure", "3")
+    refused = house.tripillar("view", "soft.toml", "--save", "no.vtm", "--pressure", "3")
     assert refused.returncode == 2
     most = re.search(r"times its height there: draw at most (\S+) MPa, or write", refused.stderr)
     assert most, refused.stderr
+    assert not (house.folder / "no.vtm").exists()
     far = house.result("view", "soft.toml", "--save", "far.vtm", "--pressure", most[1])
     (moved_mm,) = far["largest_displacement_mm"].values()
     assert 9.0 < moved_mm <= 10.0

@@ -61,10 +61,10 @@ def design(
         raise DesignError(f"layout={layout!r} must be one of {', '.join(LAYOUTS)}.")
     if purpose not in (None, *get_args(Purpose)):
         raise DesignError(f"purpose={purpose!r} must be one of {', '.join(get_args(Purpose))}.")
-    ready, told = SensorDesign(), ""
+    ready, about = SensorDesign(), list[str]()
     if purpose is not None:
-        told = read_text(READY / f"{purpose}.toml", "install tripillar again", DesignError)
-        ready = whole_design(told, purpose)
+        stored = read_text(READY / f"{purpose}.toml", "install tripillar again", DesignError)
+        ready, about = whole_design(stored, purpose), [*takewhile(lambda line: line[:1] == "#", stored.splitlines())]
     size = {name: given for name, given in (("rows", rows), ("cols", cols)) if given is not None}
     unit = ready.unit if layout is None else replace(ready.unit, layout=LAYOUTS[layout])
     sensor = replace(ready, array=replace(ready.array, **size), unit=unit)
@@ -74,14 +74,13 @@ def design(
             sensor = stages.extended(sensor, stages.read_rubber(Path(name)))
         else:
             sensor = stages.surrounded(sensor, name)
-    if sensor != ready or not told:  # what is known of another design is not known of it
-        told = design_to_toml(sensor)
+    about = about if sensor == ready else []  # what is known of another design is not known of it
+    told = "\n".join([*about, *[""][: len(about)], design_to_toml(sensor)])
     if out is not None:
         write_text(told, Path(out))
     current().say(told_by_tilt(sensor.unit))
-    wires = "" if layout in (None, "song2018") else explained(sensor.unit.layout)
-    about = [line.removeprefix("# ") for line in takewhile(lambda line: line.startswith("#"), told.splitlines())]
-    text = "\n".join(about if purpose else filter(None, [wires])) if out is not None else told.removesuffix("\n")
+    wires = [] if layout in (None, "song2018") else [explained(sensor.unit.layout)]
+    text = told.removesuffix("\n") if out is None else "\n".join([line[2:] for line in about] or wires)
     current().answer(lambda: asdict(sensor), text, out)
     return sensor
 

@@ -26,7 +26,7 @@ MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
 RENEWED_S = 0.1  #: between two calculations of the deviations, which take twenty times as long as the forces
 RATE_OVER = 64  #: scans whose pace is the rate shown
-#: drawn brightest at least, so that noise at rest stays dark: so much, or that share of the most that a softer one feels
+#: drawn brightest at least, so that noise at rest stays dark: so much, or a share of what a softer one feels
 MIN_FULL_SCALE_N, MIN_FULL_SCALE = 10.0, 0.3
 
 
