@@ -84,6 +84,7 @@ COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarses
 #: stiff), 0.8 to 11 times that of loaded units, and 0.6 to 5 times that of far electrodes that move a hundredth as far
 MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 0.6
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
+MAX_ASPECT = 2.0  #: of rectangles whose edges meshes of tetrahedra resolve
 MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at most: it has every neighbourhood
 
 
@@ -237,7 +238,9 @@ class DesignCell:
         if self.from_cad:
             made, *_ = sensor_mesh(unit.design, suited_settings(unit.design).finer(CAD_LEVEL))
             mesh = MeshTet(np.ascontiguousarray(made.points_mm.T), np.ascontiguousarray(made.cells.T))
-        return AdaptedTetrahedra(scene, regions, self.rectangles, mesh)
+        size = self.rectangles[:, 2:] - self.rectangles[:, :2]
+        resolved = self.rectangles[(size.max(axis=1) < MAX_ASPECT * size.min(axis=1)) & (size.min(axis=1) > 0.06 * design.unit.height_mm)]
+        return AdaptedTetrahedra(scene, regions, resolved, mesh)
 
     def tetrahedra(self, level: int) -> Rubber:
         """The cell's body on the mesh of a level."""

@@ -141,8 +141,7 @@ class Contact(Indentation):
         off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
         half = np.array(self.design.slab_mm[:2]) / 2
         to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
-        rim = surface.strips(0)[0]
-        rim_mm = (rim.high_mm - rim.low_mm) / rim.tiles
+        rim_mm = surface.rim_mm
         beside = (np.maximum(0.0, 1 - 2 * to_side / rim_mm) * pressing).sum()  # 1 if all of it is at a side
         of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / self.depth_mm + SIDE_ERROR * beside**2
         missed = _difference(between.electrodes_mm(force_n), self.electrode_mm)

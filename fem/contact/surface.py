@@ -43,20 +43,26 @@ from fem.contact.tiles import (
     MIRROR_Y,
     Patch,
     Strip,
+    cell_lines,
     cell_rectangles,
+    edges,
     faces,
+    has_pillar_tops,
     layer_spectrum,
     levers,
+    on_pillars,
     plate_tiles,
     plated,
     shares,
+    shares_by_rubber,
     slab_strips,
+    stiffer,
     tiles_per_pitch,
 )
 from fem.kernel.elements import taylor_hood
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
-from geometry.design import Electrics, Pad, Plate, SensorDesign, bent
+from geometry.design import Electrics, Pad, Plate, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray, electrode_squares
 
 VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
@@ -88,6 +94,7 @@ class SurfaceCompliance:
     cache_key: str = ""  #: hash of what it was made from
     #: of conduction: the pillars' resistances by forces on tiles (3, ny, nx), as `conducted_by_tiles` gives them
     conducted: ConductedPillars | None = None
+    has_tops: bool = False  #: whether tiles follow the tops of pillars of another rubber
 
     def strips(self, axis: int) -> list[Strip]:
         """Strips of tiles along x (0) or y (1)."""
@@ -96,6 +103,11 @@ class SurfaceCompliance:
     @property
     def has_plates(self) -> bool:
         return self.design.pad.kind == "stiff"
+
+    @property
+    def rim_mm(self) -> float:
+        """Width of a tile at the side."""
+        return float(np.diff(cell_lines(self.design, 0)[:2])[0]) if self.has_tops else float(np.diff(edges(self.strips(0))[:2])[0])
 
     def on_grid(self, nx: int, ny: int) -> FloatArray:
         """Displacement of the upper electrodes by a force on each cell of a grid over the whole top [mm/N].
@@ -106,10 +118,18 @@ class SurfaceCompliance:
         fine = Patch((-x / 2, -y / 2), (x / 2, y / 2), PARTS * nx, PARTS * ny)
         whole = PatchCompliance(self, fine)
         rest = self.on_electrodes.reshape(-1, *self.on_electrodes.shape[-3:])
-        found = np.einsum("yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True)
+        if whole._tops is None:
+            found = np.einsum("yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True)
+            layer = np.ones((ny, nx))
+        else:
+            spread = sp.kron(*(sp.kron(sp.eye_array(n), np.full((1, PARTS), 1 / PARTS)) for n in (ny, nx)))
+            found = (spread @ whole._tops[0]) @ rest.reshape(-1, rest.shape[-1] * rest.shape[-2]).T
+            found = found.reshape(ny, nx, *rest.shape[:2]).swapaxes(2, 3)
+            layer = (spread @ whole.under_electrodes.ravel()).reshape(ny, nx)
         found = found.astype(np.float32).reshape(ny, nx, 3, -1, 3)
         for number, (sy, kernel, sx) in enumerate(whole.electrode_kernels()):
-            found[:, :, :, number] += np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
+            of_layer = np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
+            found[:, :, :, number] += of_layer * layer[..., None, None]
         return found.reshape(ny, nx, 3, -1)
 
 
@@ -152,7 +172,7 @@ def conducted_by_tiles(
     n_components, 3, ny, nx) [mm/N], float32. `progress` and errors are those of `fem.array.conducted`.
     """
     key = digest("contact conduction", CONDUCTION_VERSION, design)
-    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    rows, cols, (tiles, _) = design.array.rows, design.array.cols, tiles_per_pitch(design)
     cells, n_loads = (rows, cols, tiles, tiles, 3), 3 * tiles**2
     usual = np.outer(np.where(plate_tiles(design), 1.0, BETWEEN), USUAL).ravel()
 
@@ -196,7 +216,7 @@ def require_pressable(design: SensorDesign) -> None:
         )
     if design.electrics.is_conduction and design.pad.kind == "soft":
         raise DesignError("conduction under contact takes plates: write kind = 'stiff' in [pad], or model = 'eq1'.")
-    number = 3 * design.n_units * tiles_per_pitch(design) ** 2
+    number = 3 * design.n_units * int(np.prod(tiles_per_pitch(design)))
     if number > MAX_FUNCTIONALS:
         raise DesignError(
             f"{design.array.rows} × {design.array.cols} units are too many for contact by shape: "
@@ -205,8 +225,8 @@ def require_pressable(design: SensorDesign) -> None:
 
 
 def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCompliance:
-    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
-    ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
+    rows, cols, (tiles_x, tiles_y) = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    ny, nx, loads = rows * tiles_y, cols * tiles_x, range(3 * tiles_x * tiles_y)
     progress("cells")
     source = DesignCell(design, cell_rectangles(design))
     own = plain = own_cell(source)
@@ -223,17 +243,25 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
         has_layer = np.repeat(~plate_tiles(design).ravel(), 3)
         endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
         endless[..., ~has_layer] = 0.0
+    if has_pillar_tops(design):
+        x, y = cell_rectangles(design).reshape(-1, 2, 2).mean(axis=1).T
+        is_pillar = np.repeat(on_pillars(lone_unit(design), x, y).diagonal(), 3)
+        across, within = stiffer(design)
+        endless *= np.select(
+            [is_pillar[:, None] & is_pillar, is_pillar[:, None] | is_pillar], [within, across], default=1.0
+        )[:, : len(loads)]
     for i, j, k, m in np.ndindex(rows, cols, rows, cols):
         moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
     moved = moved.astype(np.float32)
-    on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
-    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
+    tiled = (rows, cols, tiles_y, tiles_x, 3)
+    on_tiles = moved[:, :, : len(loads)].reshape(*tiled, *tiled)
+    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, *tiled)
     on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx)
     on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx)
     if design.pad.kind == "stiff":  # electrodes follow tiles alone
         return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
-    return _on_layer(design, on_tiles, on_electrodes)
+    return replace(_on_layer(design, on_tiles, on_electrodes), has_tops=has_pillar_tops(design))
 
 
 def own_cell(source: DesignCell) -> CondensedCell:
@@ -276,7 +304,7 @@ def moved_by_wrenches(
     components of pillars, k = n_pillars·n_components. Errors as of `surface_compliance`.
     """
     require_pressable(design)
-    rows, cols, tiles, on_tiles = design.array.rows, design.array.cols, tiles_per_pitch(design), _on_tiles(design)
+    rows, cols, (tiles, _), on_tiles = design.array.rows, design.array.cols, tiles_per_pitch(design), _on_tiles(design)
     conducted = surface_compliance(design, progress)[0].conducted if design.electrics.is_conduction else None
     if conducted is not None:
         cells = conducted.influence_mm_per_n.reshape(rows, cols, -1, 3, rows, tiles, cols, tiles)
@@ -332,15 +360,27 @@ class PatchCompliance:
         """
         k, patch, (spectrum, size) = len(force_n), self.patch, self._layer
         on_rubber = force_n if self._plates is None else force_n * ~self._plates
-        moved = (spectrum[-k:, -k:] * fft.rfft2(on_rubber, size)).sum(axis=1)  # faster than einsum
-        layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
+
+        def of_layer(force_n: FloatArray) -> FloatArray:
+            moved = (spectrum[-k:, -k:] * fft.rfft2(force_n, size)).sum(axis=1)  # faster than einsum
+            return np.asarray(fft.irfft2(moved, size)[:, : patch.ny, : patch.nx])
+
+        if self._tops is not None and self._pillars.any():
+            (across, within), tops = stiffer(self.surface.design), self._pillars
+            by_matrix, by_pillars = of_layer(force_n * ~tops), of_layer(force_n * tops)
+            layer = np.where(tops, across * by_matrix + within * by_pillars, by_matrix + across * by_pillars)
+        else:
+            layer = of_layer(on_rubber)
         if self._plates is not None:
             layer = np.where(
                 self._plates, self.surface.design.pad.plate.face_mm_per_mpa / patch.cell_mm2 * force_n, layer
             )
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
-        layer += self._rows[0] @ tiles @ self._columns[0].T
+        if self._tops is None:
+            layer += self._rows[0] @ tiles @ self._columns[0].T
+        else:
+            layer += (self._tops[0] @ tiles.reshape(k, -1).T).T.reshape(layer.shape)
         return np.asarray(layer)
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
@@ -349,18 +389,18 @@ class PatchCompliance:
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
-        near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
+        near = self.surface.on_electrodes[..., *self._own]
         rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
         if self._plates is not None:
             return np.asarray(rest.reshape(near.shape[:4]), np.float64)
-        kernels = self.electrode_kernels()
+        kernels, force_n = self.electrode_kernels(), force_n * self.under_electrodes
         layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
         return (layer + rest).reshape(near.shape[:4])
 
     def tiles_n(self, force_n: FloatArray) -> FloatArray:
         """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
         found = np.zeros(self.surface.on_tiles.shape[:3], np.float32)
-        own = found[:, self._rows[1], self._columns[1]]
+        own = found[:, *self._own]
         own[:] = self._below(force_n).reshape(own.shape)
         return np.asarray(found)
 
@@ -384,7 +424,29 @@ class PatchCompliance:
             yield sy, signs[..., :, None] * table[np.abs(at_y)[:, None], np.abs(at_x)] * signs[..., None, :], sx
 
     def _on_tiles(self, force_n: FloatArray) -> FloatArray:
+        if self._tops is not None:
+            return np.ascontiguousarray((self._tops[0].T @ force_n.reshape(len(force_n), -1).T).T, np.float32)
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
+
+    @cached_property
+    def _tops(self) -> tuple[sp.csr_matrix, slice, slice] | None:
+        """As `shares_by_rubber`; None where all is of one rubber or under plates."""
+        return shares_by_rubber(self.patch, self.surface.design, self.degree // 2 + 1) if self.surface.has_tops else None
+
+    @cached_property
+    def _own(self) -> tuple[slice, slice]:
+        """Rows and columns of the tiles that the patch's cells share in."""
+        return (self._rows[1], self._columns[1]) if self._tops is None else self._tops[1:]
+
+    @cached_property
+    def _pillars(self) -> NDArray[np.bool_]:
+        """Cells (ny, nx) on tops of pillars."""
+        return on_pillars(self.surface.design, self.patch.x_mm, self.patch.y_mm)
+
+    @property
+    def under_electrodes(self) -> FloatArray | float:
+        """What the layer between an electrode and each cell (ny, nx) is, over that of the matrix."""
+        return 1.0 if self._tops is None else np.where(self._pillars, *stiffer(self.surface.design)[::-1])
 
     @cached_property
     def _columns(self) -> tuple[FloatArray, slice]:
@@ -427,7 +489,7 @@ class PatchCompliance:
     @cached_property
     def _near(self) -> FloatArray:
         """What is added to the layer on these tiles, (3 n, 3 n) [mm/N]."""
-        tiles = slice(None), self._rows[1], self._columns[1]
+        tiles = slice(None), *self._own
         part = self.surface.on_tiles[*tiles, *tiles]
         near = part.reshape(int(np.prod(part.shape[:3])), -1)
         return near if self._faces is None else (self._faces @ (self._faces @ near).T).T.astype(np.float32)

@@ -5,6 +5,7 @@ Polynomials run between the tiles of a strip. Between the cells of a patch an en
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,15 @@ from scipy import fft
 from fem.array.closed_forms import layer_mean_compliance
 from geometry.design import Array, Material, SensorDesign, lone_unit
 from geometry.layout import FloatArray, electrode_squares
+from geometry.prism import unit_prisms
 
 TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 PLATE_TILES = 3  #: along a plate, whose motion needs two; those beside it are as long
 MIN_BESIDE, MAX_BESIDE = 2, 4  #: from a plate to the side of its cell
+MIN_TILE = 0.02  #: of the height: pillars' edges that are nearer are one line
+TOP_TILE = 0.15  #: of the height: tiles on pillars' tops are no longer
+BESIDE_TOP = 0.08  #: of the gap between tops: how far tiles crowd beside these, at most 1/2π
 MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a grid's line
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
@@ -36,9 +41,65 @@ class Strip(NamedTuple):
     is_plate: bool = False
 
 
-def tiles_per_pitch(design: SensorDesign) -> int:
-    """Tiles along the side of a cell."""
-    return sum(strip.tiles for strip in cell_strips(design, 0))
+def has_pillar_tops(design: SensorDesign) -> bool:
+    """Whether tops of pillars of another rubber lie bare, so that tiles follow them."""
+    return design.pad.kind == "soft" and not design.is_homogeneous
+
+
+def tiles_per_pitch(design: SensorDesign) -> tuple[int, int]:
+    """Tiles of a cell along x and y."""
+    return len(cell_lines(design, 0)) - 1, len(cell_lines(design, 1)) - 1
+
+
+def cell_lines(design: SensorDesign, axis: int) -> FloatArray:
+    """Lines between the tiles of one cell along x (0) or y (1), from its middle [mm]; edges of pillars' tops are some."""
+    if not has_pillar_tops(design):
+        return edges(cell_strips(design, axis))
+    half, height = design.array.pitch_mm / 2, design.unit.height_mm
+    middle, extent = np.array([(one.top_mm[axis], one.extents_mm[axis]) for one in unit_prisms(design.unit)]).T
+    low, high = np.maximum(middle - extent / 2, -half), np.minimum(middle + extent / 2, half)
+    stops = [-half]
+    for stop in np.unique(np.concatenate([low, high, [half]])):
+        if stop - stops[-1] > MIN_TILE * height:
+            stops.append(float(stop))
+    stops[-1] = half
+    lines = [np.array([-half])]
+    for start, end in pairwise(stops):
+        on_top = ((low < (start + end) / 2) & (high > (start + end) / 2)).any()
+        count = np.ceil((end - start) / height / TOP_TILE - ROUNDING) if on_top else round(TILES_PER_HEIGHT * (end - start) / height)
+        t = np.linspace(0.0, 1.0, max(1, int(count)) + 1)[1:]
+        crowding = 0.0 if on_top else BESIDE_TOP
+        lines.append(start + (end - start) * (t - crowding * np.sin(2 * np.pi * t)))
+    return np.concatenate(lines)
+
+
+def slab_lines(design: SensorDesign, axis: int) -> FloatArray:
+    """Lines between all tiles where pillars' tops lie bare."""
+    count, pitch = (design.array.cols, design.array.rows)[axis], design.array.pitch_mm
+    middles = (np.arange(count) - (count - 1) / 2) * pitch
+    lines = middles[:, None] + cell_lines(design, axis)[:-1]
+    return np.append(lines.ravel(), count * pitch / 2)
+
+
+def on_pillars(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
+    """Which places (ny, nx) of the top are of a pillar of another rubber."""
+    pitch = design.array.pitch_mm
+    x, y = (
+        np.mod(at + (count % 2) * pitch / 2, pitch) - pitch / 2
+        for at, count in ((x_mm, design.array.cols), (y_mm, design.array.rows))
+    )
+    places = np.stack(np.broadcast_arrays(x, y[:, None], design.unit.height_mm), axis=-1).reshape(-1, 3)
+    held = [prism.holds(places, ROUNDING * pitch) for prism in unit_prisms(design.unit)]
+    return np.any(held, axis=0).reshape(len(y_mm), len(x_mm))
+
+
+def stiffer(design: SensorDesign) -> tuple[float, float]:
+    """What the matrix's layer, times, is near the singularity between matrix and pillar, and between two places of one.
+
+    A pillar's rubber gives way by E/(1 − ν²), and across its edge a force meets the mean of both.
+    """
+    matrix, pillar = (rubber.young_mpa / (1 - rubber.poisson**2) for rubber in (design.matrix_material, design.pillar_material))
+    return 2 * matrix / (matrix + pillar), matrix / pillar
 
 
 def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
@@ -58,7 +119,7 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
 
 def cell_rectangles(design: SensorDesign) -> FloatArray:
     """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
-    x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
+    x, y = (cell_lines(design, axis) for axis in (0, 1))
     tiles = np.stack(np.broadcast_arrays(x[:-1], y[:-1, None], x[1:], y[1:, None]), axis=-1)
     return np.vstack([tiles.reshape(-1, 4), electrode_squares(lone_unit(design))])
 
@@ -148,6 +209,57 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     used = np.flatnonzero(found.any(axis=0))
     tiles = slice(int(used[0]), int(used[-1] + 1))
     return found[:, tiles], tiles
+
+
+def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[sp.csr_matrix, slice, slice]:
+    """Shares (ny·nx, m) of a patch's cells in tiles that follow pillars' tops, and which rows and columns these are.
+
+    Quadratic in each tile, through its mean and through values at its ends that `width` tiles on either side say; along
+    x, and then along y. Tiles of the other rubber do not count.
+    """
+    lines = [slab_lines(design, axis) for axis in (0, 1)]
+    middles = [(one[:-1] + one[1:]) / 2 for one in lines]
+    is_pillar = on_pillars(design, *middles)
+    places, tiles = (patch.x_mm, patch.y_mm), []
+    own = [np.clip(np.searchsorted(line, at, side="right") - 1, 0, len(line) - 2) for line, at in zip(lines, places, strict=True)]
+    for axis in (0, 1):
+        tiles.append(slice(max(0, own[axis].min() - width), min(len(middles[axis]), own[axis].max() + width + 1)))
+    columns, rows = tiles
+    along_y = {col: _in_runs(places[1], lines[1], is_pillar[:, col], width) for col in np.unique(own[0]).tolist()}
+    by_y = np.stack([along_y[col] for col in own[0].tolist()], axis=1)  # (ny, nx, all rows)
+    found = [
+        sp.csr_matrix((len(own[0]) * len(own[1]), 0)),
+        *(
+            sp.csr_matrix((by_y[..., row, None] * _in_runs(places[0], lines[0], is_pillar[row], width)[:, columns]).reshape(len(own[0]) * len(own[1]), -1))
+            for row in range(rows.start, rows.stop)
+        ),
+    ]
+    return sp.hstack(found, format="csr"), rows, columns
+
+
+def _in_runs(places_mm: FloatArray, lines: FloatArray, kind: NDArray[np.bool_], width: int) -> FloatArray:
+    """Shares (n, tiles) of places in tiles of their run, which are neighbours of one kind."""
+    count, size = len(kind), np.diff(lines)
+    own = np.clip(np.searchsorted(lines, places_mm, side="right") - 1, 0, count - 1)
+    starts = np.flatnonzero(np.append(True, kind[1:] != kind[:-1]))
+    ends = np.append(starts[1:], count)
+    at_ends = np.zeros((2, count, count))  # low and high end of each tile
+    for start, end in zip(starts, ends, strict=True):
+        for line in range(start, end + 1):
+            low, high = max(start, line - width), min(end, line + width)
+            if line in (start, end):  # a parabola
+                low, high = max(start, line - width - 1), min(end, line + width + 1)
+            nodes = lines[low : high + 1] - lines[line]
+            lagrange = np.linalg.inv(np.vander(nodes / size[low], increasing=True))[1] / size[low]
+            slope = size[low:high] * np.cumsum(lagrange[:0:-1])[::-1]  # of the sums of tiles
+            if line > start:
+                at_ends[1, line - 1, low:high] = slope
+            if line < end:
+                at_ends[0, line, low:high] = slope
+    t = ((places_mm - lines[own]) / size[own])[:, None]
+    found = (1 - 4 * t + 3 * t**2) * at_ends[0, own] + (3 * t**2 - 2 * t) * at_ends[1, own]
+    found[np.arange(len(own)), own] += (6 * t * (1 - t))[:, 0]
+    return found
 
 
 def plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
