@@ -211,7 +211,7 @@ class TruncatedArray:
     """An array whose pads move nothing beyond a radius, put together from a smaller one: units deep inside are alike.
 
     Units farther than the radius from a rim answer like the smaller array's middle ones. Influences have shape
-    (rows, cols, n, 3, rows, cols, 3).
+    (rows, cols, n, 3, rows, cols, k).
     """
 
     rows: int
@@ -233,7 +233,7 @@ class TruncatedArray:
         """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
         if influence.shape[:2] == (self.rows, self.cols):
             return influence
-        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, 3))
+        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, influence.shape[6]))
         for i, i_small, i_seen, i_own in self._alike(self.rows, influence.shape[0]):
             for j, j_small, j_seen, j_own in self._alike(self.cols, influence.shape[1]):
                 whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]

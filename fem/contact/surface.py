@@ -14,6 +14,7 @@ the edges of plates. By conduction the pillars' resistances are polynomials of t
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.conducted import USUAL, conducted_by_loads
-from fem.array.coupled_cells import CoupledArray, endless_influence
+from fem.array.coupled_cells import CoupledArray, TruncatedArray, endless_influence
 from fem.array.design_cell import (
     COMPARED_DEGREE,
     GRID_DEGREE,
@@ -72,6 +73,7 @@ PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds 
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
+NEAR, NEAR_DEGREE = 4, 8  #: cells of an endless array, and degree of ports, by which neighbours move each other
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
@@ -229,21 +231,35 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     ny, nx, loads = rows * tiles_y, cols * tiles_x, range(3 * tiles_x * tiles_y)
     progress("cells")
     source = DesignCell(design, cell_rectangles(design))
-    own = plain = own_cell(source)
+    has_tops = has_pillar_tops(design)
+    own = plain = source.condensed(MESH_LEVEL, NEAR_DEGREE) if has_tops else own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
         matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), [design.matrix_material])
-        plain = CellSides.of(System(matrix), source.rectangles).cell(MESH_DEGREE)
+        plain = CellSides.of(System(matrix), source.rectangles).cell(NEAR_DEGREE if has_tops else MESH_DEGREE)
     elif source.plate is not None:
         plain = _extrapolated(DesignCell(design, source.rectangles, has_plate=False))
     progress(f"coupling {rows} × {cols}")
-    moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
-    endless = endless_influence(plain, wide)[..., : len(loads)]
+
+    def influence(cell: CondensedCell, rows: int, cols: int) -> FloatArray:
+        found, _ = CoupledArray(cell, rows, cols).influence(loads, range(cell.transfer.shape[1]))
+        return found.reshape(rows, cols, -1, 3, rows, cols, len(loads))
+
+    of_far, plain_far = (one.of_degree(MESH_DEGREE) if has_tops else one for one in (own, plain))
+    moved, endless = influence(of_far, rows, cols), endless_influence(plain_far, wide)
+    if has_tops:  # the fine modes of ports are felt by neighbours alone
+        few = TruncatedArray(rows, cols, 1)
+        moved += few.expanded(influence(own, *few.smaller) - influence(of_far, *few.smaller))
+        finer = endless_influence(plain, NEAR) - endless_influence(plain_far, NEAR)
+        for step in product((-1, 0, 1), repeat=2):
+            endless[step] += finer[step]
+    moved = moved.reshape(rows, cols, -1, rows, cols, len(loads))
+    endless = endless[..., : len(loads)]
     if design.pad.kind == "stiff":  # the layer answers between plates, on tiles
         has_layer = np.repeat(~plate_tiles(design).ravel(), 3)
         endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
         endless[..., ~has_layer] = 0.0
-    if has_pillar_tops(design):
+    if has_tops:
         x, y = cell_rectangles(design).reshape(-1, 2, 2).mean(axis=1).T
         is_pillar = np.repeat(on_pillars(lone_unit(design), x, y).diagonal(), 3)
         across, within = stiffer(design)
@@ -261,7 +277,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     if design.pad.kind == "stiff":  # electrodes follow tiles alone
         return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
-    return replace(_on_layer(design, on_tiles, on_electrodes), has_tops=has_pillar_tops(design))
+    return replace(_on_layer(design, on_tiles, on_electrodes), has_tops=has_tops)
 
 
 def own_cell(source: DesignCell) -> CondensedCell:
