@@ -84,7 +84,6 @@ COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarses
 #: stiff), 0.8 to 11 times that of loaded units, and 0.6 to 5 times that of far electrodes that move a hundredth as far
 MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 0.6
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
-MAX_ASPECT = 2.0  #: of rectangles whose edges meshes of tetrahedra resolve
 MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at most: it has every neighbourhood
 
 
@@ -203,7 +202,7 @@ class DesignCell:
     A level of a grid divides its edges. That of tetrahedra counts how often the coarsest mesh was halved where it errs:
     for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.scene.tetrahedra`). That mesh is
     of prisms, or of the solids of CAD. Rectangles (k, 4) are loaded or observed of the cell's top face, by default the
-    `functionals`; a stiff pad's plate is bonded to it unless `has_plate` says otherwise.
+    `functionals`; meshes of tetrahedra have edges beside these, or beside others that are to be resolved. A stiff pad's plate is bonded to it unless `has_plate` says otherwise.
     """
 
     def __init__(
@@ -212,9 +211,10 @@ class DesignCell:
         rectangles_mm: FloatArray | None = None,
         from_cad: bool = False,
         has_plate: bool = True,
+        resolved_mm: FloatArray | None = None,
     ) -> None:
         self.design, self.from_cad = design, from_cad
-        self.squares = functionals(design)
+        self.squares, self.resolved = functionals(design), resolved_mm
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad
@@ -238,8 +238,7 @@ class DesignCell:
         if self.from_cad:
             made, *_ = sensor_mesh(unit.design, suited_settings(unit.design).finer(CAD_LEVEL))
             mesh = MeshTet(np.ascontiguousarray(made.points_mm.T), np.ascontiguousarray(made.cells.T))
-        size = self.rectangles[:, 2:] - self.rectangles[:, :2]
-        resolved = self.rectangles[(size.max(axis=1) < MAX_ASPECT * size.min(axis=1)) & (size.min(axis=1) > 0.06 * design.unit.height_mm)]
+        resolved = self.rectangles if self.resolved is None else self.resolved
         return AdaptedTetrahedra(scene, regions, resolved, mesh)
 
     def tetrahedra(self, level: int) -> Rubber:

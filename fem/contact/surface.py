@@ -74,6 +74,7 @@ PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 NEAR, NEAR_DEGREE = 4, 8  #: cells of an endless array, and degree of ports, by which neighbours move each other
+RESOLVED = 0.05  #: of the height: meshes have edges beside tiles on pillars' tops, but not beside narrower ones
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
@@ -230,8 +231,10 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     rows, cols, (tiles_x, tiles_y) = design.array.rows, design.array.cols, tiles_per_pitch(design)
     ny, nx, loads = rows * tiles_y, cols * tiles_x, range(3 * tiles_x * tiles_y)
     progress("cells")
-    source = DesignCell(design, cell_rectangles(design))
-    has_tops = has_pillar_tops(design)
+    has_tops, rectangles = has_pillar_tops(design), cell_rectangles(design)
+    is_pillar = tops_of(design, rectangles)
+    is_wide = (rectangles[:, 2:] - rectangles[:, :2]).min(axis=1) > RESOLVED * design.unit.height_mm
+    source = DesignCell(design, rectangles, resolved_mm=rectangles[is_pillar & is_wide] if has_tops else None)
     own = plain = source.condensed(MESH_LEVEL, NEAR_DEGREE) if has_tops else own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
         matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), [design.matrix_material])
@@ -260,8 +263,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
         endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
         endless[..., ~has_layer] = 0.0
     if has_tops:
-        x, y = cell_rectangles(design).reshape(-1, 2, 2).mean(axis=1).T
-        is_pillar = np.repeat(on_pillars(lone_unit(design), x, y).diagonal(), 3)
+        is_pillar = np.repeat(is_pillar, 3)
         across, within = stiffer(design)
         endless *= np.select(
             [is_pillar[:, None] & is_pillar, is_pillar[:, None] | is_pillar], [within, across], default=1.0
@@ -278,6 +280,12 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
         return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
     return replace(_on_layer(design, on_tiles, on_electrodes), has_tops=has_tops)
+
+
+def tops_of(design: SensorDesign, rectangles: FloatArray) -> NDArray[np.bool_]:
+    """Which rectangles (k, 4) of a cell have their middles on tops of pillars."""
+    x, y = rectangles.reshape(-1, 2, 2).mean(axis=1).T
+    return on_pillars(lone_unit(design), x, y).diagonal()
 
 
 def own_cell(source: DesignCell) -> CondensedCell:
