@@ -44,9 +44,7 @@ from fem.contact.tiles import (
     MIRROR_Y,
     Patch,
     Strip,
-    cell_lines,
     cell_rectangles,
-    edges,
     faces,
     has_pillar_tops,
     layer_spectrum,
@@ -59,6 +57,7 @@ from fem.contact.tiles import (
     slab_strips,
     stiffer,
     tiles_per_pitch,
+    top_lines,
 )
 from fem.kernel.elements import taylor_hood
 from fem.kernel.rubber import Rubber
@@ -67,7 +66,7 @@ from geometry.design import Electrics, Pad, Plate, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray, electrode_squares
 
 VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
-MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
+MAX_FUNCTIONALS = 10_100  #: three a tile: their compliance then fills 400 MB
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
@@ -110,7 +109,11 @@ class SurfaceCompliance:
     @property
     def rim_mm(self) -> float:
         """Width of a tile at the side."""
-        return float(np.diff(cell_lines(self.design, 0)[:2])[0]) if self.has_tops else float(np.diff(edges(self.strips(0))[:2])[0])
+        if not self.has_tops:
+            rim = self.strips(0)[0]
+            return (rim.high_mm - rim.low_mm) / rim.tiles
+        along_y, rows = top_lines(self.design)
+        return float(max(np.diff(lines)[end] for lines in (along_y, *rows) for end in (0, -1)))
 
     def on_grid(self, nx: int, ny: int) -> FloatArray:
         """Displacement of the upper electrodes by a force on each cell of a grid over the whole top [mm/N].

@@ -23,7 +23,8 @@ MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 PLATE_TILES = 3  #: along a plate, whose motion needs two; those beside it are as long
 MIN_BESIDE, MAX_BESIDE = 2, 4  #: from a plate to the side of its cell
 MIN_TILE = 0.02  #: of the height: pillars' edges that are nearer are one line
-TOP_TILE = 0.15  #: of the height: tiles on pillars' tops are no longer
+TOP_TILE = 0.075  #: of the height: tiles on pillars' tops are no longer in the mean
+ON_TOP = 0.05  #: of a top: how far tiles crowd at its edges
 BESIDE_TOP = 0.08  #: of the gap between tops: how far tiles crowd beside these, at most 1/2π
 MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a grid's line
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
@@ -47,38 +48,53 @@ def has_pillar_tops(design: SensorDesign) -> bool:
 
 
 def tiles_per_pitch(design: SensorDesign) -> tuple[int, int]:
-    """Tiles of a cell along x and y."""
-    return len(cell_lines(design, 0)) - 1, len(cell_lines(design, 1)) - 1
+    """Tiles of a cell along x and y; all of them, and 1, where their rows differ."""
+    if has_pillar_tops(design):
+        return sum(len(line) - 1 for line in top_lines(design)[1]), 1
+    return tuple(sum(strip.tiles for strip in cell_strips(design, axis)) for axis in (0, 1))
 
 
-def cell_lines(design: SensorDesign, axis: int) -> FloatArray:
-    """Lines between the tiles of one cell along x (0) or y (1), from its middle [mm]; edges of pillars' tops are some."""
-    if not has_pillar_tops(design):
-        return edges(cell_strips(design, axis))
+@lru_cache(maxsize=8)
+def top_lines(design: SensorDesign) -> tuple[FloatArray, list[FloatArray]]:
+    """Lines between the rows of a cell's tiles along y, and between the tiles of each row along x [mm].
+
+    They follow the edges of pillars' tops.
+    """
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
-    middle, extent = np.array([(one.top_mm[axis], one.extents_mm[axis]) for one in unit_prisms(design.unit)]).T
-    low, high = np.maximum(middle - extent / 2, -half), np.minimum(middle + extent / 2, half)
-    stops = [-half]
-    for stop in np.unique(np.concatenate([low, high, [half]])):
-        if stop - stops[-1] > MIN_TILE * height:
-            stops.append(float(stop))
-    stops[-1] = half
+    tops = np.array([(one.top_mm[:2], one.extents_mm) for one in unit_prisms(design.unit)])
+    low, high = (np.clip(tops[:, 0] + sign * tops[:, 1] / 2, -half, half) for sign in (-1, 1))
+    along_y = _lines_beside(np.stack([low[:, 1], high[:, 1]]), half, height)
+    rows = []
+    for y in (along_y[:-1] + along_y[1:]) / 2:
+        own = (low[:, 1] < y) & (high[:, 1] > y)
+        beside = own if own.any() else ~own  # lines go on between tops
+        ends = np.stack([low[beside, 0], high[beside, 0]])
+        inner = (ends[:, :, None] > ends[0] + ROUNDING * half) & (ends[:, :, None] < ends[1] - ROUNDING * half)
+        rows.append(_lines_beside(ends, half, height, ends[~inner.any(axis=2)], own.any()))
+    return along_y, rows
+
+
+def _lines_beside(tops: FloatArray, half: float, height: float, stops: FloatArray | None = None, on_tops: bool = True) -> FloatArray:
+    """Lines from −half to half with stops, by default at both ends of tops (2, n)."""
+    ends = [-half]
+    for stop in np.unique(tops if stops is None else stops):
+        if min(stop - ends[-1], half - stop) > MIN_TILE * height:
+            ends.append(float(stop))
     lines = [np.array([-half])]
-    for start, end in pairwise(stops):
-        on_top = ((low < (start + end) / 2) & (high > (start + end) / 2)).any()
-        count = np.ceil((end - start) / height / TOP_TILE - ROUNDING) if on_top else round(TILES_PER_HEIGHT * (end - start) / height)
-        t = np.linspace(0.0, 1.0, max(1, int(count)) + 1)[1:]
-        crowding = 0.0 if on_top else BESIDE_TOP
+    for start, end in pairwise([*ends, half]):
+        around = (tops[0] < (start + end) / 2) & (tops[1] > (start + end) / 2)
+        t, crowding = TILES_PER_HEIGHT * (end - start) / height, BESIDE_TOP * (len(ends) > 1)
+        if on_tops and around.any():
+            t, crowding = np.ceil((end - start) / height / TOP_TILE - ROUNDING), ON_TOP
+        t = np.linspace(0.0, 1.0, max(1, round(t)) + 1)[1:]
         lines.append(start + (end - start) * (t - crowding * np.sin(2 * np.pi * t)))
     return np.concatenate(lines)
 
 
-def slab_lines(design: SensorDesign, axis: int) -> FloatArray:
-    """Lines between all tiles where pillars' tops lie bare."""
-    count, pitch = (design.array.cols, design.array.rows)[axis], design.array.pitch_mm
-    middles = (np.arange(count) - (count - 1) / 2) * pitch
-    lines = middles[:, None] + cell_lines(design, axis)[:-1]
-    return np.append(lines.ravel(), count * pitch / 2)
+def _all_over(lines: FloatArray, count: int, pitch_mm: float) -> FloatArray:
+    """Lines between the tiles of a row of cells by those of one."""
+    middles = (np.arange(count) - (count - 1) / 2) * pitch_mm
+    return np.append((middles[:, None] + lines[:-1]).ravel(), count * pitch_mm / 2)
 
 
 def on_pillars(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
@@ -119,9 +135,16 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
 
 def cell_rectangles(design: SensorDesign) -> FloatArray:
     """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
-    x, y = (cell_lines(design, axis) for axis in (0, 1))
-    tiles = np.stack(np.broadcast_arrays(x[:-1], y[:-1, None], x[1:], y[1:, None]), axis=-1)
-    return np.vstack([tiles.reshape(-1, 4), electrode_squares(lone_unit(design))])
+    if has_pillar_tops(design):
+        y, rows = top_lines(design)
+    else:
+        x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
+        rows = [x] * (len(y) - 1)
+    tiles = [
+        np.stack(np.broadcast_arrays(x[:-1], low, x[1:], high), axis=-1)
+        for x, low, high in zip(rows, y[:-1], y[1:], strict=True)
+    ]
+    return np.vstack([*tiles, electrode_squares(lone_unit(design))])
 
 
 def plate_tiles(design: SensorDesign) -> NDArray[np.bool_]:
@@ -212,54 +235,65 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
 
 
 def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[sp.csr_matrix, slice, slice]:
-    """Shares (ny·nx, m) of a patch's cells in tiles that follow pillars' tops, and which rows and columns these are.
+    """Shares (ny·nx, m) of a patch's cells in the tiles of some cells of the array, and the tiles' rows and columns.
 
     Quadratic in each tile, through its mean and through values at its ends that `width` tiles on either side say; along
     x, and then along y. Tiles of the other rubber do not count.
     """
-    lines = [slab_lines(design, axis) for axis in (0, 1)]
-    middles = [(one[:-1] + one[1:]) / 2 for one in lines]
-    is_pillar = on_pillars(design, *middles)
-    places, tiles = (patch.x_mm, patch.y_mm), []
-    own = [np.clip(np.searchsorted(line, at, side="right") - 1, 0, len(line) - 2) for line, at in zip(lines, places, strict=True)]
-    for axis in (0, 1):
-        tiles.append(slice(max(0, own[axis].min() - width), min(len(middles[axis]), own[axis].max() + width + 1)))
-    columns, rows = tiles
-    along_y = {col: _in_runs(places[1], lines[1], is_pillar[:, col], width) for col in np.unique(own[0]).tolist()}
-    by_y = np.stack([along_y[col] for col in own[0].tolist()], axis=1)  # (ny, nx, all rows)
-    found = [
-        sp.csr_matrix((len(own[0]) * len(own[1]), 0)),
-        *(
-            sp.csr_matrix((by_y[..., row, None] * _in_runs(places[0], lines[0], is_pillar[row], width)[:, columns]).reshape(len(own[0]) * len(own[1]), -1))
-            for row in range(rows.start, rows.stop)
-        ),
-    ]
-    return sp.hstack(found, format="csr"), rows, columns
+    (cols, rows), pitch = (design.array.cols, design.array.rows), design.array.pitch_mm
+    along_y, lines = top_lines(design)
+    each, y_lines = len(lines), _all_over(along_y, rows, pitch)
+    y = (y_lines[:-1] + y_lines[1:]) / 2
+    kinds = on_pillars(design, patch.x_mm, y)  # of every row at the places along x
+    by_y = np.empty((patch.ny, patch.nx, len(y)))
+    for kind in np.unique(kinds, axis=1).T:
+        by_y[:, (kinds == kind[:, None]).all(axis=0)] = _in_runs(patch.y_mm, y_lines, kind, width)[:, None]
+    first, m = np.cumsum([0, *(len(line) - 1 for line in lines)]), tiles_per_pitch(design)[0]
+    found = sp.csr_matrix((patch.nx * patch.ny, rows * cols * m))
+    for row in np.flatnonzero(by_y.any(axis=(0, 1))).tolist():
+        x_lines, own = _all_over(lines[row % each], cols, pitch), len(lines[row % each]) - 1
+        kind = on_pillars(design, (x_lines[:-1] + x_lines[1:]) / 2, y[row : row + 1])[0]
+        by_x = _in_runs(patch.x_mm, x_lines, kind, width)
+        used = np.flatnonzero(by_x.any(axis=0))
+        at = row // each * cols * m + used // own * m + first[row % each] + used % own
+        part = sp.csr_matrix((by_y[..., row, None] * by_x[:, used]).reshape(-1, len(used)))
+        found += part @ sp.csr_matrix((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), found.shape[1]))
+    touched = np.zeros((rows, cols), dtype=bool)
+    touched.ravel()[np.unique(found.indices // m)] = True
+    low, high = span(touched)
+    tiles = np.arange(found.shape[1]).reshape(rows, -1)
+    taken = slice(int(low[1]), int(high[1])), slice(int(low[0]) * m, int(high[0]) * m)
+    return found[:, tiles[taken].ravel()], *taken
 
 
 def _in_runs(places_mm: FloatArray, lines: FloatArray, kind: NDArray[np.bool_], width: int) -> FloatArray:
     """Shares (n, tiles) of places in tiles of their run, which are neighbours of one kind."""
-    count, size = len(kind), np.diff(lines)
-    own = np.clip(np.searchsorted(lines, places_mm, side="right") - 1, 0, count - 1)
-    starts = np.flatnonzero(np.append(True, kind[1:] != kind[:-1]))
-    ends = np.append(starts[1:], count)
-    at_ends = np.zeros((2, count, count))  # low and high end of each tile
-    for start, end in zip(starts, ends, strict=True):
-        for line in range(start, end + 1):
-            low, high = max(start, line - width), min(end, line + width)
-            if line in (start, end):  # a parabola
-                low, high = max(start, line - width - 1), min(end, line + width + 1)
-            nodes = lines[low : high + 1] - lines[line]
-            lagrange = np.linalg.inv(np.vander(nodes / size[low], increasing=True))[1] / size[low]
-            slope = size[low:high] * np.cumsum(lagrange[:0:-1])[::-1]  # of the sums of tiles
-            if line > start:
-                at_ends[1, line - 1, low:high] = slope
-            if line < end:
-                at_ends[0, line, low:high] = slope
-    t = ((places_mm - lines[own]) / size[own])[:, None]
-    found = (1 - 4 * t + 3 * t**2) * at_ends[0, own] + (3 * t**2 - 2 * t) * at_ends[1, own]
+    own = np.clip(np.searchsorted(lines, places_mm, side="right") - 1, 0, len(kind) - 1)
+    t = ((places_mm - lines[own]) / np.diff(lines)[own])[:, None]
+    low, high = _at_ends(tuple(lines.tolist()), tuple(kind.tolist()), width)
+    found = (1 - 4 * t + 3 * t**2) * low[own] + (3 * t**2 - 2 * t) * high[own]
     found[np.arange(len(own)), own] += (6 * t * (1 - t))[:, 0]
-    return found
+    return np.asarray(found)
+
+
+@lru_cache(maxsize=512)
+def _at_ends(lines: tuple[float, ...], kind: tuple[bool, ...], width: int) -> tuple[FloatArray, FloatArray]:
+    """Values at the low and at the high end of each tile by the means of tiles of its run, (tiles, tiles) each."""
+    at, size, count = np.array(lines), np.diff(lines), len(kind)
+    low_end, high_end = np.zeros((2, count, count))
+    starts = [n for n in range(count) if n == 0 or kind[n] != kind[n - 1]]
+    for start, end in pairwise([*starts, count]):
+        for line in range(start, end + 1):
+            reach = width + (line in (start, end))  # a parabola at least
+            low, high = max(start, line - reach), min(end, line + reach)
+            nodes = (at[low : high + 1] - at[line]) / size[low]
+            slope = np.linalg.inv(np.vander(nodes, increasing=True))[1] / size[low]  # of the sums of tiles
+            value = size[low:high] * np.cumsum(slope[:0:-1])[::-1]
+            if line > start:
+                high_end[line - 1, low:high] = value
+            if line < end:
+                low_end[line, low:high] = value
+    return low_end, high_end
 
 
 def plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:
