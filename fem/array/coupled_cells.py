@@ -81,8 +81,10 @@ class CoupledArray:
 
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
-        pulls = np.empty((self.n_cells, self._dofs.shape[1], forces.shape[2]))
-        for cell, own in self._kinds:
+        pulls = np.zeros((self.n_cells, self._dofs.shape[1], forces.shape[2]))
+        is_loaded = forces.any(axis=(1, 2))
+        for cell, every in self._kinds:
+            own = every[is_loaded[every]]
             pulls[own] = cell.transfer @ forces[own]
         rhs = self._gathered(pulls)
         q, residual = checked_solve(self._factor, rhs, self._product)
@@ -114,7 +116,8 @@ class CoupledArray:
             forces = self._unit_forces(loaded, loads)
             q, misfit = self.port_displacements(forces)
             for rows, (_, own) in zip(functionals, self._kinds, strict=True):
-                moved = rows[:, :n_ports] @ q[own] + rows[:, n_ports:] @ forces[own][:, loads]
+                moved, of_own = rows[:, :n_ports] @ q[own], np.isin(own, loaded)
+                moved[of_own] += rows[:, n_ports:] @ forces[own[of_own]][:, loads]
                 found[np.ix_(own, np.arange(found.shape[1]), loaded)] = moved.reshape(
                     len(own), -1, len(loaded), len(loads)
                 )

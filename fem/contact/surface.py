@@ -73,7 +73,8 @@ PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 NEAR, NEAR_DEGREE = 4, 8  #: cells of an endless array, and degree of ports, by which neighbours move each other
-RESOLVED = 0.05  #: of the height: meshes have edges beside tiles on pillars' tops, but not beside narrower ones
+RESOLVED = 0.065  #: of the height: meshes have edges beside tiles on pillars' tops, but not beside narrower ones
+FELT = 3.0  #: heights beyond which pillars add nothing to the layer
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
@@ -252,9 +253,11 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
         return found.reshape(rows, cols, -1, 3, rows, cols, len(loads))
 
     of_far, plain_far = (one.of_degree(MESH_DEGREE) if has_tops else one for one in (own, plain))
-    moved, endless = influence(of_far, rows, cols), endless_influence(plain_far, wide)
+    radius = int(np.ceil(FELT * design.unit.height_mm / design.array.pitch_mm)) if has_tops else max(rows, cols)
+    radius = radius if max(rows, cols) > 2 * radius + 1 else max(rows, cols)
+    array, few = (TruncatedArray(rows, cols, reach) for reach in (radius, 1))
+    moved, endless = array.expanded(influence(of_far, *array.smaller)), endless_influence(plain_far, wide)
     if has_tops:  # the fine modes of ports are felt by neighbours alone
-        few = TruncatedArray(rows, cols, 1)
         moved += few.expanded(influence(own, *few.smaller) - influence(of_far, *few.smaller))
         finer = endless_influence(plain, NEAR) - endless_influence(plain_far, NEAR)
         for step in product((-1, 0, 1), repeat=2):
@@ -272,7 +275,8 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
             [is_pillar[:, None] & is_pillar, is_pillar[:, None] | is_pillar], [within, across], default=1.0
         )[:, : len(loads)]
     for i, j, k, m in np.ndindex(rows, cols, rows, cols):
-        moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
+        if max(abs(i - k), abs(j - m)) <= radius:
+            moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
     moved = moved.astype(np.float32)
     tiled = (rows, cols, tiles_y, tiles_x, 3)
     on_tiles = moved[:, :, : len(loads)].reshape(*tiled, *tiled)
