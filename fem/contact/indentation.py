@@ -35,6 +35,7 @@ TILE_ERROR, ELECTRODE_ERROR = 2.0, 3.0
 TABLE_ERROR = 4e-3  #: of electrodes, by a table of a quarter of its step
 SIDE_ERROR = 0.3  #: of the force of a contact right at the array's side, where one tile holds all that the side adds
 MAX_STEPS = 10_000  #: of projected gradients in one increment
+LARGE_ERROR, MAX_ERROR = 0.05, 0.2  #: estimated, of forces or electrodes: beyond it is warned of, or refused
 #: of the depth: how far shape and plate may be apart, or overlap, where they touch; rubber is so soft that forces tell
 SLACK = 1e-3
 SMALL_STEP = 0.25  #: of a cell
@@ -217,6 +218,22 @@ class Contact(Indentation):
         limit = self.friction * self.cell_force_n[2]
         sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICK_LIMIT * limit)
         return np.where(sticks, STICK, np.where(touching, SLIP, OPEN)).astype(np.int8)
+
+
+def judge(contact: Contact, force: bool = False) -> str | None:
+    """A warning of a contact whose estimated error is above `LARGE_ERROR`; None of others.
+
+    Above `MAX_ERROR` it is refused by a `ContactError`, unless that is what is wanted by `force`.
+    """
+    errors = {"the forces": contact.error_estimate, "the electrodes": contact.electrode_error_estimate}
+    worst = max(errors, key=lambda what: errors[what])
+    stated = f"the estimated error of {worst} is {errors[worst]:.0%}, above {{:.0%}}"
+    if errors[worst] > MAX_ERROR and not force:
+        raise ContactError(
+            f"{stated.format(MAX_ERROR)}: press with a shape that touches more of the top, or less close to electrodes "
+            "and sides, or take the contact as it is by --force."
+        )
+    return stated.format(LARGE_ERROR) if errors[worst] > LARGE_ERROR else None
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:

@@ -3,7 +3,7 @@
 Polynomials run between the tiles of a strip. Between the cells of a patch an endless layer answers in closed form.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -30,6 +30,7 @@ MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a 
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+MAX_PARTS = 5  #: of a cell along each axis, by which tiles are seen that are small beside it
 SHARED = 16  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 
 
@@ -238,10 +239,15 @@ def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[
     """Shares (ny·nx, m) of a patch's cells in the tiles of some cells of the array, and the tiles' rows and columns.
 
     Quadratic in each tile, through its mean and through values at its ends that `width` tiles on either side say; along
-    x, and then along y. Tiles of the other rubber do not count.
+    x, and then along y. Tiles of the other rubber do not count. Large cells are shown by the mean over parts of them,
+    which are of the rubber in their middles.
     """
+    cells = patch
     (cols, rows), pitch = (design.array.cols, design.array.rows), design.array.pitch_mm
     along_y, lines = top_lines(design)
+    smallest_mm = min(float(np.diff(line).min()) for line in (along_y, *lines))
+    parts = min(MAX_PARTS, int(np.ceil(2 * max(cells.cell_mm) / smallest_mm)))
+    patch = replace(cells, nx=parts * cells.nx, ny=parts * cells.ny)
     each, y_lines = len(lines), _all_over(along_y, rows, pitch)
     y = (y_lines[:-1] + y_lines[1:]) / 2
     kinds = on_pillars(design, patch.x_mm, y)  # of every row at the places along x
@@ -258,6 +264,14 @@ def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[
         at = row // each * cols * m + used // own * m + first[row % each] + used % own
         part = sp.csr_matrix((by_y[..., row, None] * by_x[:, used]).reshape(-1, len(used)))
         found += part @ sp.csr_matrix((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), found.shape[1]))
+    if parts > 1:
+        is_pillar = on_pillars(design, patch.x_mm, patch.y_mm)
+        of_cell = on_pillars(design, cells.x_mm, cells.y_mm).repeat(parts, axis=0).repeat(parts, axis=1)
+        number = np.arange(cells.nx * cells.ny).reshape(cells.ny, cells.nx).repeat(parts, axis=0).repeat(parts, axis=1)
+        alike = np.flatnonzero(is_pillar == of_cell)
+        own = number.ravel()[alike]
+        weight = 1 / np.bincount(own, minlength=cells.nx * cells.ny)[own]
+        found = sp.csr_matrix((weight, (own, alike)), shape=(cells.nx * cells.ny, patch.nx * patch.ny)) @ found
     touched = np.zeros((rows, cols), dtype=bool)
     touched.ravel()[np.unique(found.indices // m)] = True
     low, high = span(touched)
@@ -284,7 +298,7 @@ def _at_ends(lines: tuple[float, ...], kind: tuple[bool, ...], width: int) -> tu
     starts = [n for n in range(count) if n == 0 or kind[n] != kind[n - 1]]
     for start, end in pairwise([*starts, count]):
         for line in range(start, end + 1):
-            reach = width + (line in (start, end))  # a parabola at least
+            reach = (width + 1 if kind[start] else 1) if line in (start, end) else width
             low, high = max(start, line - reach), min(end, line + reach)
             nodes = (at[low : high + 1] - at[line]) / size[low]
             slope = np.linalg.inv(np.vander(nodes, increasing=True))[1] / size[low]  # of the sums of tiles

@@ -26,7 +26,7 @@ from decoupler.model.tensors import in_torch
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
-from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_compliance
+from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, judge, surface_compliance
 from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
 from geometry.layout import AXES, rest_lengths
