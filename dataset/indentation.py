@@ -37,7 +37,7 @@ RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 
 FRICTION = (0.1, 1.0)
 PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
 CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
-VERSION = 3  #: raise when the same settings give other samples
+VERSION = 4  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
@@ -173,7 +173,7 @@ def judged_press(
 ) -> Contact:
     """The same, or a `ContactError` where `judge` refuses it; what it warns of is said once a design."""
     contact = drawn_press(generator, surface, cells, own)
-    if judge(contact) is not None:
+    if judge(contact, on_grid=False) is not None:
         _warn_once(surface.design)
     return contact
 

@@ -65,7 +65,7 @@ from fem.kernel.system import System
 from geometry.design import Electrics, Pad, Plate, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray, electrode_squares
 
-VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
+VERSION = 4  #: raise when the same design gives another compliance, so that cached ones are not reused
 MAX_FUNCTIONALS = 10_100  #: three a tile: their compliance then fills 400 MB
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
@@ -406,13 +406,16 @@ class PatchCompliance:
             layer = np.where(
                 self._plates, self.surface.design.pad.plate.face_mm_per_mpa / patch.cell_mm2 * force_n, layer
             )
+        layer += self.added_mm(force_n)
+        return np.asarray(layer)
+
+    def added_mm(self, force_n: FloatArray) -> FloatArray:
+        """The part of it that is added to the layer."""
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
         if self._tops is None:
-            layer += self._rows[0] @ tiles @ self._columns[0].T
-        else:
-            layer += (self._tops[0] @ tiles.reshape(k, -1).T).T.reshape(layer.shape)
-        return np.asarray(layer)
+            return np.asarray(self._rows[0] @ tiles @ self._columns[0].T)
+        return np.asarray((self._tops[0] @ tiles.T).T.reshape(force_n.shape))
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
         """The same with the last component of both pressing into the body."""
@@ -420,13 +423,17 @@ class PatchCompliance:
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
-        near = self.surface.on_electrodes[..., *self._own]
-        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
+        rest = self.electrodes_added_mm(force_n)
         if self._plates is not None:
-            return np.asarray(rest.reshape(near.shape[:4]), np.float64)
+            return np.asarray(rest, np.float64)
         kernels, force_n = self.electrode_kernels(), force_n * self.under_electrodes
         layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
-        return (layer + rest).reshape(near.shape[:4])
+        return np.asarray(layer.reshape(rest.shape) + rest)
+
+    def electrodes_added_mm(self, force_n: FloatArray) -> FloatArray:
+        """The part of it that is added to the layer."""
+        near = self.surface.on_electrodes[..., *self._own]
+        return np.asarray((near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)).reshape(near.shape[:4]))
 
     def tiles_n(self, force_n: FloatArray) -> FloatArray:
         """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
