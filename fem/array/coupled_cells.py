@@ -82,7 +82,7 @@ class CoupledArray:
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
         pulls = np.zeros((self.n_cells, self._dofs.shape[1], forces.shape[2]))
-        is_loaded = forces.any(axis=(1, 2))
+        is_loaded = np.asarray(forces.any(axis=(1, 2)))
         for cell, every in self._kinds:
             own = every[is_loaded[every]]
             pulls[own] = cell.transfer @ forces[own]
@@ -236,7 +236,8 @@ class TruncatedArray:
         """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
         if influence.shape[:2] == (self.rows, self.cols):
             return influence
-        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, influence.shape[6]))
+        shape = (self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, influence.shape[6])
+        whole = np.zeros(shape, influence.dtype)
         for i, i_small, i_seen, i_own in self._alike(self.rows, influence.shape[0]):
             for j, j_small, j_seen, j_own in self._alike(self.cols, influence.shape[1]):
                 whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]

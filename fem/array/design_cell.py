@@ -202,7 +202,8 @@ class DesignCell:
     A level of a grid divides its edges. That of tetrahedra counts how often the coarsest mesh was halved where it errs:
     for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.scene.tetrahedra`). That mesh is
     of prisms, or of the solids of CAD. Rectangles (k, 4) are loaded or observed of the cell's top face, by default the
-    `functionals`; meshes of tetrahedra have edges beside these, or beside others that are to be resolved. A stiff pad's plate is bonded to it unless `has_plate` says otherwise.
+    `functionals`; meshes of tetrahedra have edges beside these, or beside others that are to be resolved. A stiff pad's
+    plate is bonded to it unless `has_plate` says otherwise.
     """
 
     def __init__(

@@ -151,7 +151,9 @@ class Contact(Indentation):
         coarse = self.coarse()
         finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(self.patch.cell_mm))
         left = SAFETY * richardson_factor(1.0, finer, RATE)
-        of_grid = (left * _difference(getattr(coarse, name), getattr(self, name)) for name in ("force_n", "electrode_mm"))
+        of_grid = (
+            left * _difference(getattr(coarse, name), getattr(self, name)) for name in ("force_n", "electrode_mm")
+        )
         forces, electrodes = (float(one + other) for one, other in zip(of_grid, self.compliance_errors, strict=True))
         return forces, electrodes
 

@@ -63,17 +63,18 @@ from fem.kernel.elements import taylor_hood
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from geometry.design import Electrics, Pad, Plate, SensorDesign, bent, lone_unit
-from geometry.layout import FloatArray, electrode_squares
+from geometry.layout import FloatArray, electrode_squares, pillar_widths
 
 VERSION = 4  #: raise when the same design gives another compliance, so that cached ones are not reused
-MAX_FUNCTIONALS = 10_100  #: three a tile: their compliance then fills 400 MB
+#: three a tile: their compliance then fills 400 MB; with tops of pillars, 1 GB
+MAX_FUNCTIONALS, MAX_WITH_TOPS = 10_000, 16_000
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
 NEAR, NEAR_DEGREE = 4, 8  #: cells of an endless array, and degree of ports, by which neighbours move each other
-RESOLVED = 0.065  #: of the height: meshes have edges beside tiles on pillars' tops, but not beside narrower ones
+RESOLVED = 0.325  #: of the narrowest pillar: meshes have edges beside tiles on tops, but not beside narrower ones
 FELT = 3.0  #: heights beyond which pillars add nothing to the layer
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
@@ -126,13 +127,15 @@ class SurfaceCompliance:
         whole = PatchCompliance(self, fine)
         rest = self.on_electrodes.reshape(-1, *self.on_electrodes.shape[-3:])
         if whole._tops is None:
-            found = np.einsum("yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True)
+            found = np.einsum(
+                "yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True
+            )
             layer = np.ones((ny, nx))
         else:
             spread = sp.kron(*(sp.kron(sp.eye_array(n), np.full((1, PARTS), 1 / PARTS)) for n in (ny, nx)))
             found = (spread @ whole._tops[0]) @ rest.reshape(-1, rest.shape[-1] * rest.shape[-2]).T
             found = found.reshape(ny, nx, *rest.shape[:2]).swapaxes(2, 3)
-            layer = (spread @ whole.under_electrodes.ravel()).reshape(ny, nx)
+            layer = (spread @ np.ravel(whole.under_electrodes)).reshape(ny, nx)
         found = found.astype(np.float32).reshape(ny, nx, 3, -1, 3)
         for number, (sy, kernel, sx) in enumerate(whole.electrode_kernels()):
             of_layer = np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
@@ -224,10 +227,11 @@ def require_pressable(design: SensorDesign) -> None:
     if design.electrics.is_conduction and design.pad.kind == "soft":
         raise DesignError("conduction under contact takes plates: write kind = 'stiff' in [pad], or model = 'eq1'.")
     number = 3 * design.n_units * int(np.prod(tiles_per_pitch(design)))
-    if number > MAX_FUNCTIONALS:
+    most = MAX_WITH_TOPS if has_pillar_tops(design) else MAX_FUNCTIONALS
+    if number > most:
         raise DesignError(
             f"{design.array.rows} × {design.array.cols} units are too many for contact by shape: "
-            f"{MAX_FUNCTIONALS * design.n_units // number} of this pitch fit."
+            f"{most * design.n_units // number} of this pitch fit."
         )
 
 
@@ -237,7 +241,8 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     progress("cells")
     has_tops, rectangles = has_pillar_tops(design), cell_rectangles(design)
     is_pillar = tops_of(design, rectangles)
-    is_wide = (rectangles[:, 2:] - rectangles[:, :2]).min(axis=1) > RESOLVED * design.unit.height_mm
+    narrow_mm = RESOLVED * min(pillar_widths(design.unit.body))
+    is_wide = (rectangles[:, 2:] - rectangles[:, :2]).min(axis=1) > narrow_mm
     source = DesignCell(design, rectangles, resolved_mm=rectangles[is_pillar & is_wide] if has_tops else None)
     own = plain = source.condensed(MESH_LEVEL, NEAR_DEGREE) if has_tops else own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
@@ -250,6 +255,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
 
     def influence(cell: CondensedCell, rows: int, cols: int) -> FloatArray:
         found, _ = CoupledArray(cell, rows, cols).influence(loads, range(cell.transfer.shape[1]))
+        found = found.astype(np.float32) if has_tops else found  # bounds the memory
         return found.reshape(rows, cols, -1, 3, rows, cols, len(loads))
 
     of_far, plain_far = (one.of_degree(MESH_DEGREE) if has_tops else one for one in (own, plain))
@@ -433,7 +439,8 @@ class PatchCompliance:
     def electrodes_added_mm(self, force_n: FloatArray) -> FloatArray:
         """The part of it that is added to the layer."""
         near = self.surface.on_electrodes[..., *self._own]
-        return np.asarray((near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)).reshape(near.shape[:4]))
+        moved = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
+        return np.asarray(moved.reshape(near.shape[:4]))
 
     def tiles_n(self, force_n: FloatArray) -> FloatArray:
         """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
@@ -469,7 +476,9 @@ class PatchCompliance:
     @cached_property
     def _tops(self) -> tuple[sp.csr_matrix, slice, slice] | None:
         """As `shares_by_rubber`; None where all is of one rubber or under plates."""
-        return shares_by_rubber(self.patch, self.surface.design, self.degree // 2 + 1) if self.surface.has_tops else None
+        if not self.surface.has_tops:
+            return None
+        return shares_by_rubber(self.patch, self.surface.design, self.degree // 2 + 1)
 
     @cached_property
     def _own(self) -> tuple[slice, slice]:

@@ -23,10 +23,11 @@ MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 PLATE_TILES = 3  #: along a plate, whose motion needs two; those beside it are as long
 MIN_BESIDE, MAX_BESIDE = 2, 4  #: from a plate to the side of its cell
 MIN_TILE = 0.02  #: of the height: pillars' edges that are nearer are one line
-TOP_TILE = 0.075  #: of the height: tiles on pillars' tops are no longer in the mean
+TOP_TILE = 0.375  #: of the narrowest pillar's top: tiles on tops are no longer in the mean
 ON_TOP = 0.05  #: of a top: how far tiles crowd at its edges
 BESIDE_TOP = 0.08  #: of the gap between tops: how far tiles crowd beside these, at most 1/2π
 MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a grid's line
+MORE, MEETS_TOP = 1.5, 0.1  #: of the cells that are asked for, at most, so that their lines meet the edges of tops
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
@@ -52,7 +53,8 @@ def tiles_per_pitch(design: SensorDesign) -> tuple[int, int]:
     """Tiles of a cell along x and y; all of them, and 1, where their rows differ."""
     if has_pillar_tops(design):
         return sum(len(line) - 1 for line in top_lines(design)[1]), 1
-    return tuple(sum(strip.tiles for strip in cell_strips(design, axis)) for axis in (0, 1))
+    x, y = (sum(strip.tiles for strip in cell_strips(design, axis)) for axis in (0, 1))
+    return x, y
 
 
 @lru_cache(maxsize=8)
@@ -64,19 +66,22 @@ def top_lines(design: SensorDesign) -> tuple[FloatArray, list[FloatArray]]:
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
     tops = np.array([(one.top_mm[:2], one.extents_mm) for one in unit_prisms(design.unit)])
     low, high = (np.clip(tops[:, 0] + sign * tops[:, 1] / 2, -half, half) for sign in (-1, 1))
-    along_y = _lines_beside(np.stack([low[:, 1], high[:, 1]]), half, height)
+    tile_mm = TOP_TILE * float(tops[:, 1].min())
+    along_y = _lines_beside(np.stack([low[:, 1], high[:, 1]]), half, height, tile_mm)
     rows = []
     for y in (along_y[:-1] + along_y[1:]) / 2:
         own = (low[:, 1] < y) & (high[:, 1] > y)
         beside = own if own.any() else ~own  # lines go on between tops
         ends = np.stack([low[beside, 0], high[beside, 0]])
         inner = (ends[:, :, None] > ends[0] + ROUNDING * half) & (ends[:, :, None] < ends[1] - ROUNDING * half)
-        rows.append(_lines_beside(ends, half, height, ends[~inner.any(axis=2)], own.any()))
+        rows.append(_lines_beside(ends, half, height, tile_mm * own.any(), ends[~inner.any(axis=2)]))
     return along_y, rows
 
 
-def _lines_beside(tops: FloatArray, half: float, height: float, stops: FloatArray | None = None, on_tops: bool = True) -> FloatArray:
-    """Lines from −half to half with stops, by default at both ends of tops (2, n)."""
+def _lines_beside(
+    tops: FloatArray, half: float, height: float, tile_mm: float, stops: FloatArray | None = None
+) -> FloatArray:
+    """Lines from −half to half with stops, by default at both ends of tops (2, n), whose tiles are finer, if any are."""
     ends = [-half]
     for stop in np.unique(tops if stops is None else stops):
         if min(stop - ends[-1], half - stop) > MIN_TILE * height:
@@ -84,10 +89,10 @@ def _lines_beside(tops: FloatArray, half: float, height: float, stops: FloatArra
     lines = [np.array([-half])]
     for start, end in pairwise([*ends, half]):
         around = (tops[0] < (start + end) / 2) & (tops[1] > (start + end) / 2)
-        t, crowding = TILES_PER_HEIGHT * (end - start) / height, BESIDE_TOP * (len(ends) > 1)
-        if on_tops and around.any():
-            t, crowding = np.ceil((end - start) / height / TOP_TILE - ROUNDING), ON_TOP
-        t = np.linspace(0.0, 1.0, max(1, round(t)) + 1)[1:]
+        count, crowding = TILES_PER_HEIGHT * (end - start) / height, BESIDE_TOP * (len(ends) > 1)
+        if tile_mm and around.any():
+            count, crowding = np.ceil((end - start) / tile_mm - ROUNDING), ON_TOP
+        t = np.linspace(0.0, 1.0, int(np.clip(round(count), 1, MAX_TILES)) + 1)[1:]
         lines.append(start + (end - start) * (t - crowding * np.sin(2 * np.pi * t)))
     return np.concatenate(lines)
 
@@ -115,7 +120,9 @@ def stiffer(design: SensorDesign) -> tuple[float, float]:
 
     A pillar's rubber gives way by E/(1 − ν²), and across its edge a force meets the mean of both.
     """
-    matrix, pillar = (rubber.young_mpa / (1 - rubber.poisson**2) for rubber in (design.matrix_material, design.pillar_material))
+    matrix, pillar = (
+        rubber.young_mpa / (1 - rubber.poisson**2) for rubber in (design.matrix_material, design.pillar_material)
+    )
     return 2 * matrix / (matrix + pillar), matrix / pillar
 
 
@@ -166,23 +173,29 @@ def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
 
 
 def lined_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, cells: int) -> tuple[float, float, int]:
-    """Ends and number of cells that cover a part of the top along an axis, with lines at the edges of plates.
+    """Ends and number of cells that cover a part of the top along an axis, with lines at the edges of plates or tops.
 
-    On bare rubber as asked; under plates they are at least as many. Where no number of them in a pitch meets the edges
-    to `MEETS` of a cell, the one that comes nearest is taken.
+    On bare rubber as asked; under plates and on pillars' tops they are at least as many. Where no number of them in a
+    pitch meets the edges to `MEETS` of a cell, the one that comes nearest is taken.
     """
-    if design.pad.kind == "soft":
+    has_tops = has_pillar_tops(design)
+    if design.pad.kind == "soft" and not has_tops:
         return float(low_mm), float(high_mm), cells
     pitch, half = design.array.pitch_mm, design.slab_mm[axis] / 2
     wanted = int(np.ceil(cells * pitch / (high_mm - low_mm) - MEETS))
-    plate = [(strip.low_mm, strip.high_mm) for strip in cell_strips(design, axis) if strip.is_plate]
-    places = np.array(plate).ravel() / pitch + 0.5  # of a pitch
+    if has_tops:
+        middle, extent = np.array([(one.top_mm[axis], one.extents_mm[axis]) for one in unit_prisms(design.unit)]).T
+        faces = np.unique([middle - extent / 2, middle + extent / 2])
+    else:
+        faces = np.array([(one.low_mm, one.high_mm) for one in cell_strips(design, axis) if one.is_plate]).ravel()
+    places = faces / pitch + 0.5  # of a pitch
 
     def missed(number: int) -> float:
         return float(np.abs(places * number - np.rint(places * number)).max())
 
-    numbers = range(max(wanted, 1), 2 * max(wanted, 1) + MIN_NUMBERS)
-    number = next((n for n in numbers if missed(n) < MEETS), min(numbers, key=missed))
+    most = int(MORE * wanted) + 1 if has_tops else 2 * max(wanted, 1) + MIN_NUMBERS
+    numbers, near = range(max(wanted, 1), max(most, 2)), MEETS_TOP if has_tops else MEETS
+    number = next((n for n in numbers if missed(n) < near), min(numbers, key=missed))
     step = pitch / number
     first, last = np.floor((low_mm + half) / step + ROUNDING), np.ceil((high_mm + half) / step - ROUNDING)
     return float(first * step - half), float(last * step - half), int(last - first)
@@ -269,9 +282,9 @@ def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[
         of_cell = on_pillars(design, cells.x_mm, cells.y_mm).repeat(parts, axis=0).repeat(parts, axis=1)
         number = np.arange(cells.nx * cells.ny).reshape(cells.ny, cells.nx).repeat(parts, axis=0).repeat(parts, axis=1)
         alike = np.flatnonzero(is_pillar == of_cell)
-        own = number.ravel()[alike]
-        weight = 1 / np.bincount(own, minlength=cells.nx * cells.ny)[own]
-        found = sp.csr_matrix((weight, (own, alike)), shape=(cells.nx * cells.ny, patch.nx * patch.ny)) @ found
+        of = number.ravel()[alike]
+        weight = 1 / np.bincount(of, minlength=cells.nx * cells.ny)[of]
+        found = sp.csr_matrix((weight, (of, alike)), shape=(cells.nx * cells.ny, patch.nx * patch.ny)) @ found
     touched = np.zeros((rows, cols), dtype=bool)
     touched.ravel()[np.unique(found.indices // m)] = True
     low, high = span(touched)
