@@ -6,6 +6,10 @@ square tiles. Both have the same mesh and the same ports, so that what these lea
 upper electrodes come likewise from a table of the layer and the difference. `PatchCompliance` is the same on the fine
 grid of one contact.
 
+Where pillars of another rubber reach a bare top, tiles follow their tops' edges, and nothing runs across these. The
+layer, whose compliance near a force is that of the rubber there, is weighed by the rubbers at both ends (`stiffer`), as
+two half-spaces that are bonded side by side ask for; so what is added to it stays small on both.
+
 Stiff pads are plates: their tiles move as rigid bodies, in elements that bond them to the rubber. There the difference
 is all there is, and the layer answers on the rubber between plates alone. Tiles and the polynomials between them end at
 the edges of plates. By conduction the pillars' resistances are polynomials of the forces on the tiles.

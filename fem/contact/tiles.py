@@ -1,5 +1,6 @@
 """Grids on an array's top: tiles, in strips that end at the edges of plates, and the equal cells of a contact's patch.
 
+Beside the tops of pillars of another rubber tiles lie in rows whose lines differ (`top_lines`, `shares_by_rubber`).
 Polynomials run between the tiles of a strip. Between the cells of a patch an endless layer answers in closed form.
 """
 

@@ -418,9 +418,9 @@ class VirtualSensor:
 
     @cached_property
     def _top(self) -> tuple[SurfaceCompliance, Grid | None]:
-        """The top, and of bare rubber its grid: plates tell their electrodes at once."""
+        """The top, and of one bare rubber its grid: under plates, and with tops of pillars, contacts tell electrodes."""
         surface, *_ = surface_compliance(self.design)
-        return surface, None if surface.has_plates else Grid.of(surface)
+        return surface, None if surface.has_plates or surface.has_tops else Grid.of(surface)
 
     def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)
