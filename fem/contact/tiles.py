@@ -82,7 +82,7 @@ def top_lines(design: SensorDesign) -> tuple[FloatArray, list[FloatArray]]:
 def _lines_beside(
     tops: FloatArray, half: float, height: float, tile_mm: float, stops: FloatArray | None = None
 ) -> FloatArray:
-    """Lines from −half to half with stops, by default at both ends of tops (2, n), whose tiles are finer, if any are."""
+    """Lines from −half to half with stops, by default at both ends of tops (2, n), on which tiles may be finer."""
     ends = [-half]
     for stop in np.unique(tops if stops is None else stops):
         if min(stop - ends[-1], half - stop) > MIN_TILE * height:

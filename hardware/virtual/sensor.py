@@ -418,7 +418,7 @@ class VirtualSensor:
 
     @cached_property
     def _top(self) -> tuple[SurfaceCompliance, Grid | None]:
-        """The top, and of one bare rubber its grid: under plates, and with tops of pillars, contacts tell electrodes."""
+        """The top, and of one bare rubber its grid: plates, and tops of pillars, tell their electrodes at once."""
         surface, *_ = surface_compliance(self.design)
         return surface, None if surface.has_plates or surface.has_tops else Grid.of(surface)
 
