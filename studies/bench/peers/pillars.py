@@ -5,6 +5,7 @@ fine under the ball, and Signorini's law by a penalty with its own Newton's meth
 grid of the contact in common.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -41,22 +42,25 @@ def pressed_by_ngsolve(design: SensorDesign, at_mm: tuple[float, float]) -> tupl
     def plane(z_mm: float) -> Any:
         return occ.WorkPlane(occ.Axes(occ.Pnt(0, 0, z_mm), n=occ.Z, h=occ.X))
 
-    def rectangle(x0: float, y0: float, x1: float, y1: float, z_mm: float) -> Any:
+    def rectangle(corners: Sequence[float], z_mm: float) -> Any:
+        x0, y0, x1, y1 = corners
         return plane(z_mm).MoveTo(x0, y0).Rectangle(x1 - x0, y1 - y0).Face()
 
-    pillars, tops = None, ng.CF(0.0)
+    solids: list[Any] = []
+    tops = ng.CF(0.0)
     for centre in unit_centres(design):
         for one in unit_prisms(design.unit, (*centre, 0.0)):
             low, high = (np.array(one.base_mm[:2]) + sign * np.array(one.section_mm) / 2 for sign in (-1, 1))
-            leaning = rectangle(*low, *high, 0.0).Extrude(occ.Vec(*np.subtract(one.top_mm, one.base_mm)))
-            pillars = leaning if pillars is None else pillars + leaning
+            solids.append(rectangle([*low, *high], 0.0).Extrude(occ.Vec(*np.subtract(one.top_mm, one.base_mm))))
             shift = np.subtract(one.top_mm, one.base_mm)[:2]
             tops = ng.IfPos(_inside(*(low + shift), *(high + shift)), 1.0, tops)
     slab = occ.Box(occ.Pnt(-wide / 2, -deep / 2, 0), occ.Pnt(wide / 2, deep / 2, height))
+    pillars: Any = sum(solids[1:], start=solids[0])
     matrix, disc = slab - pillars, plane(height).Circle(x, y, AROUND_MM).Face()
     matrix.mat("matrix")
     pillars.mat("pillars")
-    shape = occ.Glue([matrix, pillars, disc])
+    squares = [rectangle(square, height) for square in electrode_squares(design).tolist()]
+    shape = occ.Glue([matrix, pillars, disc, *squares])
     for face in shape.faces:
         if abs(face.center.z) < 1e-9:
             face.name = "base"
@@ -73,7 +77,8 @@ def pressed_by_ngsolve(design: SensorDesign, at_mm: tuple[float, float]) -> tupl
     mu, lame = young / 2 / (1 + nu), young * nu / (1 + nu) / (1 - 2 * nu)
     r2 = (ng.x - x) ** 2 + (ng.y - y) ** 2
     underside = r2 / (RADIUS_MM + ng.sqrt(ng.IfPos(RADIUS_MM**2 - r2, RADIUS_MM**2 - r2, 0)))
-    under, found = ng.ds("top", bonus_intorder=6), None
+    under = ng.ds("top", bonus_intorder=6)
+    found: Any = None
 
     def pressure(up: Any) -> Any:
         over = DEPTH_MM - underside + up
