@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -168,11 +169,9 @@ def drawn_press(
     )
 
 
-def judged_press(
-    generator: np.random.Generator, surface: SurfaceCompliance, cells: int = CELLS, own: Shape | None = None
-) -> Contact:
-    """The same, or a `ContactError` where `judge` refuses it; what it warns of is said once a design."""
-    contact = drawn_press(generator, surface, cells, own)
+def judged_press(generator: np.random.Generator, surface: SurfaceCompliance, **given: Any) -> Contact:
+    """`drawn_press`, or a `ContactError` where `judge` refuses it; what it warns of is said once a design."""
+    contact = drawn_press(generator, surface, **given)
     if judge(contact, on_grid=False) is not None:
         _warn_once(surface.design)
     return contact

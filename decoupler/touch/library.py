@@ -88,7 +88,7 @@ def _solved(
         kind, number = task  # kind 0 is of shapes that are drawn
         own = shapes[kind - 1] if kind else None
         try:
-            return judged_press(np.random.default_rng([SEED, kind, number]), surface, CELLS, own)
+            return judged_press(np.random.default_rng([SEED, kind, number]), surface, cells=CELLS, own=own)
         except ContactError:  # it misses the sensor, or its error is too large
             return None
 
