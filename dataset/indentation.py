@@ -3,18 +3,33 @@
 Their tractions are those of contact, not uniform ones on pads: a truth that no decoder's pads are a model of.
 """
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
-from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
+from fem.contact import (
+    Contact,
+    ContactError,
+    Cylinder,
+    Flat,
+    Shape,
+    Sphere,
+    SurfaceCompliance,
+    about_z,
+    judge,
+    press,
+    surface_compliance,
+)
+from fem.contact.indentation import LARGE_ERROR, MAX_ERROR
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -23,7 +38,7 @@ RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 
 FRICTION = (0.1, 1.0)
 PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
 CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
-VERSION = 3  #: raise when the same settings give other samples
+VERSION = 4  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 
@@ -34,22 +49,29 @@ def indented(
 
     It gives tractions (m, n_units, 3) [MPa], forces on each unit's share of the top over the pad's area, displacements
     (m, n_units, n_upper, 3) [mm], moments (m, n_units, 2) [N mm] and, of conduction, forces on tiles (m, 3, ny, nx) [N]
-    for `tiled_lengths`; 0 of numbers from `wanted` on. And which of them strain no pillar beyond the cap, (m,).
+    for `tiled_lengths`; 0 of numbers from `wanted` on. And which of them strain no pillar beyond the cap and are not
+    refused for their error, (m,).
     """
 
     def draw(numbers: np.ndarray, attempt: int) -> tuple[list[FloatArray], np.ndarray]:
         surface, per_area = _surface(design), np.array([1.0, 1.0, -1.0]) / design.pad.size_mm**2
         shapes = (3,), (len(design.unit.layout.upper), 3), (2,)
         traction, displacement, moment = (np.zeros((len(numbers), design.n_units, *shape)) for shape in shapes)
+        is_judged = np.ones(len(numbers), dtype=bool)
         tiled = np.zeros((len(numbers), *(surface.on_tiles.shape[:3] if surface.conducted else (0,))), np.float32)
         for place in np.flatnonzero(numbers < wanted):
-            contact = drawn_press(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
+            try:
+                contact = judged_press(np.random.default_rng([seed, block, int(numbers[place]), attempt]), surface)
+            except ContactError:  # its error is too large
+                is_judged[place] = False
+                continue
             traction[place] = contact.force_n.reshape(-1, 3) * per_area
             displacement[place] = contact.electrode_mm.reshape(displacement.shape[1:])
             moment[place] = contact.unit_moment_nmm.reshape(-1, 2)
             if surface.conducted:
                 tiled[place] = contact.tile_force_n
-        return [traction, displacement, moment, tiled], ~(largest_strains(displacement, design.unit) > cap)
+        is_strained = largest_strains(displacement, design.unit) > cap
+        return [traction, displacement, moment, tiled], is_judged & ~is_strained
 
     return draw
 
@@ -144,6 +166,23 @@ def drawn_press(
         slide_mm=(slide * np.cos(angle), slide * np.sin(angle)),
         friction=generator.uniform(*FRICTION),
         cells=cells,
+    )
+
+
+def judged_press(generator: np.random.Generator, surface: SurfaceCompliance, **given: Any) -> Contact:
+    """`drawn_press`, or a `ContactError` where `judge` refuses it; what it warns of is said once a design."""
+    contact = drawn_press(generator, surface, **given)
+    if judge(contact, on_grid=False) is not None:
+        _warn_once(surface.design)
+    return contact
+
+
+@lru_cache(maxsize=64)
+def _warn_once(_: SensorDesign) -> None:
+    logging.getLogger("tripillar").warning(
+        "the estimated error of some contacts is above %.0f %%; those above %.0f %% are left out",
+        100 * LARGE_ERROR,
+        100 * MAX_ERROR,
     )
 
 

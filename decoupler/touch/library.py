@@ -13,7 +13,7 @@ import numpy as np
 from common.storage.cache import kept_value
 from common.storage.files import digest
 from common.threads import one_blas_thread
-from dataset.indentation import drawn_press
+from dataset.indentation import judged_press
 from dataset.resistance import largest_strains
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, Solid, surface_compliance
@@ -88,8 +88,8 @@ def _solved(
         kind, number = task  # kind 0 is of shapes that are drawn
         own = shapes[kind - 1] if kind else None
         try:
-            return drawn_press(np.random.default_rng([SEED, kind, number]), surface, CELLS, own)
-        except ContactError:  # it misses the sensor
+            return judged_press(np.random.default_rng([SEED, kind, number]), surface, cells=CELLS, own=own)
+        except ContactError:  # it misses the sensor, or its error is too large
             return None
 
     tasks = [(0, number) for number in range(presses)]

@@ -11,6 +11,8 @@ from fem.contact.surface import SurfaceCompliance
 from geometry.layout import FloatArray
 
 CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
+#: the same where tops of pillars lie bare, 121 times as stiff: electrodes err by 3 % in the median, with 16 by 7 %
+CELLS_WITH_TOPS = 32
 MAX_CELLS = 3000  #: that many presses are put on at once, which is slower where they have few in common
 UPWARDS = np.array([1.0, 1.0, -1.0])
 
@@ -59,7 +61,8 @@ class Grid:
         """Of a sensor's top."""
         design = surface.design
         slab = np.array(design.slab_mm[:2])
-        nx, ny = np.rint(slab * CELLS_PER_HEIGHT / design.unit.height_mm).astype(int).tolist()
+        per_height = CELLS_WITH_TOPS if surface.has_tops else CELLS_PER_HEIGHT
+        nx, ny = np.rint(slab * per_height / design.unit.height_mm).astype(int).tolist()
         return cls(slab_mm=slab, half=surface.on_grid(nx, ny).astype(np.float16))
 
     @cached_property

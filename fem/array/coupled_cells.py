@@ -81,8 +81,10 @@ class CoupledArray:
 
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
-        pulls = np.empty((self.n_cells, self._dofs.shape[1], forces.shape[2]))
-        for cell, own in self._kinds:
+        pulls = np.zeros((self.n_cells, self._dofs.shape[1], forces.shape[2]))
+        is_loaded = np.asarray(forces.any(axis=(1, 2)))
+        for cell, every in self._kinds:
+            own = every[is_loaded[every]]
             pulls[own] = cell.transfer @ forces[own]
         rhs = self._gathered(pulls)
         q, residual = checked_solve(self._factor, rhs, self._product)
@@ -114,7 +116,8 @@ class CoupledArray:
             forces = self._unit_forces(loaded, loads)
             q, misfit = self.port_displacements(forces)
             for rows, (_, own) in zip(functionals, self._kinds, strict=True):
-                moved = rows[:, :n_ports] @ q[own] + rows[:, n_ports:] @ forces[own][:, loads]
+                moved, of_own = rows[:, :n_ports] @ q[own], np.isin(own, loaded)
+                moved[of_own] += rows[:, n_ports:] @ forces[own[of_own]][:, loads]
                 found[np.ix_(own, np.arange(found.shape[1]), loaded)] = moved.reshape(
                     len(own), -1, len(loaded), len(loads)
                 )
@@ -211,7 +214,7 @@ class TruncatedArray:
     """An array whose pads move nothing beyond a radius, put together from a smaller one: units deep inside are alike.
 
     Units farther than the radius from a rim answer like the smaller array's middle ones. Influences have shape
-    (rows, cols, n, 3, rows, cols, 3).
+    (rows, cols, n, 3, rows, cols, k).
     """
 
     rows: int
@@ -233,7 +236,8 @@ class TruncatedArray:
         """Influence of the array from that of the smaller one; what lies beyond the radius is 0."""
         if influence.shape[:2] == (self.rows, self.cols):
             return influence
-        whole = np.zeros((self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, 3))
+        shape = (self.rows, self.cols, *influence.shape[2:4], self.rows, self.cols, influence.shape[6])
+        whole = np.zeros(shape, influence.dtype)
         for i, i_small, i_seen, i_own in self._alike(self.rows, influence.shape[0]):
             for j, j_small, j_seen, j_own in self._alike(self.cols, influence.shape[1]):
                 whole[i_seen, j_seen, :, :, i, j] = influence[i_own, j_own, :, :, i_small, j_small]

@@ -187,8 +187,9 @@ class DesignCell:
     A level of a grid divides its edges. That of tetrahedra counts how often the coarsest mesh was halved where it errs:
     for the lone unit under a load on its pad, as its pad and electrodes see it (`fem.scene.tetrahedra`). That mesh is
     of prisms, or of the solids of CAD. Rubber of whatever law is taken by its tangent at rest. Rectangles (k, 4) are
-    loaded or observed of the cell's top face, by default the `functionals`; a stiff pad's plate is bonded to it unless
-    `has_plate` says otherwise.
+    loaded or observed of the cell's top face, by default the `functionals`; meshes of tetrahedra have edges beside
+    these, or beside others that are to be resolved. A stiff pad's plate is bonded to it unless `has_plate` says
+    otherwise.
     """
 
     def __init__(
@@ -197,9 +198,10 @@ class DesignCell:
         rectangles_mm: FloatArray | None = None,
         from_cad: bool = False,
         has_plate: bool = True,
+        resolved_mm: FloatArray | None = None,
     ) -> None:
         self.design, self.from_cad = at_rest(design), from_cad
-        self.squares = functionals(design)
+        self.squares, self.resolved = functionals(design), resolved_mm
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad
@@ -223,7 +225,8 @@ class DesignCell:
         if self.from_cad:
             made, *_ = sensor_mesh(unit.design, suited_settings(unit.design).finer(CAD_LEVEL))
             mesh = MeshTet(np.ascontiguousarray(made.points_mm.T), np.ascontiguousarray(made.cells.T))
-        return AdaptedTetrahedra(scene, regions, self.rectangles, mesh)
+        resolved = self.rectangles if self.resolved is None else self.resolved
+        return AdaptedTetrahedra(scene, regions, resolved, mesh)
 
     def tetrahedra(self, level: int) -> Rubber:
         """The cell's body on the mesh of a level."""

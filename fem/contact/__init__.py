@@ -8,7 +8,7 @@ order of the data: `shapes.py` (sphere, cylinder, flat punch, capsule, convex bo
 """
 
 from fem.contact.driver import Stepper, press
-from fem.contact.indentation import Contact, ContactError, Indentation
+from fem.contact.indentation import Contact, ContactError, Indentation, judge
 from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, about_z, read_solid
 from fem.contact.surface import SurfaceCompliance, surface_compliance
 
@@ -27,6 +27,7 @@ __all__ = [
     "Stepper",
     "SurfaceCompliance",
     "about_z",
+    "judge",
     "press",
     "read_solid",
     "surface_compliance",

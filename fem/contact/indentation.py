@@ -35,6 +35,7 @@ TILE_ERROR, ELECTRODE_ERROR = 2.0, 3.0
 TABLE_ERROR = 4e-3  #: of electrodes, by a table of a quarter of its step
 SIDE_ERROR = 0.3  #: of the force of a contact right at the array's side, where one tile holds all that the side adds
 MAX_STEPS = 10_000  #: of projected gradients in one increment
+LARGE_ERROR, MAX_ERROR = 0.05, 0.2  #: estimated, of forces or electrodes: beyond it is warned of, or refused
 #: of the depth: how far shape and plate may be apart, or overlap, where they touch; rubber is so soft that forces tell
 SLACK = 1e-3
 SMALL_STEP = 0.25  #: of a cell
@@ -130,27 +131,31 @@ class Contact(Indentation):
         return self._compliance.tiles_n(self.cell_force_n * UP)
 
     @cached_property
-    def _judged(self) -> tuple[float, float]:
-        """Relative errors of the units' forces and of the electrodes' displacements."""
-        coarse = self.coarse()
+    def compliance_errors(self) -> tuple[float, float]:
+        """What the compliance may err by: relative, of the units' forces and of the electrodes' displacements."""
         patch, surface, force_n = self.patch, self.surface, self.cell_force_n * UP
-        finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(patch.cell_mm))
-        left = SAFETY * richardson_factor(1.0, finer, RATE)
-        between = PatchCompliance(surface, patch, FINER_DEGREE)
+        own, between = self._compliance, PatchCompliance(surface, patch, FINER_DEGREE)
         pressing = self.cell_force_n[2] / max(self.cell_force_n[2].sum(), TINY)  # it may have slid off
-        off = ((between.moved_mm(force_n) - self.displacement_mm) ** 2).sum(axis=0)
+        off = ((between.added_mm(force_n) - own.added_mm(force_n)) ** 2).sum(axis=0)
         half = np.array(self.design.slab_mm[:2]) / 2
         to_side = np.minimum(half[0] - np.abs(patch.x_mm), (half[1] - np.abs(patch.y_mm))[:, None])
-        rim = surface.strips(0)[0]
-        rim_mm = (rim.high_mm - rim.low_mm) / rim.tiles
-        beside = (np.maximum(0.0, 1 - 2 * to_side / rim_mm) * pressing).sum()  # 1 if all of it is at a side
+        beside = (np.maximum(0.0, 1 - 2 * to_side / surface.rim_mm) * pressing).sum()  # 1 if all of it is at a side
         of_tiles = TILE_ERROR * np.sqrt((off * pressing).sum()) / self.depth_mm + SIDE_ERROR * beside**2
-        missed = _difference(between.electrodes_mm(force_n), self.electrode_mm)
-        forces, electrodes = (
-            float(left * _difference(getattr(coarse, name), getattr(self, name)) + of_tiles)
-            for name in ("force_n", "electrode_mm")
+        missed = np.linalg.norm(between.electrodes_added_mm(force_n) - own.electrodes_added_mm(force_n))
+        missed /= max(np.linalg.norm(self.electrode_mm), TINY)
+        return float(of_tiles), float(of_tiles + TABLE_ERROR + ELECTRODE_ERROR * missed)
+
+    @cached_property
+    def _judged(self) -> tuple[float, float]:
+        """Relative errors of the units' forces and of the electrodes' displacements, the grid's included."""
+        coarse = self.coarse()
+        finer = min(INCREMENTS, max(coarse.patch.cell_mm) / max(self.patch.cell_mm))
+        left = SAFETY * richardson_factor(1.0, finer, RATE)
+        of_grid = (
+            left * _difference(getattr(coarse, name), getattr(self, name)) for name in ("force_n", "electrode_mm")
         )
-        return forces, electrodes + TABLE_ERROR + ELECTRODE_ERROR * missed
+        forces, electrodes = (float(one + other) for one, other in zip(of_grid, self.compliance_errors, strict=True))
+        return forces, electrodes
 
     @property
     def error_estimate(self) -> float:
@@ -218,6 +223,24 @@ class Contact(Indentation):
         limit = self.friction * self.cell_force_n[2]
         sticks = touching & (np.hypot(*self.cell_force_n[:2]) < STICK_LIMIT * limit)
         return np.where(sticks, STICK, np.where(touching, SLIP, OPEN)).astype(np.int8)
+
+
+def judge(contact: Contact, force: bool = False, on_grid: bool = True) -> str | None:
+    """A warning of a contact whose estimated error is above `LARGE_ERROR`; None of others.
+
+    Above `MAX_ERROR` it is refused by a `ContactError`, unless that is what is wanted by `force`. Without `on_grid` the
+    compliance alone is judged: that is ten times as fast, for contacts by the hundred on a grid that is known.
+    """
+    found = (contact.error_estimate, contact.electrode_error_estimate) if on_grid else contact.compliance_errors
+    errors = dict(zip(("the forces", "the electrodes"), found, strict=True))
+    worst = max(errors, key=lambda what: errors[what])
+    stated = f"the estimated error of {worst} is {errors[worst]:.0%}, above {{:.0%}}"
+    if errors[worst] > MAX_ERROR and not force:
+        raise ContactError(
+            f"{stated.format(MAX_ERROR)}: press with a shape that touches more of the top, or less close to electrodes "
+            "and sides, or take the contact as it is by --force."
+        )
+    return stated.format(LARGE_ERROR) if errors[worst] > LARGE_ERROR else None
 
 
 def _difference(one: FloatArray, other: FloatArray) -> float:

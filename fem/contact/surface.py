@@ -6,6 +6,10 @@ square tiles. Both have the same mesh and the same ports, so that what these lea
 upper electrodes come likewise from a table of the layer and the difference. `PatchCompliance` is the same on the fine
 grid of one contact.
 
+Where pillars of another rubber reach a bare top, tiles follow their tops' edges, and nothing runs across these. The
+layer, whose compliance near a force is that of the rubber there, is weighed by the rubbers at both ends (`stiffer`), as
+two half-spaces that are bonded side by side ask for; so what is added to it stays small on both.
+
 Stiff pads are plates: their tiles move as rigid bodies, in elements that bond them to the rubber. There the difference
 is all there is, and the layer answers on the rubber between plates alone. Tiles and the polynomials between them end at
 the edges of plates. By conduction the pillars' resistances are polynomials of the forces on the tiles.
@@ -14,6 +18,7 @@ the edges of plates. By conduction the pillars' resistances are polynomials of t
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +32,7 @@ from common.storage.files import digest
 from fem.array.cell import CellSides, CondensedCell
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.conducted import USUAL, conducted_by_loads
-from fem.array.coupled_cells import CoupledArray, endless_influence
+from fem.array.coupled_cells import CoupledArray, TruncatedArray, endless_influence
 from fem.array.design_cell import (
     COMPARED_DEGREE,
     GRID_DEGREE,
@@ -45,27 +50,36 @@ from fem.contact.tiles import (
     Strip,
     cell_rectangles,
     faces,
+    has_pillar_tops,
     layer_spectrum,
     levers,
+    on_pillars,
     plate_tiles,
     plated,
     shares,
+    shares_by_rubber,
     slab_strips,
+    stiffer,
     tiles_per_pitch,
+    top_lines,
 )
 from fem.kernel.elements import taylor_hood
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
-from geometry.design import Electrics, Pad, Plate, SensorDesign, bent
-from geometry.layout import FloatArray, electrode_squares
+from geometry.design import Electrics, Pad, Plate, SensorDesign, bent, lone_unit
+from geometry.layout import FloatArray, electrode_squares, pillar_widths
 
-VERSION = 3  #: raise when the same design gives another compliance, so that cached ones are not reused
-MAX_FUNCTIONALS = 10_000  #: three a tile: their compliance then fills 400 MB
+VERSION = 4  #: raise when the same design gives another compliance, so that cached ones are not reused
+#: three a tile: their compliance then fills 400 MB; with tops of pillars, 1 GB
+MAX_FUNCTIONALS, MAX_WITH_TOPS = 10_000, 16_000
 PAD = 0.8  #: of the pitch: soft pads do not matter, but the cell's grid crowds at their edges; as wide as the paper's
 #: levels and ports of a homogeneous cell with a plate: extrapolated, plates move each other right to 3e-4
 PLATE_LEVELS, PLATE_DEGREE = (2, 3), 8
 ROUND = 8.0  #: heights beyond the array after which the endless one repeats itself: nothing is felt that far
 STEPS_PER_ELECTRODE = 8  #: of the table of electrodes, along an electrode's side
+NEAR, NEAR_DEGREE = 4, 8  #: cells of an endless array, and degree of ports, by which neighbours move each other
+RESOLVED = 0.325  #: of the narrowest pillar: meshes have edges beside tiles on tops, but not beside narrower ones
+FELT = 3.0  #: heights beyond which pillars add nothing to the layer
 PARTS = 4  #: of a cell's side over which a force on it is spread, where electrodes are near
 UP = np.array([1.0, 1.0, -1.0])[:, None, None]  #: from z positive in compression to z up, and back
 DEGREE = 2  #: of the polynomials between tiles
@@ -88,6 +102,7 @@ class SurfaceCompliance:
     cache_key: str = ""  #: hash of what it was made from
     #: of conduction: the pillars' resistances by forces on tiles (3, ny, nx), as `conducted_by_tiles` gives them
     conducted: ConductedPillars | None = None
+    has_tops: bool = False  #: whether tiles follow the tops of pillars of another rubber
 
     def strips(self, axis: int) -> list[Strip]:
         """Strips of tiles along x (0) or y (1)."""
@@ -96,6 +111,15 @@ class SurfaceCompliance:
     @property
     def has_plates(self) -> bool:
         return self.design.pad.kind == "stiff"
+
+    @property
+    def rim_mm(self) -> float:
+        """Width of a tile at the side."""
+        if not self.has_tops:
+            rim = self.strips(0)[0]
+            return (rim.high_mm - rim.low_mm) / rim.tiles
+        along_y, rows = top_lines(self.design)
+        return float(max(np.diff(lines)[end] for lines in (along_y, *rows) for end in (0, -1)))
 
     def on_grid(self, nx: int, ny: int) -> FloatArray:
         """Displacement of the upper electrodes by a force on each cell of a grid over the whole top [mm/N].
@@ -106,10 +130,20 @@ class SurfaceCompliance:
         fine = Patch((-x / 2, -y / 2), (x / 2, y / 2), PARTS * nx, PARTS * ny)
         whole = PatchCompliance(self, fine)
         rest = self.on_electrodes.reshape(-1, *self.on_electrodes.shape[-3:])
-        found = np.einsum("yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True)
+        if whole._tops is None:
+            found = np.einsum(
+                "yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True
+            )
+            layer = np.ones((ny, nx))
+        else:
+            spread = sp.kron(*(sp.kron(sp.eye_array(n), np.full((1, PARTS), 1 / PARTS)) for n in (ny, nx)))
+            found = (spread @ whole._tops[0]) @ rest.reshape(-1, rest.shape[-1] * rest.shape[-2]).T
+            found = found.reshape(ny, nx, *rest.shape[:2]).swapaxes(2, 3)
+            layer = (spread @ np.ravel(whole.under_electrodes)).reshape(ny, nx)
         found = found.astype(np.float32).reshape(ny, nx, 3, -1, 3)
         for number, (sy, kernel, sx) in enumerate(whole.electrode_kernels()):
-            found[:, :, :, number] += np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
+            of_layer = np.einsum("yi,ijab,xj->yxba", _spread(sy), kernel, _spread(sx), optimize=True)
+            found[:, :, :, number] += of_layer * layer[..., None, None]
         return found.reshape(ny, nx, 3, -1)
 
 
@@ -152,7 +186,7 @@ def conducted_by_tiles(
     n_components, 3, ny, nx) [mm/N], float32. `progress` and errors are those of `fem.array.conducted`.
     """
     key = digest("contact conduction", CONDUCTION_VERSION, design)
-    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    rows, cols, (tiles, _) = design.array.rows, design.array.cols, tiles_per_pitch(design)
     cells, n_loads = (rows, cols, tiles, tiles, 3), 3 * tiles**2
     usual = np.outer(np.where(plate_tiles(design), 1.0, BETWEEN), USUAL).ravel()
 
@@ -191,45 +225,80 @@ def require_pressable(design: SensorDesign) -> None:
     """Refuse a design whose loads must be on pads, or whose top has too many tiles."""
     if design.electrics.is_conduction and design.pad.kind == "soft":
         raise DesignError("conduction under contact takes plates: write kind = 'stiff' in [pad], or model = 'eq1'.")
-    number = 3 * design.n_units * tiles_per_pitch(design) ** 2
-    if number > MAX_FUNCTIONALS:
+    number = 3 * design.n_units * int(np.prod(tiles_per_pitch(design)))
+    most = MAX_WITH_TOPS if has_pillar_tops(design) else MAX_FUNCTIONALS
+    if number > most:
         raise DesignError(
             f"{design.array.rows} × {design.array.cols} units are too many for contact by shape: "
-            f"{MAX_FUNCTIONALS * design.n_units // number} of this pitch fit."
+            f"{most * design.n_units // number} of this pitch fit."
         )
 
 
 def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCompliance:
-    rows, cols, tiles = design.array.rows, design.array.cols, tiles_per_pitch(design)
-    ny, nx, loads = rows * tiles, cols * tiles, range(3 * tiles**2)
+    rows, cols, (tiles_x, tiles_y) = design.array.rows, design.array.cols, tiles_per_pitch(design)
+    ny, nx, loads = rows * tiles_y, cols * tiles_x, range(3 * tiles_x * tiles_y)
     progress("cells")
-    source = DesignCell(design, cell_rectangles(design))
-    own = plain = own_cell(source)
+    has_tops, rectangles = has_pillar_tops(design), cell_rectangles(design)
+    is_pillar = tops_of(design, rectangles)
+    narrow_mm = RESOLVED * min(pillar_widths(design.unit.body))
+    is_wide = (rectangles[:, 2:] - rectangles[:, :2]).min(axis=1) > narrow_mm
+    source = DesignCell(design, rectangles, resolved_mm=rectangles[is_pillar & is_wide] if has_tops else None)
+    own = plain = source.condensed(MESH_LEVEL, NEAR_DEGREE) if has_tops else own_cell(source)
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
         rubbers = [source.design.matrix_material]
         matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), rubbers)
-        plain = CellSides.of(System(matrix), source.rectangles).cell(MESH_DEGREE)
+        plain = CellSides.of(System(matrix), source.rectangles).cell(NEAR_DEGREE if has_tops else MESH_DEGREE)
     elif source.plate is not None:
         plain = _extrapolated(DesignCell(design, source.rectangles, has_plate=False))
     progress(f"coupling {rows} × {cols}")
-    moved, _ = CoupledArray(own, rows, cols).influence(loads, range(own.transfer.shape[1]))
     wide = max(rows, cols) + int(np.ceil(ROUND * design.unit.height_mm / design.array.pitch_mm))
-    endless = endless_influence(plain, wide)[..., : len(loads)]
+
+    def influence(cell: CondensedCell, rows: int, cols: int) -> FloatArray:
+        found, _ = CoupledArray(cell, rows, cols).influence(loads, range(cell.transfer.shape[1]))
+        found = found.astype(np.float32) if has_tops else found  # bounds the memory
+        return found.reshape(rows, cols, -1, 3, rows, cols, len(loads))
+
+    of_far, plain_far = (one.of_degree(MESH_DEGREE) if has_tops else one for one in (own, plain))
+    radius = int(np.ceil(FELT * design.unit.height_mm / design.array.pitch_mm)) if has_tops else max(rows, cols)
+    radius = radius if max(rows, cols) > 2 * radius + 1 else max(rows, cols)
+    array, few = (TruncatedArray(rows, cols, reach) for reach in (radius, 1))
+    moved, endless = array.expanded(influence(of_far, *array.smaller)), endless_influence(plain_far, wide)
+    if has_tops:  # the fine modes of ports are felt by neighbours alone
+        moved += few.expanded(influence(own, *few.smaller) - influence(of_far, *few.smaller))
+        finer = endless_influence(plain, NEAR) - endless_influence(plain_far, NEAR)
+        for step in product((-1, 0, 1), repeat=2):
+            endless[step] += finer[step]
+    moved = moved.reshape(rows, cols, -1, rows, cols, len(loads))
+    endless = endless[..., : len(loads)]
     if design.pad.kind == "stiff":  # the layer answers between plates, on tiles
         has_layer = np.repeat(~plate_tiles(design).ravel(), 3)
         endless[:, :, ~np.pad(has_layer, (0, endless.shape[2] - len(has_layer)))] = 0.0
         endless[..., ~has_layer] = 0.0
+    if has_tops:
+        is_pillar = np.repeat(is_pillar, 3)
+        across, within = stiffer(design)
+        endless *= np.select(
+            [is_pillar[:, None] & is_pillar, is_pillar[:, None] | is_pillar], [within, across], default=1.0
+        )[:, : len(loads)]
     for i, j, k, m in np.ndindex(rows, cols, rows, cols):
-        moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
+        if max(abs(i - k), abs(j - m)) <= radius:
+            moved[i, j, :, k, m] -= endless[(i - k) % wide, (j - m) % wide]
     moved = moved.astype(np.float32)
-    on_tiles = moved[:, :, : len(loads)].reshape(rows, cols, tiles, tiles, 3, rows, cols, tiles, tiles, 3)
-    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, rows, cols, tiles, tiles, 3)
+    tiled = (rows, cols, tiles_y, tiles_x, 3)
+    on_tiles = moved[:, :, : len(loads)].reshape(*tiled, *tiled)
+    on_electrodes = moved[:, :, len(loads) :].reshape(rows, cols, -1, 3, *tiled)
     on_tiles = on_tiles.transpose(4, 0, 2, 1, 3, 9, 5, 7, 6, 8).reshape(3, ny, nx, 3, ny, nx)
     on_electrodes = on_electrodes.transpose(0, 1, 2, 3, 8, 4, 6, 5, 7).reshape(rows, cols, -1, 3, 3, ny, nx)
     if design.pad.kind == "stiff":  # electrodes follow tiles alone
         return SurfaceCompliance(design, on_tiles, on_electrodes, np.zeros((1, 1, 3, 3)), design.array.pitch_mm)
     progress("electrodes")
-    return _on_layer(design, on_tiles, on_electrodes)
+    return replace(_on_layer(design, on_tiles, on_electrodes), has_tops=has_tops)
+
+
+def tops_of(design: SensorDesign, rectangles: FloatArray) -> NDArray[np.bool_]:
+    """Which rectangles (k, 4) of a cell have their middles on tops of pillars."""
+    x, y = rectangles.reshape(-1, 2, 2).mean(axis=1).T
+    return on_pillars(lone_unit(design), x, y).diagonal()
 
 
 def own_cell(source: DesignCell) -> CondensedCell:
@@ -272,7 +341,7 @@ def moved_by_wrenches(
     components of pillars, k = n_pillars·n_components. Errors as of `surface_compliance`.
     """
     require_pressable(design)
-    rows, cols, tiles, on_tiles = design.array.rows, design.array.cols, tiles_per_pitch(design), _on_tiles(design)
+    rows, cols, (tiles, _), on_tiles = design.array.rows, design.array.cols, tiles_per_pitch(design), _on_tiles(design)
     conducted = surface_compliance(design, progress)[0].conducted if design.electrics.is_conduction else None
     if conducted is not None:
         cells = conducted.influence_mm_per_n.reshape(rows, cols, -1, 3, rows, tiles, cols, tiles)
@@ -328,16 +397,31 @@ class PatchCompliance:
         """
         k, patch, (spectrum, size) = len(force_n), self.patch, self._layer
         on_rubber = force_n if self._plates is None else force_n * ~self._plates
-        moved = (spectrum[-k:, -k:] * fft.rfft2(on_rubber, size)).sum(axis=1)  # faster than einsum
-        layer = fft.irfft2(moved, size)[:, : patch.ny, : patch.nx]
+
+        def of_layer(force_n: FloatArray) -> FloatArray:
+            moved = (spectrum[-k:, -k:] * fft.rfft2(force_n, size)).sum(axis=1)  # faster than einsum
+            return np.asarray(fft.irfft2(moved, size)[:, : patch.ny, : patch.nx])
+
+        if self._tops is not None and self._pillars.any():
+            (across, within), tops = stiffer(self.surface.design), self._pillars
+            by_matrix, by_pillars = of_layer(force_n * ~tops), of_layer(force_n * tops)
+            layer = np.where(tops, across * by_matrix + within * by_pillars, by_matrix + across * by_pillars)
+        else:
+            layer = of_layer(on_rubber)
         if self._plates is not None:
             layer = np.where(
                 self._plates, self.surface.design.pad.plate.face_mm_per_mpa / patch.cell_mm2 * force_n, layer
             )
+        layer += self.added_mm(force_n)
+        return np.asarray(layer)
+
+    def added_mm(self, force_n: FloatArray) -> FloatArray:
+        """The part of it that is added to the layer."""
         given = self._on_tiles(force_n)
         tiles = (self._near[-given.size :, -given.size :] @ given.ravel()).reshape(given.shape)
-        layer += self._rows[0] @ tiles @ self._columns[0].T
-        return np.asarray(layer)
+        if self._tops is None:
+            return np.asarray(self._rows[0] @ tiles @ self._columns[0].T)
+        return np.asarray((self._tops[0] @ tiles.T).T.reshape(force_n.shape))
 
     def pressed_mm(self, force_n: FloatArray) -> FloatArray:
         """The same with the last component of both pressing into the body."""
@@ -345,18 +429,23 @@ class PatchCompliance:
 
     def electrodes_mm(self, force_n: FloatArray) -> FloatArray:
         """Mean displacement of the upper electrodes, (rows, cols, n_upper, 3) [mm], by forces (3, ny, nx) [N]."""
-        near = self.surface.on_electrodes[..., self._rows[1], self._columns[1]]
-        rest = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
+        rest = self.electrodes_added_mm(force_n)
         if self._plates is not None:
-            return np.asarray(rest.reshape(near.shape[:4]), np.float64)
-        kernels = self.electrode_kernels()
+            return np.asarray(rest, np.float64)
+        kernels, force_n = self.electrode_kernels(), force_n * self.under_electrodes
         layer = np.concatenate([np.einsum("ijab,bij->a", K, sy.T @ force_n @ sx) for sy, K, sx in kernels])
-        return (layer + rest).reshape(near.shape[:4])
+        return np.asarray(layer.reshape(rest.shape) + rest)
+
+    def electrodes_added_mm(self, force_n: FloatArray) -> FloatArray:
+        """The part of it that is added to the layer."""
+        near = self.surface.on_electrodes[..., *self._own]
+        moved = near.reshape(int(np.prod(near.shape[:4])), -1) @ self._below(force_n)
+        return np.asarray(moved.reshape(near.shape[:4]))
 
     def tiles_n(self, force_n: FloatArray) -> FloatArray:
         """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
         found = np.zeros(self.surface.on_tiles.shape[:3], np.float32)
-        own = found[:, self._rows[1], self._columns[1]]
+        own = found[:, *self._own]
         own[:] = self._below(force_n).reshape(own.shape)
         return np.asarray(found)
 
@@ -380,7 +469,31 @@ class PatchCompliance:
             yield sy, signs[..., :, None] * table[np.abs(at_y)[:, None], np.abs(at_x)] * signs[..., None, :], sx
 
     def _on_tiles(self, force_n: FloatArray) -> FloatArray:
+        if self._tops is not None:
+            return np.ascontiguousarray((self._tops[0].T @ force_n.reshape(len(force_n), -1).T).T, np.float32)
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
+
+    @cached_property
+    def _tops(self) -> tuple[sp.csr_matrix, slice, slice] | None:
+        """As `shares_by_rubber`; None where all is of one rubber or under plates."""
+        if not self.surface.has_tops:
+            return None
+        return shares_by_rubber(self.patch, self.surface.design, self.degree // 2 + 1)
+
+    @cached_property
+    def _own(self) -> tuple[slice, slice]:
+        """Rows and columns of the tiles that the patch's cells share in."""
+        return (self._rows[1], self._columns[1]) if self._tops is None else self._tops[1:]
+
+    @cached_property
+    def _pillars(self) -> NDArray[np.bool_]:
+        """Cells (ny, nx) on tops of pillars."""
+        return on_pillars(self.surface.design, self.patch.x_mm, self.patch.y_mm)
+
+    @property
+    def under_electrodes(self) -> FloatArray | float:
+        """What the layer between an electrode and each cell (ny, nx) is, over that of the matrix."""
+        return 1.0 if self._tops is None else np.where(self._pillars, *stiffer(self.surface.design)[::-1])
 
     @cached_property
     def _columns(self) -> tuple[FloatArray, slice]:
@@ -423,7 +536,7 @@ class PatchCompliance:
     @cached_property
     def _near(self) -> FloatArray:
         """What is added to the layer on these tiles, (3 n, 3 n) [mm/N]."""
-        tiles = slice(None), self._rows[1], self._columns[1]
+        tiles = slice(None), *self._own
         part = self.surface.on_tiles[*tiles, *tiles]
         near = part.reshape(int(np.prod(part.shape[:3])), -1)
         return near if self._faces is None else (self._faces @ (self._faces @ near).T).T.astype(np.float32)

@@ -1,10 +1,12 @@
 """Grids on an array's top: tiles, in strips that end at the edges of plates, and the equal cells of a contact's patch.
 
+Beside the tops of pillars of another rubber tiles lie in rows whose lines differ (`top_lines`, `shares_by_rubber`).
 Polynomials run between the tiles of a strip. Between the cells of a patch an endless layer answers in closed form.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,15 +17,22 @@ from scipy import fft
 from fem.array.closed_forms import layer_mean_compliance
 from geometry.design import Array, Material, SensorDesign, lone_unit
 from geometry.layout import FloatArray, electrode_squares
+from geometry.prism import unit_prisms
 
 TILES_PER_HEIGHT = 4.0
 MIN_TILES, MAX_TILES = 3, 8  #: along the side of a cell
 PLATE_TILES = 3  #: along a plate, whose motion needs two; those beside it are as long
 MIN_BESIDE, MAX_BESIDE = 2, 4  #: from a plate to the side of its cell
+MIN_TILE = 0.02  #: of the height: pillars' edges that are nearer are one line
+TOP_TILE = 0.375  #: of the narrowest pillar's top: tiles on tops are no longer in the mean
+ON_TOP = 0.05  #: of a top: how far tiles crowd at its edges
+BESIDE_TOP = 0.08  #: of the gap between tops: how far tiles crowd beside these, at most 1/2π
 MEETS, ROUNDING = 0.02, 1e-9  #: of a cell: how far a plate's edge may be off a grid's line
+MORE, MEETS_TOP = 1.5, 0.1  #: of the cells that are asked for, at most, so that their lines meet the edges of tops
 MIN_NUMBERS = 10  #: of cells in a pitch to choose from
 #: sign of a force or a displacement in the mirror x = 0, and in y = 0
 MIRROR_X, MIRROR_Y = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])
+MAX_PARTS = 5  #: of a cell along each axis, by which tiles are seen that are small beside it
 SHARED = 16  #: cells: the layer's influence is made for squares of so many, whose parts patches of one grid share
 
 
@@ -36,9 +45,86 @@ class Strip(NamedTuple):
     is_plate: bool = False
 
 
-def tiles_per_pitch(design: SensorDesign) -> int:
-    """Tiles along the side of a cell."""
-    return sum(strip.tiles for strip in cell_strips(design, 0))
+def has_pillar_tops(design: SensorDesign) -> bool:
+    """Whether tops of pillars of another rubber lie bare, so that tiles follow them."""
+    return design.pad.kind == "soft" and not design.is_homogeneous
+
+
+def tiles_per_pitch(design: SensorDesign) -> tuple[int, int]:
+    """Tiles of a cell along x and y; all of them, and 1, where their rows differ."""
+    if has_pillar_tops(design):
+        return sum(len(line) - 1 for line in top_lines(design)[1]), 1
+    x, y = (sum(strip.tiles for strip in cell_strips(design, axis)) for axis in (0, 1))
+    return x, y
+
+
+@lru_cache(maxsize=8)
+def top_lines(design: SensorDesign) -> tuple[FloatArray, list[FloatArray]]:
+    """Lines between the rows of a cell's tiles along y, and between the tiles of each row along x [mm].
+
+    They follow the edges of pillars' tops.
+    """
+    half, height = design.array.pitch_mm / 2, design.unit.height_mm
+    tops = np.array([(one.top_mm[:2], one.extents_mm) for one in unit_prisms(design.unit)])
+    low, high = (np.clip(tops[:, 0] + sign * tops[:, 1] / 2, -half, half) for sign in (-1, 1))
+    tile_mm = TOP_TILE * float(tops[:, 1].min())
+    along_y = _lines_beside(np.stack([low[:, 1], high[:, 1]]), half, height, tile_mm)
+    rows = []
+    for y in (along_y[:-1] + along_y[1:]) / 2:
+        own = (low[:, 1] < y) & (high[:, 1] > y)
+        beside = own if own.any() else ~own  # lines go on between tops
+        ends = np.stack([low[beside, 0], high[beside, 0]])
+        inner = (ends[:, :, None] > ends[0] + ROUNDING * half) & (ends[:, :, None] < ends[1] - ROUNDING * half)
+        rows.append(_lines_beside(ends, half, height, tile_mm * own.any(), ends[~inner.any(axis=2)]))
+    return along_y, rows
+
+
+def _lines_beside(
+    tops: FloatArray, half: float, height: float, tile_mm: float, stops: FloatArray | None = None
+) -> FloatArray:
+    """Lines from −half to half with stops, by default at both ends of tops (2, n), on which tiles may be finer."""
+    ends = [-half]
+    for stop in np.unique(tops if stops is None else stops):
+        if min(stop - ends[-1], half - stop) > MIN_TILE * height:
+            ends.append(float(stop))
+    lines = [np.array([-half])]
+    for start, end in pairwise([*ends, half]):
+        around = (tops[0] < (start + end) / 2) & (tops[1] > (start + end) / 2)
+        count, crowding = TILES_PER_HEIGHT * (end - start) / height, BESIDE_TOP * (len(ends) > 1)
+        if tile_mm and around.any():
+            count, crowding = np.ceil((end - start) / tile_mm - ROUNDING), ON_TOP
+        t = np.linspace(0.0, 1.0, int(np.clip(round(count), 1, MAX_TILES)) + 1)[1:]
+        lines.append(start + (end - start) * (t - crowding * np.sin(2 * np.pi * t)))
+    return np.concatenate(lines)
+
+
+def _all_over(lines: FloatArray, count: int, pitch_mm: float) -> FloatArray:
+    """Lines between the tiles of a row of cells by those of one."""
+    middles = (np.arange(count) - (count - 1) / 2) * pitch_mm
+    return np.append((middles[:, None] + lines[:-1]).ravel(), count * pitch_mm / 2)
+
+
+def on_pillars(design: SensorDesign, x_mm: FloatArray, y_mm: FloatArray) -> NDArray[np.bool_]:
+    """Which places (ny, nx) of the top are of a pillar of another rubber."""
+    pitch = design.array.pitch_mm
+    x, y = (
+        np.mod(at + (count % 2) * pitch / 2, pitch) - pitch / 2
+        for at, count in ((x_mm, design.array.cols), (y_mm, design.array.rows))
+    )
+    places = np.stack(np.broadcast_arrays(x, y[:, None], design.unit.height_mm), axis=-1).reshape(-1, 3)
+    held = [prism.holds(places, ROUNDING * pitch) for prism in unit_prisms(design.unit)]
+    return np.any(held, axis=0).reshape(len(y_mm), len(x_mm))
+
+
+def stiffer(design: SensorDesign) -> tuple[float, float]:
+    """What the matrix's layer, times, is near the singularity between matrix and pillar, and between two places of one.
+
+    A pillar's rubber gives way by E/(1 − ν²), and across its edge a force meets the mean of both.
+    """
+    matrix, pillar = (
+        rubber.young_mpa / (1 - rubber.poisson**2) for rubber in (design.matrix_material, design.pillar_material)
+    )
+    return 2 * matrix / (matrix + pillar), matrix / pillar
 
 
 def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
@@ -58,9 +144,16 @@ def cell_strips(design: SensorDesign, axis: int) -> list[Strip]:
 
 def cell_rectangles(design: SensorDesign) -> FloatArray:
     """Rectangles (k, 4) of a cell's tiles, row by row, and then of its upper electrodes."""
-    x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
-    tiles = np.stack(np.broadcast_arrays(x[:-1], y[:-1, None], x[1:], y[1:, None]), axis=-1)
-    return np.vstack([tiles.reshape(-1, 4), electrode_squares(lone_unit(design))])
+    if has_pillar_tops(design):
+        y, rows = top_lines(design)
+    else:
+        x, y = (edges(cell_strips(design, axis)) for axis in (0, 1))
+        rows = [x] * (len(y) - 1)
+    tiles = [
+        np.stack(np.broadcast_arrays(x[:-1], low, x[1:], high), axis=-1)
+        for x, low, high in zip(rows, y[:-1], y[1:], strict=True)
+    ]
+    return np.vstack([*tiles, electrode_squares(lone_unit(design))])
 
 
 def plate_tiles(design: SensorDesign) -> NDArray[np.bool_]:
@@ -81,23 +174,29 @@ def slab_strips(design: SensorDesign, axis: int, tiles: int) -> list[Strip]:
 
 
 def lined_grid(design: SensorDesign, axis: int, low_mm: float, high_mm: float, cells: int) -> tuple[float, float, int]:
-    """Ends and number of cells that cover a part of the top along an axis, with lines at the edges of plates.
+    """Ends and number of cells that cover a part of the top along an axis, with lines at the edges of plates or tops.
 
-    On bare rubber as asked; under plates they are at least as many. Where no number of them in a pitch meets the edges
-    to `MEETS` of a cell, the one that comes nearest is taken.
+    On bare rubber as asked; under plates and on pillars' tops they are at least as many. Where no number of them in a
+    pitch meets the edges to `MEETS` of a cell, the one that comes nearest is taken.
     """
-    if design.pad.kind == "soft":
+    has_tops = has_pillar_tops(design)
+    if design.pad.kind == "soft" and not has_tops:
         return float(low_mm), float(high_mm), cells
     pitch, half = design.array.pitch_mm, design.slab_mm[axis] / 2
     wanted = int(np.ceil(cells * pitch / (high_mm - low_mm) - MEETS))
-    plate = [(strip.low_mm, strip.high_mm) for strip in cell_strips(design, axis) if strip.is_plate]
-    places = np.array(plate).ravel() / pitch + 0.5  # of a pitch
+    if has_tops:
+        middle, extent = np.array([(one.top_mm[axis], one.extents_mm[axis]) for one in unit_prisms(design.unit)]).T
+        faces = np.unique([middle - extent / 2, middle + extent / 2])
+    else:
+        faces = np.array([(one.low_mm, one.high_mm) for one in cell_strips(design, axis) if one.is_plate]).ravel()
+    places = faces / pitch + 0.5  # of a pitch
 
     def missed(number: int) -> float:
         return float(np.abs(places * number - np.rint(places * number)).max())
 
-    numbers = range(max(wanted, 1), 2 * max(wanted, 1) + MIN_NUMBERS)
-    number = next((n for n in numbers if missed(n) < MEETS), min(numbers, key=missed))
+    most = int(MORE * wanted) + 1 if has_tops else 2 * max(wanted, 1) + MIN_NUMBERS
+    numbers, near = range(max(wanted, 1), max(most, 2)), MEETS_TOP if has_tops else MEETS
+    number = next((n for n in numbers if missed(n) < near), min(numbers, key=missed))
     step = pitch / number
     first, last = np.floor((low_mm + half) / step + ROUNDING), np.ceil((high_mm + half) / step - ROUNDING)
     return float(first * step - half), float(last * step - half), int(last - first)
@@ -148,6 +247,81 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     used = np.flatnonzero(found.any(axis=0))
     tiles = slice(int(used[0]), int(used[-1] + 1))
     return found[:, tiles], tiles
+
+
+def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[sp.csr_matrix, slice, slice]:
+    """Shares (ny·nx, m) of a patch's cells in the tiles of some cells of the array, and the tiles' rows and columns.
+
+    Quadratic in each tile, through its mean and through values at its ends that `width` tiles on either side say; along
+    x, and then along y. Tiles of the other rubber do not count. Large cells are shown by the mean over parts of them,
+    which are of the rubber in their middles.
+    """
+    cells = patch
+    (cols, rows), pitch = (design.array.cols, design.array.rows), design.array.pitch_mm
+    along_y, lines = top_lines(design)
+    smallest_mm = min(float(np.diff(line).min()) for line in (along_y, *lines))
+    parts = min(MAX_PARTS, int(np.ceil(2 * max(cells.cell_mm) / smallest_mm)))
+    patch = replace(cells, nx=parts * cells.nx, ny=parts * cells.ny)
+    each, y_lines = len(lines), _all_over(along_y, rows, pitch)
+    y = (y_lines[:-1] + y_lines[1:]) / 2
+    kinds = on_pillars(design, patch.x_mm, y)  # of every row at the places along x
+    by_y = np.empty((patch.ny, patch.nx, len(y)))
+    for kind in np.unique(kinds, axis=1).T:
+        by_y[:, (kinds == kind[:, None]).all(axis=0)] = _in_runs(patch.y_mm, y_lines, kind, width)[:, None]
+    first, m = np.cumsum([0, *(len(line) - 1 for line in lines)]), tiles_per_pitch(design)[0]
+    found = sp.csr_matrix((patch.nx * patch.ny, rows * cols * m))
+    for row in np.flatnonzero(by_y.any(axis=(0, 1))).tolist():
+        x_lines, own = _all_over(lines[row % each], cols, pitch), len(lines[row % each]) - 1
+        kind = on_pillars(design, (x_lines[:-1] + x_lines[1:]) / 2, y[row : row + 1])[0]
+        by_x = _in_runs(patch.x_mm, x_lines, kind, width)
+        used = np.flatnonzero(by_x.any(axis=0))
+        at = row // each * cols * m + used // own * m + first[row % each] + used % own
+        part = sp.csr_matrix((by_y[..., row, None] * by_x[:, used]).reshape(-1, len(used)))
+        found += part @ sp.csr_matrix((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), found.shape[1]))
+    if parts > 1:
+        is_pillar = on_pillars(design, patch.x_mm, patch.y_mm)
+        of_cell = on_pillars(design, cells.x_mm, cells.y_mm).repeat(parts, axis=0).repeat(parts, axis=1)
+        number = np.arange(cells.nx * cells.ny).reshape(cells.ny, cells.nx).repeat(parts, axis=0).repeat(parts, axis=1)
+        alike = np.flatnonzero(is_pillar == of_cell)
+        of = number.ravel()[alike]
+        weight = 1 / np.bincount(of, minlength=cells.nx * cells.ny)[of]
+        found = sp.csr_matrix((weight, (of, alike)), shape=(cells.nx * cells.ny, patch.nx * patch.ny)) @ found
+    touched = np.zeros((rows, cols), dtype=bool)
+    touched.ravel()[np.unique(found.indices // m)] = True
+    low, high = span(touched)
+    tiles = np.arange(found.shape[1]).reshape(rows, -1)
+    taken = slice(int(low[1]), int(high[1])), slice(int(low[0]) * m, int(high[0]) * m)
+    return found[:, tiles[taken].ravel()], *taken
+
+
+def _in_runs(places_mm: FloatArray, lines: FloatArray, kind: NDArray[np.bool_], width: int) -> FloatArray:
+    """Shares (n, tiles) of places in tiles of their run, which are neighbours of one kind."""
+    own = np.clip(np.searchsorted(lines, places_mm, side="right") - 1, 0, len(kind) - 1)
+    t = ((places_mm - lines[own]) / np.diff(lines)[own])[:, None]
+    low, high = _at_ends(tuple(lines.tolist()), tuple(kind.tolist()), width)
+    found = (1 - 4 * t + 3 * t**2) * low[own] + (3 * t**2 - 2 * t) * high[own]
+    found[np.arange(len(own)), own] += (6 * t * (1 - t))[:, 0]
+    return np.asarray(found)
+
+
+@lru_cache(maxsize=512)
+def _at_ends(lines: tuple[float, ...], kind: tuple[bool, ...], width: int) -> tuple[FloatArray, FloatArray]:
+    """Values at the low and at the high end of each tile by the means of tiles of its run, (tiles, tiles) each."""
+    at, size, count = np.array(lines), np.diff(lines), len(kind)
+    low_end, high_end = np.zeros((2, count, count))
+    starts = [n for n in range(count) if n == 0 or kind[n] != kind[n - 1]]
+    for start, end in pairwise([*starts, count]):
+        for line in range(start, end + 1):
+            reach = (width + 1 if kind[start] else 1) if line in (start, end) else width
+            low, high = max(start, line - reach), min(end, line + reach)
+            nodes = (at[low : high + 1] - at[line]) / size[low]
+            slope = np.linalg.inv(np.vander(nodes, increasing=True))[1] / size[low]  # of the sums of tiles
+            value = size[low:high] * np.cumsum(slope[:0:-1])[::-1]
+            if line > start:
+                high_end[line - 1, low:high] = value
+            if line < end:
+                low_end[line, low:high] = value
+    return low_end, high_end
 
 
 def plated(places_mm: FloatArray, strips: list[Strip]) -> NDArray[np.bool_]:

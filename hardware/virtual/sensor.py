@@ -3,11 +3,13 @@
 Every tensor has the environments first: e sensors of one design live side by side, each with imperfections of its own.
 """
 
+import logging
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -26,7 +28,7 @@ from decoupler.model.tensors import in_torch
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
-from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, surface_compliance
+from fem.contact import Contact, Shape, Stepper, SurfaceCompliance, judge, surface_compliance
 from geometry.design import SensorDesign, bent
 from geometry.design_file import read_design
 from geometry.layout import AXES, rest_lengths
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 
+JUDGED_STEPS = 16  #: of a contact, from one judgement of its error to the next
 Pressing = tuple[Shape, Sequence[float], float | None]  #: shape, place [mm], normal force [N] or None
 
 
@@ -196,6 +199,7 @@ class VirtualSensor:
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
         self._member = torch.zeros(environments, dtype=torch.int64, device=self.device)
         self._steppers: list[dict[Hashable, Stepper]] = [{} for _ in range(environments)]
+        self._judged, self._warned = WeakKeyDictionary[Stepper, int](), False
         self._rubber = RubberState(self.design, self._gain, memory_spread)
         self.reset()
 
@@ -359,7 +363,8 @@ class VirtualSensor:
         Raises
         ------
         ArgumentError, DesignError, ContactError
-            If environments are not as many, the sensor is a twin, and as `surface_compliance` and `Stepper.step`.
+            If environments are not as many, the sensor is a twin, and as `surface_compliance`, `Stepper.step` and
+            `fem.contact.judge`.
         """
         if len(bodies) != self.environments:
             raise ArgumentError(f"bodies are of {len(bodies)} environments, expected {self.environments}.")
@@ -377,6 +382,7 @@ class VirtualSensor:
             self._steppers[number] = steppers
             for name, (shape, place_mm, normal_n) in own.items():
                 if (contact := steppers[name].step(shape, place_mm, normal_n)) is not None:
+                    self._judge(contact, steppers[name])
                     contacts.append(contact)
                     force[number, :, 0] += contact.force_n.reshape(-1, 3)
                     if grid is None:
@@ -395,6 +401,14 @@ class VirtualSensor:
         applied_n = self._like.new_tensor(force).reshape(self.environments, *self.shape, len(AXES))
         return Reading(force_n=applied_n, resistance_ohm=resistance_ohm, decoded_n=decoded_n, contacts=tuple(contacts))
 
+    def _judge(self, contact: Contact, stepper: Stepper) -> None:
+        """Refuse a contact whose compliance errs too much, at its begin and now and then; a warning is said once."""
+        steps = self._judged.get(stepper, 0)
+        self._judged[stepper] = steps + 1
+        if steps % JUDGED_STEPS == 0 and (warning := judge(contact, on_grid=False)) and not self._warned:
+            self._warned = True
+            logging.getLogger("tripillar").warning("of a contact %s", warning)
+
     def _decoded(self, resistance_ohm: Tensor) -> Tensor | None:
         if self._followers is None:
             return None if self._decoder is None else self.forces(resistance_ohm)
@@ -404,9 +418,9 @@ class VirtualSensor:
 
     @cached_property
     def _top(self) -> tuple[SurfaceCompliance, Grid | None]:
-        """The top, and of bare rubber its grid: plates tell their electrodes at once."""
+        """The top, and of one bare rubber its grid: plates, and tops of pillars, tell their electrodes at once."""
         surface, *_ = surface_compliance(self.design)
-        return surface, None if surface.has_plates else Grid.of(surface)
+        return surface, None if surface.has_plates or surface.has_tops else Grid.of(surface)
 
     def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)

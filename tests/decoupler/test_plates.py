@@ -61,7 +61,7 @@ def wrenches(n: int) -> np.ndarray:
 def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do(surfaces):
     """Pressure that pushes its tiles evenly, and that tilts them, of the whole compliance: to its single precision."""
     surface = surfaces["six-pillar"]
-    tiles = tiles_per_pitch(surface.design)
+    tiles, _ = tiles_per_pitch(surface.design)
     squares = cell_rectangles(surface.design)[: tiles**2]
     x, y = ((squares[:, :2] + squares[:, 2:]) / 2).T.reshape(2, tiles, tiles)
     on = np.maximum(np.abs(x), np.abs(y)) < surface.design.pad.size_mm / 2

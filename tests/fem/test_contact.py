@@ -1,5 +1,6 @@
 """Contact by shape against closed forms and NGSolve, and its compliance against the array's response."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,14 @@ from fem.contact import (
     Sphere,
     SurfaceCompliance,
     about_z,
+    judge,
     press,
     read_solid,
+    surface_compliance,
 )
 from fem.contact.indentation import OPEN, STICK
 from fem.contact.surface import PatchCompliance
-from fem.contact.tiles import Patch
+from fem.contact.tiles import Patch, cell_rectangles, on_pillars, shares_by_rubber, tiles_per_pitch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares
 
@@ -100,6 +103,77 @@ def test_electrodes_move_as_in_the_array_s_response(pair: SurfaceCompliance, sha
         force[axis] = 1 / 24**2
         expected = response.influence_mm_per_n[..., 0, 1, axis]
         assert np.abs(compliance.electrodes_mm(force) - expected).max() < 0.02 * np.abs(expected).max()
+
+
+#: by NGSolve, third order, 81,000 to 152,000 unknowns, contact by penalty: a ball of 5 mm 1 mm deep on 2 × 2 units at a
+#: unit's middle, on an electrode and at the corner of four; the force [N], and the electrode that moves most [mm]
+NGSOLVE = {
+    121.0: (
+        ((7.5, 7.5), 0.25406, (1, 1, 1), (-0.0083, 0.0690, -0.0682)),
+        ((2.5, 2.5), 3.2445, (1, 1, 0), (-0.5370, -0.0785, -0.9423)),
+        ((0.0, 0.0), 0.67836, (0, 1, 1), (-0.0407, 0.1354, -0.2040)),
+    ),
+    6.0: (
+        ((7.5, 7.5), 4.9075, (1, 1, 1), (0.0079, 0.0562, -0.0533)),
+        ((2.5, 2.5), 8.6676, (1, 1, 0), (-0.1263, -0.0013, -0.9390)),
+        ((0.0, 0.0), 5.7904, (0, 1, 1), (-0.0054, 0.0070, -0.1833)),
+    ),
+}
+
+
+@pytest.mark.parametrize("contrast", [121.0, pytest.param(6.0, marks=pytest.mark.long)])
+def test_two_rubbers_are_ngsolve_s_and_continuous_across_units(contrast: float):
+    """Net force to 2 %, electrodes to 3 %, both within the estimates, which are small enough not to be refused.
+
+    A force beside the border of two units moves both sides of it alike, and forces and displacements are reciprocal.
+    """
+    soft = Material(young_mpa=6.1 / contrast, poisson=0.49)
+    surface, _, _ = surface_compliance(SensorDesign(array=Array(rows=2, cols=2), matrix_material=soft))
+    for at_mm, force_n, electrode, moved_mm in NGSOLVE[contrast]:
+        contact = press(surface, Sphere(5.0), 1.0, at_mm=at_mm)
+        error = abs(contact.net_force_n[2] / force_n - 1)
+        missed = np.linalg.norm(contact.electrode_mm[electrode] - moved_mm) / np.linalg.norm(moved_mm)
+        assert error < 0.02, (at_mm, error)
+        assert missed < 0.03, (at_mm, missed)
+        assert missed < contact.electrode_error_estimate + 0.01  # NGSolve errs as well
+        judge(contact)
+    compliance = PatchCompliance(surface, Patch((-1.0, -1.0), (1.0, 1.0), 40, 20))
+    force = np.zeros((3, 20, 40))
+    force[2, 10, 5] = 1.0
+    along = compliance.moved_mm(force)[2, 10, 10:]
+    steps = np.abs(np.diff(along))
+    assert steps[9] < 1.5 * max(steps[8], steps[10])  # over x = 0
+    f, g = np.random.default_rng(0).normal(size=(2, 3, 20, 40))
+    assert (f * compliance.moved_mm(g)).sum() == pytest.approx((g * compliance.moved_mm(f)).sum(), rel=1e-4)
+
+
+def test_tiles_on_pillars_tops_keep_forces_and_tilts(pair: SurfaceCompliance):
+    """Shares sum to 1 on both rubbers, and what varies linearly over a top, as it tilts, is kept."""
+    design = replace(pair.design, matrix_material=Material(young_mpa=0.05))
+    patch = Patch((-14.0, -7.0), (6.0, 7.0), 101, 71)
+    found, rows, columns = shares_by_rubber(patch, design, 2)
+    assert (rows, columns.start) == (slice(0, 1), 0)
+    assert found.sum(axis=1) == pytest.approx(1.0)
+    squares = cell_rectangles(design)[: tiles_per_pitch(design)[0]]
+    middles = squares.reshape(-1, 2, 2).mean(axis=1)
+    on_tops = on_pillars(design, patch.x_mm, patch.y_mm)
+    for axis in (0, 1):
+        cells = [middles[:, axis] + x * (axis == 0) for x in (-7.5, 7.5)]  # two units along x
+        seen = (found @ np.concatenate(cells)[: found.shape[1]]).reshape(71, 101)
+        expected = np.broadcast_to((patch.x_mm, patch.y_mm[:, None])[axis], seen.shape)
+        assert seen[on_tops] == pytest.approx(expected[on_tops])
+
+
+def test_a_contact_is_warned_of_or_refused_by_its_estimate(pair: SurfaceCompliance):
+    contact = press(pair, Sphere(8.0), 1.0)
+    assert judge(contact) is None
+    for error, told in ((0.1, "10%, above 5%"), (0.3, "30%, above 20%")):
+        contact.__dict__["_judged"] = contact.__dict__["compliance_errors"] = (0.01, error)
+        for on_grid in (True, False):
+            if error > 0.2:
+                with pytest.raises(ContactError, match=told):
+                    judge(contact, on_grid=on_grid)
+            assert f"electrodes is {error:.0%}, above 5%" in str(judge(contact, force=True, on_grid=on_grid))
 
 
 @pytest.mark.parametrize("degree", [1, 4])

@@ -18,7 +18,6 @@ else:
     Indenter = Pair = str
 
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
-LARGE_ERROR, MAX_ERROR = 0.05, 0.2  #: estimated, of forces or electrodes: beyond it is warned of, or refused
 USUAL_DEPTH = 0.05  #: of the slab's height
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 #: sizes of each shape, that which it needs first
@@ -102,22 +101,15 @@ def press(
         sensor, indenter, depth_mm, at_mm=_pair("at_mm", at_mm), slide_mm=_pair("slide_mm", slide_mm),
         friction=friction, progress=lambda step: begin()(0, step),
     )  # fmt: skip
-    errors = {"the forces": contact.error_estimate, "the electrodes": contact.electrode_error_estimate}
-    worst = max(errors, key=lambda what: errors[what])
-    stated = f"the estimated error of {worst} is {errors[worst]:.0%}, above {{:.0%}}"
-    if errors[worst] > MAX_ERROR and not force:
-        raise DesignError(
-            f"{stated.format(MAX_ERROR)}: press with a shape that touches more of the top, or less close to electrodes "
-            "and sides, or take the contact as it is by --force."
-        )
+    warning = stages.judge(contact, force)
     strain = stages.largest_strain(contact)
     if out is not None:
         stages.write_contact(contact, Path(out))
     if picture is not None:
         stages.draw_contact(contact, Path(picture))
     caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
-    if errors[worst] > LARGE_ERROR:
-        caller.say(f"warning: {stated.format(LARGE_ERROR)}")
+    if warning is not None:
+        caller.say(f"warning: {warning}")
     if contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
