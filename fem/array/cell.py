@@ -25,8 +25,8 @@ from scipy.linalg import cholesky, solve_triangular
 
 from fem.kernel.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
 from fem.kernel.mirrors import Parity, flipped_rectangles, images, parities
-from fem.kernel.system import System
 from fem.kernel.reference import IntArray
+from fem.kernel.system import System
 from geometry.layout import FloatArray
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
