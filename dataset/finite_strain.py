@@ -139,7 +139,8 @@ def borne(response: ArrayResponse, settings: DatasetSettings) -> tuple[DatasetSe
     solver, name = GroupSolver(response, settings), "pressure_mpa" if suited.pressure_mpa else "shear_mpa"
     low, high = getattr(suited, name)
     for factor in LOWERINGS:
-        lowered = replace(settings, **{name: (float(f"{factor * low:.3g}"), float(f"{factor * high:.3g}"))})
+        own: dict[str, Any] = {name: (float(f"{factor * low:.3g}"), float(f"{factor * high:.3g}"))}
+        lowered = replace(settings, **own)
         if solver.answered(lowered) >= BORNE:
             break
     return (settings, 1.0) if factor == 1.0 else (lowered, factor)
