@@ -17,7 +17,7 @@ from dataset.indentation import judged_press
 from dataset.resistance import largest_strains
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
 from fem.contact import Contact, ContactError, Solid, surface_compliance
-from fem.contact.surface import SurfaceCompliance
+from fem.contact.compliance import SurfaceCompliance
 from fem.contact.tiles import Patch
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.touch.sensing import Displacements
-from fem.contact.surface import SurfaceCompliance
+from fem.contact.compliance import SurfaceCompliance
 from geometry.layout import FloatArray
 
 CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %

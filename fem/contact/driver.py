@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import require_type
+from fem.contact.compliance import PatchCompliance, SurfaceCompliance
 from fem.contact.indentation import INCREMENTS, Contact, ContactError, Indentation, Pose, Touch, require_friction
 from fem.contact.shapes import Shape
-from fem.contact.surface import PatchCompliance, SurfaceCompliance, surface_compliance
+from fem.contact.surface import surface_compliance
 from fem.contact.tiles import Patch, lined_grid, span
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray

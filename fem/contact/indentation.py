@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
+from fem.contact.compliance import UP, PatchCompliance, SurfaceCompliance
 from fem.contact.shapes import Shape
-from fem.contact.surface import UP, PatchCompliance, SurfaceCompliance
 from fem.contact.tiles import Patch, overlaps, span
 from fem.kernel.factor import SolverError
 from fem.levels import SAFETY, richardson_factor

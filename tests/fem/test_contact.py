@@ -22,8 +22,8 @@ from fem.contact import (
     read_solid,
     surface_compliance,
 )
+from fem.contact.compliance import PatchCompliance
 from fem.contact.indentation import OPEN, STICK
-from fem.contact.surface import PatchCompliance
 from fem.contact.tiles import Patch, cell_rectangles, on_pillars, shares_by_rubber, tiles_per_pitch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares

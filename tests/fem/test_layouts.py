@@ -16,7 +16,8 @@ from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import AT_REST, Conductor, UnitConductors, pillars_per_mm, unit_conductances
-from fem.contact.surface import PatchCompliance, endless_surface
+from fem.contact.compliance import PatchCompliance
+from fem.contact.surface import endless_surface
 from fem.contact.tiles import Patch
 from fem.finite.samples import SampleSolver
 from fem.kernel.factor import Factor, checked_solve

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Flat, Indentation, Sphere, Stepper, SurfaceCompliance, press, surface_compliance
+from fem.contact.compliance import UP, PatchCompliance
 from fem.contact.driver import pressed
-from fem.contact.surface import UP, PatchCompliance
 from fem.contact.tiles import Patch, cell_strips, edges, lined_grid, shares, slab_strips
 from fem.pictures.contact import _outline, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign

@@ -20,7 +20,8 @@ from fem.contact import (
     about_z,
     press,
 )
-from fem.contact.surface import PatchCompliance, endless_surface
+from fem.contact.compliance import PatchCompliance
+from fem.contact.surface import endless_surface
 from geometry.design import Array, SensorDesign
 
 BALL_MM, DEPTH_MM, FRICTION = 8.0, 0.6, 0.5
