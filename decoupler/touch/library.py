@@ -16,7 +16,7 @@ from common.threads import one_blas_thread
 from dataset.indentation import judged_press
 from dataset.resistance import largest_strains
 from decoupler.touch.presses import Grid, Presses, TouchLibrary
-from fem.contact import Contact, ContactError, Solid, surface_compliance
+from fem.contact import ContactError, Solid, surface_compliance
 from fem.contact.compliance import SurfaceCompliance
 from fem.contact.tiles import Patch
 from geometry.design import Array, SensorDesign
@@ -33,14 +33,14 @@ MAX_STRAIN = 0.3
 THREADS = 2
 
 
-def presses_of(contacts: Sequence[Contact]) -> Presses:
-    """Contacts as fields of traction."""
-    sizes = np.array([[one.patch.nx, one.patch.ny] for one in contacts])
-    cells = np.zeros((len(contacts), 3, sizes.max(), sizes.max()), np.float32)
-    for place, (one, (nx, ny)) in enumerate(zip(contacts, sizes.tolist(), strict=True)):
-        cells[place, :, :ny, :nx] = one.cell_force_n
+def presses_of(fields: Sequence[tuple[Patch, FloatArray]]) -> Presses:
+    """Presses of the patches and forces (3, ny, nx) [N] of contacts."""
+    sizes = np.array([[patch.nx, patch.ny] for patch, _ in fields])
+    cells = np.zeros((len(fields), 3, sizes.max(), sizes.max()), np.float32)
+    for place, (_, force_n) in enumerate(fields):
+        cells[place, :, : force_n.shape[1], : force_n.shape[2]] = force_n
     return Presses(
-        box_mm=np.array([[*one.patch.low_mm, *one.patch.high_mm] for one in contacts]),
+        box_mm=np.array([[*patch.low_mm, *patch.high_mm] for patch, _ in fields]),
         size=sizes,
         cell_force_n=cells,
     )
@@ -83,22 +83,23 @@ def touch_library(
 
 def _solved(
     surface: SurfaceCompliance, presses: int, progress: Callable[[int], None], shapes: Sequence[Solid]
-) -> Iterator[Contact]:
-    def solve(task: tuple[int, int]) -> Contact | None:
+) -> Iterator[tuple[Patch, FloatArray]]:
+    def solve(task: tuple[int, int]) -> tuple[Patch, FloatArray] | None:
         kind, number = task  # kind 0 is of shapes that are drawn
         own = shapes[kind - 1] if kind else None
         try:
-            return judged_press(np.random.default_rng([SEED, kind, number]), surface, cells=CELLS, own=own)
+            contact = judged_press(np.random.default_rng([SEED, kind, number]), surface, cells=CELLS, own=own)
+            return contact.patch, contact.cell_force_n  # the rest of thousands would fill the memory
         except ContactError:  # it misses the sensor, or its error is too large
             return None
 
     tasks = [(0, number) for number in range(presses)]
     tasks += [(1 + k, number) for k in range(len(shapes)) for number in range(OWN)]
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-        for contact in pool.map(solve, tasks):
+        for field in pool.map(solve, tasks):
             progress(1)
-            if contact is not None:
-                yield contact
+            if field is not None:
+                yield field
 
 
 def _spread_out(presses: Presses, surface: SurfaceCompliance, cache_key: str) -> TouchLibrary:

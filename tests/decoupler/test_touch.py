@@ -64,7 +64,9 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
             surface, Cylinder(6.0, 9.0, turn=about_z(turn)), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
         )
 
-    solved, turned = contact(symmetry), presses_of([contact(0)]).turned(0, symmetry, np.zeros(2))
+    first = contact(0)
+    solved = contact(symmetry)
+    turned = presses_of([(first.patch, first.cell_force_n)]).turned(0, symmetry, np.zeros(2))
     moved = decoder.library.grid.pressed_mm(*turned)
     assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
     part = Part.of(decoder.sensing, *turned)
@@ -170,9 +172,9 @@ def test_two_contacts_are_told_apart(decoder):
     for one, solved in zip(sorted(found.contacts, key=lambda one: one.centre_mm[0]), both, strict=True):
         assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)
         assert one.centre_mm == pytest.approx(solved.centre_mm, abs=1.0)
-        pressed = Part.of(decoder.sensing, *presses_of([solved]).turned(0, 0, np.zeros(2))).contact(
-            np.zeros((1, len(PRIOR)))
-        )
+        pressed = Part.of(
+            decoder.sensing, *presses_of([(solved.patch, solved.cell_force_n)]).turned(0, 0, np.zeros(2))
+        ).contact(np.zeros((1, len(PRIOR))))
         assert (np.abs(one.half_mm - pressed[0, 5:]) < 3 * one.half_deviation_mm).all()
 
 
