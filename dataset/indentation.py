@@ -16,6 +16,7 @@ import numpy as np
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import Samples
+from fem import SolverError
 from fem.contact import (
     Contact,
     ContactError,
@@ -170,8 +171,12 @@ def drawn_press(
 
 
 def judged_press(generator: np.random.Generator, surface: SurfaceCompliance, **given: Any) -> Contact:
-    """`drawn_press`, or a `ContactError` where `judge` refuses it; what it warns of is said once a design."""
-    contact = drawn_press(generator, surface, **given)
+    """`drawn_press`; a `ContactError` where `judge` refuses it or no balance is found. Both are said once a design."""
+    try:
+        contact = drawn_press(generator, surface, **given)
+    except SolverError as error:
+        _warn_once(surface.design)
+        raise ContactError(str(error)) from None
     if judge(contact, on_grid=False) is not None:
         _warn_once(surface.design)
     return contact
@@ -180,7 +185,7 @@ def judged_press(generator: np.random.Generator, surface: SurfaceCompliance, **g
 @lru_cache(maxsize=64)
 def _warn_once(_: SensorDesign) -> None:
     logging.getLogger("tripillar").warning(
-        "the estimated error of some contacts is above %.0f %%; those above %.0f %% are left out",
+        "the estimated error of some contacts is above %.0f %%; those above %.0f %%, or without balance, are left out",
         100 * LARGE_ERROR,
         100 * MAX_ERROR,
     )

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from dataset import DatasetSettings, read_samples, simulate
-from dataset.indentation import largest_strain, samples_of, write_contact
+from dataset.indentation import judged_press, largest_strain, samples_of, write_contact
 from dataset.resistance import pillar_resistances
-from fem.contact import Sphere, press
+from fem import SolverError
+from fem.contact import ContactError, Sphere, press, surface_compliance
 from geometry.design import Array, SensorDesign
 from geometry.layout import pillar_volumes
 from tests.dataset.conftest import made_up_response
@@ -34,3 +35,12 @@ def test_labels_are_those_of_the_contact_and_depend_on_seed_and_number_alone(tmp
     assert kept.force_n[0] == pytest.approx(contact.force_n, rel=1e-12)
     assert kept.resistance_ohm == pytest.approx(samples_of([contact]).resistance_ohm, rel=1e-12)
     assert 0 < largest_strain(contact) < 0.3
+
+
+def test_a_press_without_balance_is_left_out_as_one_whose_error_is_too_large(monkeypatch, shared_cache):
+    def unbalanced(*_: object, **__: object) -> None:
+        raise SolverError("no balance")
+
+    monkeypatch.setattr("dataset.indentation.press", unbalanced)
+    with pytest.raises(ContactError, match="no balance"):
+        judged_press(np.random.default_rng(0), surface_compliance(DESIGN)[0])
