@@ -83,7 +83,7 @@ class FaultTest:
     def of(cls, decoupler: Decoupler) -> "FaultTest | None":
         """The test of a model; None if it does not know how readings move under its loads, or takes them for exact."""
         usual = decoupler.usual
-        if usual is None or usual.log_ohm is None or decoupler.uncertainty is None:
+        if usual is None or usual.log_ohm_covariance is None or decoupler.uncertainty is None:
             return None
         rest_ohm = decoupler.rest_resistances()
         if rest_ohm is None:
@@ -92,7 +92,7 @@ class FaultTest:
         errors = ReadingError(noise=stated.noise, bits=stated.bits)
         if errors.is_exact:
             return None
-        assert usual.log_ohm_covariance is not None
+        assert usual.log_ohm is not None
         read = decoupler.readable
         pillars = decoupler.places[read]
         noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[pillars]

@@ -5,12 +5,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.storage.files import digest
 from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
@@ -28,23 +27,27 @@ from decoupler.data.columns import (
 )
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.posterior import Found, Posterior
-from decoupler.inverse.sensor_model import ModelInverse
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.baseline import LeastSquares
+from decoupler.model.decoder import MANY, Decoder
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
-from decoupler.model.usual import LoadTest, UsualLoads
+from decoupler.model.usual import Foretold, LoadTest, UsualLoads
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
+MOST = 1.0  #: change of the logarithm of a reading that is filled in, by the response
+REFINED = 3  #: steps by the response towards readings that are left out
+MIN_NOISE = 1e-5  #: relative, of readings by which those are found
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decoupler:
+class Decoupler(Decoder):
     """A network as trained; never changed, only used."""
 
     component: Component
@@ -65,8 +68,8 @@ class Decoupler:
     usual: UsualLoads | None = None  #: loads that it knows; None in files of before
     ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
+    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
-    knows_touch: ClassVar[Literal[False]] = False  #: a decoder of touch does
 
     def __post_init__(self) -> None:
         if self.design is not None:
@@ -110,14 +113,17 @@ class Decoupler:
 
         Takes resistances of the pillars, (n, rows, cols, n_pillars) [Ω]; those that the component does not take, and
         dead ones, may hold anything. An array of another size, or a resistance that is not finite or not above 0, is a
-        `SampleError`.
+        `SampleError`. Readings that no strain explains are left out (`Decoder.lost`).
 
         Notes
         -----
         output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
         that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
-        columns = self.columns(resistance_ohm)
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+        return self.each(resistance_ohm, lambda own, ohms, _: (own._forces(own.columns(ohms)),))[0]
+
+    def _forces(self, columns: FloatArray) -> FloatArray:
         n = len(columns)
         outputs = np.empty((n, len(self.output_weights)))
 
@@ -130,14 +136,15 @@ class Decoupler:
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 list(pool.map(fill, range(0, n, CHUNK)))
-        return outputs.reshape(n, self.rows, self.cols, len(self.component.axes))
+        return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
 
         A model that was written without its uncertainty is a `SampleError`, too.
         """
-        one, two = self.half_widths_of(self.columns(resistance_ohm))
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+        one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
     def deviations(
@@ -154,16 +161,29 @@ class Decoupler:
         what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
-        found, columns = self._known, self.columns(resistance_ohm)
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+
+        def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+            return by._deviations(by.columns(ohms), weights, None if own is None else own[which])
+
+        deviation_n, covariance = self.each(resistance_ohm, ask)
+        return deviation_n.reshape(self._shape), covariance
+
+    def _deviations(
+        self, columns: FloatArray, weights: FloatArray, own: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        found = self._known
         more_n2: Any = 0.0
+        own_ohm = None
         if own is not None:
             own_ohm = columns * pillar_columns(own, self.component, self.layout, self.dead)
-            slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
+        if self.posterior is not None:
+            covariance = self.refined(columns, own_ohm).covariance_n2
+            return np.sqrt(np.einsum("nii->ni", covariance)), weights.T @ covariance @ weights
+        if own_ohm is not None:
+            slopes = [self.by_read(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
             factors = np.concatenate(slopes) * own_ohm[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
-        if self.posterior is not None:
-            covariance = self.refined(columns).covariance_n2 + more_n2
-            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(self._shape), weights.T @ covariance @ weights
         own_n2, (scale, two) = self._own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
@@ -176,7 +196,7 @@ class Decoupler:
         if own is not None:
             variance += np.einsum("nii->ni", more_n2) / scale**2
             covariance += weights.T @ more_n2 @ weights
-        return (np.sqrt(variance) * scale).reshape(self._shape), covariance
+        return np.sqrt(variance) * scale, covariance
 
     @property
     def _known(self) -> Uncertainty:
@@ -189,15 +209,21 @@ class Decoupler:
         """Of forces, of as many samples as there are."""
         return -1, self.rows, self.cols, len(self.component.axes)
 
-    def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
-        """χ², over its degrees of freedom, of readings (n, rows, cols, n_pillars) [Ω] if a usual load acts, (n,).
-
-        Above `load_test.limit` no load that the model knows explains a reading: a dead wire, another sensor, a load
-        beyond its range. A model that was written without the loads that it knows is a `SampleError`.
-        """
+    def consistency(
+        self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """By how far forces are outside the usual loads (`LoadTest`)."""
         if self.load_test is None:
-            raise SampleError("this model does not say which loads it knows: train it again.")
-        return self.load_test.chi2(self.forces(resistance_ohm).reshape(len(resistance_ohm), -1))
+            return None
+        told_n = self.forces(resistance_ohm) if force_n is None else force_n
+
+        def ask(by: Self, _: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+            assert by.load_test is not None
+            found = by.load_test.chi2(told_n[which].reshape(len(which), -1))
+            return found, np.full_like(found, by.load_test.limit)
+
+        chi2, limit = self.each(resistance_ohm, ask)
+        return chi2, limit
 
     @cached_property
     def load_test(self) -> LoadTest | None:
@@ -254,11 +280,11 @@ class Decoupler:
         Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
         ensemble over the root of their number. Where nothing errs there is no chunk.
         """
-        if errors.is_exact and self.ensemble is None:
+        if errors.is_exact and self.ensemble is None and self.left_out is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
-            slopes, columns = self.derivatives(columns_ohm[chunk]), columns_ohm[chunk]
+            slopes, columns = self.by_read(columns_ohm[chunk]), columns_ohm[chunk]
             factors = slopes * errors.deviation(columns)[:, None]
             common = []
             if errors.has_drift:
@@ -267,7 +293,101 @@ class Decoupler:
             if self.ensemble is not None:
                 assert self.inverse is not None
                 common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.forces(columns)))
+            if self.left_out is not None:
+                common.append(self._by_missing(columns))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
+
+    def by_read(self, columns_ohm: FloatArray) -> FloatArray:
+        """`derivatives` by those that are read; 0 by those left out."""
+        slopes = self.derivatives(columns_ohm)
+        return slopes if self._foretold is None else np.where(self._missing, 0.0, slopes)
+
+    def without(self, pillars: NDArray[np.bool_]) -> Self:
+        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
+
+        In their places stands what the others foretell of usual loads; where the response is known, that is moved
+        towards what it shows under the forces that come out, as far as these tell it.
+
+        Notes
+        -----
+        Of k readings, as logarithms, with the mean y₀ and the covariance V that the others leave: the most probable
+        y₀ + δ if those under the decoded forces, H δ away as they are put there, agree with them up to errors N of the
+        readings that are read. δ minimises δᵀ V⁻¹ δ + mᵀ N⁻¹ m, m what those still are away, by `REFINED` steps of
+        Gauss and Newton with the slopes A = 1 − H at the mean load. One pillar of three that sense three forces has
+        H = 1, and is where usual loads have it; of six pillars the forces alone place it.
+        """
+        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
+
+    @cached_property
+    def _missing(self) -> NDArray[np.bool_]:
+        """Which inputs are left out, (n_in,)."""
+        if self.left_out is None:
+            return np.zeros(len(self.places), dtype=bool)
+        return self.left_out.reshape(-1)[self.places] & self.readable
+
+    @cached_property
+    def _foretold(self) -> Foretold | None:
+        if not self._missing.any() or self.usual is None:
+            return None
+        errors, usual_ohm = self.errors or ReadingError(), np.exp(self.usual.log_ohm)
+        noise = errors.deviation(usual_ohm) / usual_ohm
+        return Foretold.by(self.usual, self._missing, self.readable, np.maximum(noise, MIN_NOISE))
+
+    @cached_property
+    def _towards(self) -> "_Towards | None":
+        """How readings that are left out are found by the response, at the mean load.
+
+        None if nobody knows it, and of `MANY` readings and more: then loads are too far from those that it expects.
+        """
+        known, inverse = self._foretold, self.inverse
+        if known is None or inverse is None or len(known.which) >= MANY:
+            return None
+        ohm = inverse.forward.resistances(inverse.centre_n[None])
+        lengths, J = inverse.forward.jacobian(inverse.centre_n[None])
+        by_force = (2.0 * J / lengths[..., None])[0, known.which]  # of ln R
+        by_force *= 1.0 - (inverse.forward.offset_ohm / ohm[0])[known.which, None]
+        G = self.derivatives(ohm)[0] * ohm
+        errors = self.errors or ReadingError()
+        noise = np.where(self._missing, 0.0, np.maximum(errors.deviation(ohm)[0] / ohm[0], MIN_NOISE))
+        N = (G * noise) @ (G * noise).T
+        if self.uncertainty is not None:
+            N += np.diag(self.uncertainty.misfit_n2)
+        least = MIN_NOISE**2 * np.eye(len(known.which))
+        agree = np.linalg.inv(by_force @ N @ by_force.T + least)
+        A = np.eye(len(agree)) - by_force @ G[:, known.which]
+        usual = np.linalg.inv(known.covariance + least)
+        covariance = np.linalg.inv(usual + A.T @ agree @ A)
+        return _Towards(usual, agree, covariance @ A.T @ agree, covariance @ usual, covariance)
+
+    def _with_foretold(self, columns_ohm: FloatArray) -> FloatArray:
+        """Readings (n, n_in) [Ω] with what is left out filled in."""
+        known, towards = self._foretold, self._towards
+        if known is None:
+            return columns_ohm
+        found = known.filled(columns_ohm)
+        if towards is None or self.inverse is None:
+            return found
+        first = np.log(found[:, known.which])
+        delta, best, least = np.zeros_like(first), found, np.full(len(found), np.inf)
+        for step in range(REFINED + 1):
+            shown_ohm = self.inverse.forward.resistances(self.first_answers(found))[:, known.which]
+            missed = np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - (first + delta)
+            cost = towards.cost(missed, delta)
+            best = np.where((cost < least)[:, None], found, best)
+            least = np.minimum(cost, least)
+            if step < REFINED:
+                delta = np.clip(delta + towards.step(missed, delta), -MOST, MOST)
+                found = best.copy()
+                found[:, known.which] = np.exp(first + delta)
+        return best
+
+    def _by_missing(self, columns_ohm: FloatArray) -> FloatArray:
+        """Changes of the forces by errors of what was filled in, (n, n_out, k) [N]."""
+        known = self._foretold
+        assert known is not None
+        slopes = self.derivatives(columns_ohm)[:, :, known.which] * columns_ohm[:, None, known.which]
+        left = known.covariance if self._towards is None else self._towards.covariance
+        return np.asarray(slopes @ np.linalg.cholesky(left))
 
     @property
     def is_identified(self) -> bool:
@@ -298,35 +418,23 @@ class Decoupler:
         """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
         return readable_columns(self.component, self.layout, self.dead, len(self.places))
 
-    def follower(self) -> Self:
-        """The same decoder for scans that come one after another: each is decoded for itself."""
-        return self
-
     @property
-    def knows_uncertainty(self) -> bool:
-        """`half_widths` can be asked for."""
-        return self.uncertainty is not None
+    def errors(self) -> ReadingError | None:
+        """Of the readings that its deviations are for; None if it knows none."""
+        return None if self.uncertainty is None else self.uncertainty.errors
 
-    def read_by(self, noise: float) -> "Decoupler":
-        """The model with half-widths for readings of this relative standard deviation, converter's steps included."""
-        if self.uncertainty is None:
-            return self
-        errors = replace(self.uncertainty.errors, noise=noise, bits=None)
-        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
+    @cached_property
+    def usual_ohm(self) -> FloatArray | None:
+        """Those of the mean load of training, else at rest."""
+        ohms = self.rest_resistances()
+        if self.usual is not None and self.usual.log_ohm is not None:
+            ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
+            ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
+        return ohms
 
-    @property
-    def reading_noise(self) -> float:
-        """Relative error of readings at rest that its half-widths assume, the median over pillars; 0 if unknown."""
-        rest_ohm = self.rest_resistances()
-        if self.uncertainty is None or rest_ohm is None:
-            return 0.0
-        errors = replace(self.uncertainty.errors, drift_pillar=0.0)
-        return float(np.median(errors.deviation(rest_ohm) / rest_ohm))
-
-    @property
-    def design_hash(self) -> str | None:
-        """Hash of the design it was made for; None if that is unknown."""
-        return None if self.design is None else digest(self.design)
+    def read_by(self, errors: ReadingError) -> Self:
+        """The model with half-widths for readings that err so."""
+        return self if self.uncertainty is None else replace(self, uncertainty=replace(self.uncertainty, errors=errors))
 
     def rest_resistances(self) -> FloatArray | None:
         """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
@@ -361,14 +469,20 @@ class Decoupler:
                 f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
                 "train a model on data of this sensor."
             )
-        return columns
+        return self._with_foretold(columns)
+
+    def require(self, resistance_ohm: FloatArray) -> None:
+        self.columns(resistance_ohm)
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
 
-    def refined(self, columns_ohm: FloatArray) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
+    def refined(self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None) -> Found:
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them.
+
+        `own_ohm` (n, n_in) are deviations that the readings have besides.
+        """
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
@@ -376,7 +490,10 @@ class Decoupler:
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
             shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
-        return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, self.readable)
+        deviation_ohm = errors.deviation(settled)
+        if own_ohm is not None:
+            deviation_ohm = np.hypot(deviation_ohm, own_ohm)
+        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, self.readable & ~self._missing)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
@@ -414,3 +531,21 @@ class Decoupler:
         if self.network.net == "skip":
             network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
         return self.output_scaling.half_range[:, None] * (network @ by_ohm)
+
+
+class _Towards(NamedTuple):
+    """Matrices (k, k) by which k readings are found that are left out; see `Decoupler.without`."""
+
+    usual: FloatArray  #: V⁻¹
+    agree: FloatArray  #: N⁻¹
+    by_missed: FloatArray
+    by_delta: FloatArray
+    covariance: FloatArray  #: of what is left
+
+    def step(self, missed: FloatArray, delta: FloatArray) -> FloatArray:
+        """Of Gauss and Newton, (n, k)."""
+        return rowwise(missed, self.by_missed.T) - rowwise(delta, self.by_delta.T)
+
+    def cost(self, missed: FloatArray, delta: FloatArray) -> FloatArray:
+        """δᵀ V⁻¹ δ + mᵀ N⁻¹ m, (n,)."""
+        return (rowwise(missed, self.agree) * missed + rowwise(delta, self.usual) * delta).sum(axis=1)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from decoupler.data.columns import Columns
+from decoupler.data.columns import Columns, rowwise
 from geometry.layout import FloatArray
 
 RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyond `FRICTION`
@@ -14,6 +15,7 @@ MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loa
 FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
 SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
 SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
+SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
 
 
@@ -24,8 +26,8 @@ class UsualLoads:
     low_n: FloatArray  #: (n_axes,) [N]
     high_n: FloatArray  #: (n_axes,) [N]
     friction: FloatArray  #: (1,); 0 where any shear is known
-    log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them; None of too few samples
-    log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in)
+    log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them
+    log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in); None of too few samples
 
     @classmethod
     def of(cls, data: Columns) -> Self:
@@ -38,15 +40,14 @@ class UsualLoads:
             shear = np.hypot(pads[:, 0], pads[:, 1])
             if (shear > np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).mean() <= RARE:
                 friction = FRICTION
-        mean = covariance = None
+        log_ohm, covariance = np.log(columns_ohm), None
         if len(columns_ohm) >= SAMPLES * columns_ohm.shape[1]:
-            log_ohm = np.log(columns_ohm)
-            mean, covariance = log_ohm.mean(axis=0), np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
+            covariance = np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
         return cls(
             low_n=(1.0 + MARGIN) * low,
             high_n=(1.0 + MARGIN) * high,
             friction=np.array([friction]),
-            log_ohm=mean,
+            log_ohm=log_ohm.mean(axis=0),
             log_ohm_covariance=covariance,
         )
 
@@ -59,6 +60,39 @@ class UsualLoads:
             held = np.minimum(self.friction[0] * near[:, 2] / np.maximum(shear, 1e-12), 1.0)
             near[:, :2] *= held[:, None]
         return near.reshape(force_n.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Foretold:
+    """What k of P readings are when they are not read, by the others: normal, as logarithms."""
+
+    which: NDArray[np.intp]  #: (k,)
+    mean: FloatArray  #: (P,): of ln R under usual loads
+    weights: FloatArray  #: (P, k): of the others' distances from it; 0 of those that are not read
+    covariance: FloatArray  #: (k, k): of what that leaves
+
+    @classmethod
+    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], noise: FloatArray) -> Self:
+        """Those `missing` (P,), by the others of those that a decoder reads, whose relative noise is `noise` (P,).
+
+        Without a covariance, of few samples, nothing is foretold but the mean, and that it may be off by `SPREAD`.
+        """
+        mean, which = usual.log_ohm, np.flatnonzero(missing)
+        assert mean is not None
+        weights = np.zeros((len(mean), len(which)))
+        if usual.log_ohm_covariance is None:
+            return cls(which, mean, weights, SPREAD**2 * np.eye(len(which)))
+        others = np.flatnonzero(read & ~missing)
+        S = usual.log_ohm_covariance + np.diag(noise**2)
+        if len(others):
+            weights[others] = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
+        return cls(which, mean, weights, S[np.ix_(which, which)] - weights.T @ S[:, which])
+
+    def filled(self, columns_ohm: FloatArray) -> FloatArray:
+        """Readings (n, P) [Ω] with those that are foretold in their places."""
+        found = columns_ohm.copy()
+        found[:, self.which] = np.exp(rowwise(np.log(columns_ohm) - self.mean, self.weights) + self.mean[self.which])
+        return found
 
 
 @dataclass(frozen=True, eq=False)

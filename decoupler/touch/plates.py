@@ -19,7 +19,7 @@ from scipy.special import ndtri, stdtrit
 from common.storage.cache import kept_value
 from common.storage.files import digest
 from decoupler.touch.decoder import TouchDecoder, Touched
-from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing
+from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing, Whitening
 from fem.contact.surface import N_LOADS, moved_by_wrenches
 from geometry.design import SensorDesign, at_rest, bent
 from geometry.layout import FloatArray
@@ -96,7 +96,7 @@ class PlateDecoder(TouchDecoder):
         side = self.design.pad.size_mm
         return np.array([FRICTION, FRICTION, 1.0, ARM * side, ARM * side, TWIST * side])
 
-    def pressed(self, reading: FloatArray, deviation: FloatArray, at_rest: float, last: Touched | None) -> Touched:
+    def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """Loads by the reading alone.
 
         Notes
@@ -109,7 +109,7 @@ class PlateDecoder(TouchDecoder):
         size2, told, x = np.full(n, START_N**2), np.zeros(n), np.zeros((n, N_LOADS))
         on = np.ones(n, dtype=bool)  # plates that are not taken for untouched
         for _ in range(ROUNDS):
-            J, missed = self._about(x, reading, deviation)
+            J, missed = self._about(x, reading, white)
             precision, pull = J.T @ J, J.T @ (missed + J @ x.ravel())
             for _ in range(STEPS):
                 own = np.flatnonzero(np.repeat(on, N_LOADS))
@@ -123,18 +123,18 @@ class PlateDecoder(TouchDecoder):
                 on = size2 > LEAST_N**2
         # a size is known by as many numbers as the reading tells of its plate: Student's t has wider tails
         wider = np.where(on, stdtrit(np.maximum(told, 1.0), OUTSIDE) / ndtri(OUTSIDE), 1.0)
-        J, missed = self._about(x, reading, deviation)
+        J, missed = self._about(x, reading, white)
         factors = _root(J.T @ J, np.outer(wider**2 * size2, self._scale**2))
         between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
         factors = np.hstack([factors, between])
-        return Touched(load=x, factors=factors, chi2=float(missed @ missed) / len(reading))
+        return Touched(load=x, factors=factors, chi2=float(missed @ missed) / white.n)
 
-    def _about(self, load: FloatArray, reading: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (m, units·6) of a reading at loads (units, 6), and what it has beyond theirs, over deviations."""
+    def _about(self, load: FloatArray, reading: FloatArray, white: Whitening) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (m, units·6) of a reading at loads (units, 6), and what it has beyond theirs, whitened."""
         by_load = self.library.moved_mm.reshape(load.size, -1)
         moved = load.ravel() @ by_load
         more, less = (self.sensing.reading(moved + each) for each in (by_load, -by_load))  # exact: squares
-        return (more - less).T / (2 * deviation[:, None]), (reading - self.sensing.reading(moved)) / deviation
+        return white(more - less).T / 2, white(reading - self.sensing.reading(moved))
 
 
 def _root(precision: FloatArray, prior: FloatArray) -> FloatArray:

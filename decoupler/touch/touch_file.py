@@ -1,5 +1,6 @@
 """A touch decoder as one safetensors file; and whatever decoder a file holds."""
 
+from dataclasses import fields
 from pathlib import Path
 
 from common.errors import FileFormatError
@@ -47,7 +48,9 @@ def read_model(path: Path) -> AnyDecoder:
         design = design_from_toml(header["design"])
         said = {
             "design": design,
-            "errors": ReadingError(noise=float(header["noise"]), bits=header["bits"]),
+            "errors": ReadingError(
+                **{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header}
+            ),
             "made_from": dict(header["made_from"]),
             "library.cache_key": str(header["library"]),
         }

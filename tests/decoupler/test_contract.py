@@ -139,7 +139,7 @@ def test_its_file_gives_the_same_bits(case, tmp_path):
         lambda model: model.half_widths(ohms),
         lambda model: model.deviations(ohms, weights)[1],
         lambda model: model.untrusted(),
-        lambda model: model.load_test and model.chi2(ohms),
+        lambda model: model.consistency(ohms),
         lambda model: model.least_squares and model.least_squares.forces(ohms),
         lambda model: (test := FaultTest.of(model)) and test.named(ohms),
     ]

@@ -17,7 +17,7 @@ from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.plates import PlateResponse
 from decoupler.touch.presses import Grid, middles
 from decoupler.touch.regression import NEAREST
-from decoupler.touch.sensing import Pillars
+from decoupler.touch.sensing import Pillars, Whitening
 from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, about_z, press, surface_compliance
@@ -95,10 +95,10 @@ def test_a_changed_press_is_found_again(decoder):
     part = decoder._starts([0], 1)[0]
     true = 0.4 * PRIOR[None] * np.resize([1, -1, 1, 1, -1, 1, 1, -1, 1], len(PRIOR))
     reading = decoder.sensing.reading(part.moved(true))[0]
-    deviation = decoder.sensing.deviation(reading, READ) / 10
-    (fit,) = fitted(reading, deviation, [([part], np.zeros((1, len(PRIOR))))], 20)
+    white = Whitening.of(decoder.sensing.deviation(reading, READ) / 10, np.zeros((len(reading), 0)))
+    (fit,) = fitted(reading, white, [([part], np.zeros((1, len(PRIOR))))], 20)
     assert fit.cost < ((true / PRIOR) ** 2).sum()  # which is the cost of the truth: of exact readings, by its prior
-    (again,) = fitted(reading, deviation, [(fit.parts, fit.q)], 0)
+    (again,) = fitted(reading, white, [(fit.parts, fit.q)], 0)
     assert (fit.chi2, fit.cost) == pytest.approx(
         (again.chi2, again.chi2 + ((fit.q / PRIOR) ** 2).sum())
     )  # of each step, too

@@ -287,10 +287,16 @@ def replay(
         text = recorded.calibration if own is None else own.to_json()
         stages.write_forces(replace(recorded, calibration=text, made_from=hashes), found, Path(out), ros2)
     frames, saturated = len(found.force_n), int(found.saturated.any(axis=(1, 2, 3)).sum())
+    partial, unreliable = int(found.left_out.any(axis=(1, 2, 3)).sum()), int(found.unreliable.sum())
     unexplained, lost, component = int(found.unexplained.sum()), recorded.statistics.lost, decoupler.component
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
+    result |= {"left_out": found.named_out(), "partial_frames": partial, "unreliable_frames": unreliable}
     result |= {"faults": found.faults, "statistics": asdict(recorded.statistics), "axes": component.axes}
-    lines = [f"{frames} frames, {lost} lost, {saturated} with a saturated pillar (extrapolated)"]
+    lines = [f"{frames} frames, {lost} lost, {saturated} with a saturated pillar"]
+    if partial:
+        lines.append(
+            f"{partial} without pillars that no strain explains, {unreliable} of them not reliable: {found.said_out()}"
+        )
     for name, newtons in zip(component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     if unexplained:

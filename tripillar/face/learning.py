@@ -310,7 +310,8 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
-    of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
+    errors = stages.ReadingError(**READ).with_drifts_of(design.electrics)
+    of_sensor: dict[str, Any] = {"design": design, "errors": errors}
     of_sensor |= {"pillars": pillars, "made_from": made_from}
     decoder: stages.TouchDecoder
     if is_plated:

@@ -147,10 +147,11 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
 
 
 def notes_on(scan: Forces) -> list[str]:
-    """Lines on one scan's faults: saturated pillars, no known load, broken pillars and wires."""
+    """Lines on one scan's faults: pillars left out, no known load, broken pillars and wires."""
     notes = []
-    if n_saturated := int(scan.saturated.sum()):
-        notes.append(f"{n_saturated} pillars at an end of the converter's range: forces extrapolated")
+    if scan.left_out.any():
+        trust = ": so many that its forces are not reliable" if scan.unreliable else ""
+        notes.append(f"no strain explains pillar {scan.said_out()}, left out{trust}")
     if scan.unexplained:
         notes.append(
             f"χ² {scan.chi2:.3g}: no load that the model knows explains it: dead wire, other sensor, bare rubber?"
@@ -200,6 +201,8 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 "explained": not frame.unexplained,
                 "faults": list(frame.faults),
                 "saturated": int(frame.saturated.sum()),
+                "left_out": frame.named_out(),
+                "unreliable": bool(frame.unreliable),
                 "dropped": sensor.scanner.stats.dropped,
                 **wrench_content(frame.net()),
             }
