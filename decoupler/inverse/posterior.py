@@ -78,11 +78,13 @@ class Posterior:
         deviation_ohm: FloatArray,
         shared_ohm: FloatArray,
         read: NDArray[np.bool_],
+        unsure_n: FloatArray | None = None,
     ) -> Found:
         """Most probable forces of readings (n, P) [Ω] by first answers (n, Q) [N].
 
         Errors of the readings have deviations (n, P) [Ω] of each pillar alone, and (n, P, m) [Ω] that pillars share,
-        which may come of a sensor that is not quite known. `read` (P,) says which pillars are read.
+        which may come of a sensor that is not quite known. `read` (P,) says which pillars are read. `unsure_n`
+        (n, Q, k) are changes of the first answers by independent errors that they have besides.
 
         Notes
         -----
@@ -93,7 +95,8 @@ class Posterior:
         in any batch.
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(first_n), CHUNK)]
-        given = resistance_ohm, first_n, deviation_ohm, shared_ohm
+        unsure_n = np.empty((*first_n.shape, 0)) if unsure_n is None else unsure_n
+        given = resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n
         found = [self._found(read, *(values[part] for values in given)) for part in parts]
         names = Found.__dataclass_fields__
         return Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in names})
@@ -105,12 +108,17 @@ class Posterior:
         first_n: FloatArray,
         deviation_ohm: FloatArray,
         shared_ohm: FloatArray,
+        unsure_n: FloatArray,
     ) -> Found:
         n, Q = first_n.shape
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
         to_mean, shift, precision = self._prior
         mean_n = (first_n[:, None] @ to_mean)[:, 0] + shift
+        by_error = to_mean.T @ unsure_n
+        P = precision @ by_error
+        less = P @ np.linalg.solve(np.eye(P.shape[2]) + by_error.swapaxes(1, 2) @ P, P.swapaxes(1, 2))
+        precision = precision - less
         state = self.first_states(mean_n)
         variance = (deviation_ohm / c) ** 2 + self.squares_variance(state)
         variance = np.where(read, variance, UNREAD * variance)
@@ -127,7 +135,7 @@ class Posterior:
             modelled, by_state, force_n, by_force = self.forward.at_states(state_n)
             missing, off_n = (whiten[on] @ (y[on] - modelled)[..., None])[..., 0], mean_n[on] - force_n
             squares = missing**2
-            held = ((off_n[:, None] @ precision)[:, 0] * off_n).sum(axis=1)
+            held = ((off_n[:, None] @ precision[on])[:, 0] * off_n).sum(axis=1)
             return _Point(
                 state=state_n,
                 cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
@@ -142,7 +150,7 @@ class Posterior:
         here = at(state, slice(None))
         damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
         for _ in range(MAX_STEPS):
-            H, down = here.part(on).normal(precision)
+            H, down = here.part(on).normal(precision[on])
             H += (damping[on, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(Q)
             trial = here.state[on] + np.linalg.solve(H, down[..., None])[..., 0]
             there = at(trial, on)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import (
+    DEAD_OHM,
     Columns,
     Component,
     Resting,
@@ -40,8 +41,10 @@ from geometry.layout import FloatArray, Layout
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
-MOST = 1.0  #: change of the logarithm of a reading that is filled in, by the response
-REFINED = 3  #: steps by the response towards readings that are left out
+MOST = 0.5  #: change of the logarithm of a reading that is filled in, by one of them
+REFINED = 4  #: steps by the response towards readings that are left out
+DRAWN = 200  #: loads by which those are trusted
+DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
 MIN_NOISE = 1e-5  #: relative, of readings by which those are found
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
@@ -298,9 +301,15 @@ class Decoupler(Decoder):
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
 
     def by_read(self, columns_ohm: FloatArray) -> FloatArray:
-        """`derivatives` by those that are read; 0 by those left out."""
-        slopes = self.derivatives(columns_ohm)
-        return slopes if self._foretold is None else np.where(self._missing, 0.0, slopes)
+        """`derivatives` by those that are read, which move what is left out as well; 0 by those."""
+        slopes, known = self.derivatives(columns_ohm), self._foretold
+        if known is None:
+            return slopes
+        by_read = np.where(self._missing, 0.0, slopes)
+        if self._agreement is not None:
+            by_missed = self._steps(columns_ohm, self._missed(columns_ohm))[0] @ self._agreement[2]
+            by_read += (slopes[:, :, known.which] * columns_ohm[:, None, known.which]) @ by_missed @ by_read
+        return by_read
 
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
@@ -313,10 +322,15 @@ class Decoupler(Decoder):
         Of k readings, as logarithms, with the mean y₀ and the covariance V that the others leave: the most probable
         y₀ + δ if those under the decoded forces, H δ away as they are put there, agree with them up to errors N of the
         readings that are read. δ minimises δᵀ V⁻¹ δ + mᵀ N⁻¹ m, m what those still are away, by `REFINED` steps of
-        Gauss and Newton with the slopes A = 1 − H at the mean load. One pillar of three that sense three forces has
+        Gauss and Newton with the slopes A = 1 − H. One pillar of three that sense three forces has
         H = 1, and is where usual loads have it; of six pillars the forces alone place it.
         """
         return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.cols
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
@@ -329,65 +343,93 @@ class Decoupler(Decoder):
     def _foretold(self) -> Foretold | None:
         if not self._missing.any() or self.usual is None:
             return None
-        errors, usual_ohm = self.errors or ReadingError(), np.exp(self.usual.log_ohm)
-        noise = errors.deviation(usual_ohm) / usual_ohm
-        return Foretold.by(self.usual, self._missing, self.readable, np.maximum(noise, MIN_NOISE))
+        return Foretold.by(self.usual, self._missing, self.readable, self._relative(np.exp(self.usual.log_ohm)))
+
+    def _relative(self, ohm: FloatArray) -> FloatArray:
+        """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
+        errors = self.errors or ReadingError()
+        found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), errors.shared(ohm[None], *self.shape)[0]]
+        if self.ensemble is not None and self.inverse is not None:
+            found.append(self.ensemble.factors(self.inverse.forward, self.inverse.forces(ohm[None]))[0])
+        return np.concatenate(found, axis=1) / ohm[:, None]
 
     @cached_property
-    def _towards(self) -> "_Towards | None":
-        """How readings that are left out are found by the response, at the mean load.
+    def _agreement(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """V⁻¹ and N⁻¹, (k, k), and slopes of ln R of what is left out by forces (k, Q), at the mean load.
 
-        None if nobody knows it, and of `MANY` readings and more: then loads are too far from those that it expects.
+        None if nobody knows the response, and of `MANY` readings and more: then loads are too far from the usual ones.
+        N is what m is under drawn loads, with every reading there: by errors, and as the decoder is not exact.
         """
         known, inverse = self._foretold, self.inverse
-        if known is None or inverse is None or len(known.which) >= MANY:
+        if known is None or inverse is None or self.usual is None or len(known.which) >= MANY:
             return None
-        ohm = inverse.forward.resistances(inverse.centre_n[None])
-        lengths, J = inverse.forward.jacobian(inverse.centre_n[None])
-        by_force = (2.0 * J / lengths[..., None])[0, known.which]  # of ln R
-        by_force *= 1.0 - (inverse.forward.offset_ohm / ohm[0])[known.which, None]
-        G = self.derivatives(ohm)[0] * ohm
-        errors = self.errors or ReadingError()
-        noise = np.where(self._missing, 0.0, np.maximum(errors.deviation(ohm)[0] / ohm[0], MIN_NOISE))
-        N = (G * noise) @ (G * noise).T
-        if self.uncertainty is not None:
-            N += np.diag(self.uncertainty.misfit_n2)
+        generator, forward = np.random.default_rng(0), inverse.forward
+        ohm = forward.resistances(self.usual.drawn(DRAWN, len(self.output_weights), generator))
+        by_error = self._relative(np.exp(known.mean))
+        ohm = ohm * np.exp(generator.standard_normal((DRAWN, by_error.shape[1])) @ by_error.T)
+        m = self._missed(np.where(self.readable, ohm, DEAD_OHM))
+        lengths, J = forward.jacobian(inverse.centre_n[None])
+        by_force = (2.0 * J / lengths[..., None])[0, known.which]
+        by_force *= 1.0 - (forward.offset_ohm / forward.resistances(inverse.centre_n[None])[0])[known.which, None]
         least = MIN_NOISE**2 * np.eye(len(known.which))
-        agree = np.linalg.inv(by_force @ N @ by_force.T + least)
-        A = np.eye(len(agree)) - by_force @ G[:, known.which]
-        usual = np.linalg.inv(known.covariance + least)
-        covariance = np.linalg.inv(usual + A.T @ agree @ A)
-        return _Towards(usual, agree, covariance @ A.T @ agree, covariance @ usual, covariance)
+        return np.linalg.inv(known.covariance + least), np.linalg.inv(m.T @ m / DRAWN + least), by_force
+
+    def _missed(self, columns_ohm: FloatArray) -> FloatArray:
+        """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""
+        assert self._foretold is not None
+        assert self.inverse is not None
+        which = self._foretold.which
+        shown_ohm = self.inverse.forward.resistances(self.first_answers(columns_ohm))[:, which]
+        return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
+
+    def _steps(self, columns_ohm: FloatArray, missed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steps of δ by m and by δ itself, (n, k, k) each: (V⁻¹ + Aᵀ N⁻¹ A)⁻¹ times Aᵀ N⁻¹ and times V⁻¹."""
+        assert self._foretold is not None
+        assert self._agreement is not None
+        usual, agree, _ = self._agreement
+        which, A = self._foretold.which, np.empty((*missed.shape, missed.shape[1]))
+        for k, place in enumerate(which):
+            there = columns_ohm.copy()
+            there[:, place] *= np.exp(DIFFERENCE)
+            A[:, :, k] = (missed - self._missed(there)) / DIFFERENCE
+        told = A.swapaxes(1, 2) @ agree
+        covariance = np.linalg.inv(usual + told @ A)
+        return covariance @ told, covariance @ usual
 
     def _with_foretold(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with what is left out filled in."""
-        known, towards = self._foretold, self._towards
+        known = self._foretold
         if known is None:
             return columns_ohm
-        found = known.filled(columns_ohm)
-        if towards is None or self.inverse is None:
-            return found
-        first = np.log(found[:, known.which])
-        delta, best, least = np.zeros_like(first), found, np.full(len(found), np.inf)
-        for step in range(REFINED + 1):
-            shown_ohm = self.inverse.forward.resistances(self.first_answers(found))[:, known.which]
-            missed = np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - (first + delta)
-            cost = towards.cost(missed, delta)
-            best = np.where((cost < least)[:, None], found, best)
-            least = np.minimum(cost, least)
-            if step < REFINED:
-                delta = np.clip(delta + towards.step(missed, delta), -MOST, MOST)
-                found = best.copy()
-                found[:, known.which] = np.exp(first + delta)
-        return best
+        here = known.filled(columns_ohm)
+        if self._agreement is None:
+            return here
+        usual, agree, _ = self._agreement
+        first = np.log(here[:, known.which])
+        delta, m, size = np.zeros_like(first), self._missed(here), np.ones((len(here), 1))
+
+        def cost(m: FloatArray, delta: FloatArray) -> FloatArray:
+            return (rowwise(m, agree) * m + rowwise(delta, usual) * delta).sum(axis=1)
+
+        for _ in range(REFINED):
+            by_missed, by_delta = self._steps(here, m)
+            step = (by_missed @ m[..., None] - by_delta @ delta[..., None])[..., 0]
+            trial, there = delta + np.clip(size * step, -MOST, MOST), here.copy()
+            there[:, known.which] = np.exp(first + trial)
+            after = self._missed(there)
+            better = (cost(after, trial) < cost(m, delta))[:, None]
+            here, delta, m = np.where(better, there, here), np.where(better, trial, delta), np.where(better, after, m)
+            size = np.where(better, 1.0, 0.3 * size)
+        return here
 
     def _by_missing(self, columns_ohm: FloatArray) -> FloatArray:
         """Changes of the forces by errors of what was filled in, (n, n_out, k) [N]."""
         known = self._foretold
         assert known is not None
         slopes = self.derivatives(columns_ohm)[:, :, known.which] * columns_ohm[:, None, known.which]
-        left = known.covariance if self._towards is None else self._towards.covariance
-        return np.asarray(slopes @ np.linalg.cholesky(left))
+        if self._agreement is not None:
+            slopes = slopes @ self._steps(columns_ohm, self._missed(columns_ohm))[1]
+        return np.asarray(slopes @ np.linalg.cholesky(known.covariance + MIN_NOISE**2 * np.eye(len(known.which))))
 
     @property
     def is_identified(self) -> bool:
@@ -493,7 +535,9 @@ class Decoupler(Decoder):
         deviation_ohm = errors.deviation(settled)
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
-        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, self.readable & ~self._missing)
+        unsure_n = None if self._foretold is None else self._by_missing(columns_ohm)
+        read = self.readable & ~self._missing
+        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, read, unsure_n)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
@@ -531,21 +575,3 @@ class Decoupler(Decoder):
         if self.network.net == "skip":
             network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
         return self.output_scaling.half_range[:, None] * (network @ by_ohm)
-
-
-class _Towards(NamedTuple):
-    """Matrices (k, k) by which k readings are found that are left out; see `Decoupler.without`."""
-
-    usual: FloatArray  #: V⁻¹
-    agree: FloatArray  #: N⁻¹
-    by_missed: FloatArray
-    by_delta: FloatArray
-    covariance: FloatArray  #: of what is left
-
-    def step(self, missed: FloatArray, delta: FloatArray) -> FloatArray:
-        """Of Gauss and Newton, (n, k)."""
-        return rowwise(missed, self.by_missed.T) - rowwise(delta, self.by_delta.T)
-
-    def cost(self, missed: FloatArray, delta: FloatArray) -> FloatArray:
-        """δᵀ V⁻¹ δ + mᵀ N⁻¹ m, (n,)."""
-        return (rowwise(missed, self.agree) * missed + rowwise(delta, self.usual) * delta).sum(axis=1)

@@ -61,6 +61,11 @@ class UsualLoads:
             near[:, :2] *= held[:, None]
         return near.reshape(force_n.shape)
 
+    def drawn(self, n: int, n_forces: int, generator: np.random.Generator) -> FloatArray:
+        """So many loads (n, n_forces) [N] out of them, as likely all over their ranges."""
+        pads = generator.uniform(self.low_n, self.high_n, (n * n_forces // len(self.low_n), len(self.low_n)))
+        return self.nearest(pads.reshape(n, n_forces))
+
 
 @dataclass(frozen=True, eq=False)
 class Foretold:
@@ -72,8 +77,8 @@ class Foretold:
     covariance: FloatArray  #: (k, k): of what that leaves
 
     @classmethod
-    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], noise: FloatArray) -> Self:
-        """Those `missing` (P,), by the others of those that a decoder reads, whose relative noise is `noise` (P,).
+    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], errors: FloatArray) -> Self:
+        """Those `missing` (P,), by the others of those that a decoder reads; `errors` (P, m) change the logarithms.
 
         Without a covariance, of few samples, nothing is foretold but the mean, and that it may be off by `SPREAD`.
         """
@@ -83,7 +88,7 @@ class Foretold:
         if usual.log_ohm_covariance is None:
             return cls(which, mean, weights, SPREAD**2 * np.eye(len(which)))
         others = np.flatnonzero(read & ~missing)
-        S = usual.log_ohm_covariance + np.diag(noise**2)
+        S = usual.log_ohm_covariance + errors @ errors.T
         if len(others):
             weights[others] = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
         return cls(which, mean, weights, S[np.ix_(which, which)] - weights.T @ S[:, which])

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri
+from scipy.special import chdtri, log_ndtr, ndtri
 
+from decoupler.model.usual import FALSE_ALARMS
 from decoupler.touch.decoder import AT_REST, WIDTHS, TouchContact, TouchDecoder, Touched
 from decoupler.touch.morph import PRIOR, BareSensing, Fit, Part, fitted
 from decoupler.touch.presses import TouchLibrary
@@ -63,9 +64,7 @@ class BareDecoder(TouchDecoder):
             reading=self.sensing.reading(self.library.moved_mm.astype(float)).astype(np.float32),
             unit=self.library.unit.astype(np.float32),
             scale_mm2=SCALE * self.design.unit.height_mm**2,
-            noise=np.hypot(
-                white.deviation, np.linalg.norm(white.shared * np.sqrt(white.growth), axis=1) * white.deviation
-            ),
+            noise=white.total,
         )
 
     def without(self, pillars: NDArray[np.bool_]) -> "BareDecoder":
@@ -148,6 +147,7 @@ class BareDecoder(TouchDecoder):
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
             chi2=chi2,
+            limit=float(chdtri(read, FALSE_ALARMS)) / read,
             contacts=_contacts(fits, weights),
             fits=tuple(fits),
         )

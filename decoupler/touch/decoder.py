@@ -52,8 +52,8 @@ class Touched:
 
     load: FloatArray  #: (units, 5 or 6) [N, N mm]
     factors: FloatArray  #: (units·5 or ·6, m): independent errors of the loads; their squares add up
-    chi2: float  #: of the best fit over the number of readings; of rest, at rest
-    limit: float = np.inf  #: of χ², beyond which no press explains the scan
+    chi2: float  #: of the best fit over the number of readings, or of what of forces nothing does that presses; of rest
+    limit: float  #: of χ², beyond which no press explains the scan
     contacts: tuple[TouchContact, ...] = ()  #: none at rest
     fits: "tuple[Fit, ...]" = ()
     wait: int = 0  #: scans until fits may be sought among all presses again
@@ -217,7 +217,8 @@ class TouchDecoder(Decoder):
             of_model = self.of_model * np.abs(reading).max()
             return self.pressed(reading, self.white(reading, np.hypot(more, of_model)), at_rest, last)
         none, wait = np.zeros((self.design.n_units, self.n_loads)), max(last.wait - 1, 0) if last else 0
-        return Touched(load=none, factors=self.hidden, chi2=at_rest / max(white.n, 1), wait=wait)
+        limit = chdtri(white.n, AT_REST) / max(white.n, 1)
+        return Touched(load=none, factors=self.hidden, chi2=at_rest / max(white.n, 1), limit=limit, wait=wait)
 
     def is_like_a_press(self, relative: FloatArray) -> bool:
         """Whether a reading, whitened, (m,) is more like some press than one scan in 1/`AT_REST` at rest."""

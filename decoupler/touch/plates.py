@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg.lapack import dtrtri
-from scipy.special import ndtri, stdtrit
+from scipy.special import chdtri, ndtri, stdtrit
 
 from common.storage.cache import kept_value
 from common.storage.files import digest
+from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing, Whitening
 from fem.contact.surface import N_LOADS, moved_by_wrenches
@@ -33,6 +34,8 @@ OF_BETWEEN = 0.01  #: of a force, what the rubber between plates may bear unseen
 #: falls slowly; and of untouched plates
 USUAL_N, START_N, LEAST_N = 10.0, 0.3, 0.02
 OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
+#: forces of whatever presses: compression, and shear at most as large
+PRESSED = UsualLoads(low_n=np.array([-np.inf, -np.inf, 0.0]), high_n=np.full(3, np.inf), friction=np.ones(1))
 ROUNDS, STEPS = 3, 7  #: linearisations of a reading, and steps of the sizes by each
 
 
@@ -127,7 +130,13 @@ class PlateDecoder(TouchDecoder):
         factors = _root(J.T @ J, np.outer(wider**2 * size2, self._scale**2))
         between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
         factors = np.hstack([factors, between])
-        return Touched(load=x, factors=factors, chi2=float(missed @ missed) / white.n)
+        force_n, of_forces = x[:, :3], factors.reshape(n, N_LOADS, -1)[:, :3].reshape(3 * n, -1)
+        covariance = of_forces @ of_forces.T
+        test = LoadTest.by(PRESSED, covariance, np.sqrt(covariance.diagonal()))
+        tests = [(float(test.chi2(force_n.reshape(1, -1))[0]), test.limit)]
+        tests += [(float(missed @ missed) / white.n, float(chdtri(white.n, FALSE_ALARMS)) / white.n)]
+        chi2, limit = max(tests, key=lambda each: each[0] / each[1])
+        return Touched(load=x, factors=factors, chi2=chi2, limit=limit)
 
     def _about(self, load: FloatArray, reading: FloatArray, white: Whitening) -> tuple[FloatArray, FloatArray]:
         """Derivatives (m, units·6) of a reading at loads (units, 6), and what it has beyond theirs, whitened."""

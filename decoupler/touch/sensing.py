@@ -60,6 +60,11 @@ class Whitening:
         less = 1.0 - 1.0 / np.sqrt(1.0 + self.growth)
         return np.asarray(found - (found @ self.shared * less) @ self.shared.T)
 
+    @property
+    def total(self) -> FloatArray:
+        """Standard deviation of each reading, of what it shares as well, (m,) [mm²]."""
+        return np.asarray(self.deviation * np.sqrt(1.0 + self.shared**2 @ self.growth))
+
     @cached_property
     def n(self) -> int:
         """Number of readings that are read."""

@@ -49,7 +49,7 @@ def read_model(path: Path) -> AnyDecoder:
         said = {
             "design": design,
             "errors": ReadingError(
-                **{spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header}
+                **{each.name: header[each.name] for each in fields(ReadingError) if each.name in header}
             ),
             "made_from": dict(header["made_from"]),
             "library.cache_key": str(header["library"]),

@@ -1,7 +1,7 @@
 """Whatever presses rigid plates: six components of each by readings, deviations that hold, presses, the file."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -26,8 +26,8 @@ READ = ReadingError(noise=1e-3, bits=12)
 SHAPE = (2, 2)
 
 
-@pytest.fixture(scope="module")
-def surfaces() -> dict[str, SurfaceCompliance]:
+@cache
+def made_surfaces() -> dict[str, SurfaceCompliance]:
     """Of layouts of six pillars and of three, and of six by conduction, on coarse cells."""
     made = {}
     for name, model in (("six-pillar", "eq1"), ("song2018", "eq1"), ("six-pillar", "conduction")):
@@ -35,6 +35,11 @@ def surfaces() -> dict[str, SurfaceCompliance]:
         design = SensorDesign(unit=unit, array=array, pad=Pad(kind="stiff"), electrics=Electrics(model=model))
         made[name if model == "eq1" else model] = coarse_surface(design, 1, 3)
     return made
+
+
+@pytest.fixture
+def surfaces() -> dict[str, SurfaceCompliance]:
+    return made_surfaces()
 
 
 def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
