@@ -6,8 +6,9 @@ pillars, and `Decoder.without` is the decoder that does without them.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,20 +25,48 @@ MANY = 10  #: pillars left out of a scan, from which on its forces are not to be
 PATTERNS = 16  #: of pillars left out, whose decoders are kept
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decoded:
+    """What a decoder tells of n scans; what it does not tell at once is None."""
+
+    force_n: FloatArray  #: (n, rows, cols, n_axes)
+    moment_nmm: FloatArray | None = None  #: (n, rows, cols, `Decoder.moments`)
+    moment_deviation_nmm: FloatArray | None = None  #: of that shape: half-widths that hold 68 % of their errors
+    contacts: list[Any] | None = None  #: (n,): `TouchContact` of each scan
+    stated: tuple[FloatArray, FloatArray] | None = None  #: of `Decoder.deviations`
+    tested: tuple[FloatArray, FloatArray] | None = None  #: of `Decoder.consistency`
+
+
 class Decoder(ABC):
     """From resistances (n, rows, cols, n_pillars) [Ω] to forces on units; never changed, only used."""
 
-    component: Component
-    rows: int
-    cols: int
-    design: SensorDesign | None
-    layout: Layout
     dead: NDArray[np.bool_] | None  #: (rows, cols, n_pillars): pillars that are never looked at
-    output_scaling: Scaling  #: of forces, over those that it knows
     made_from: dict[str, Any]
-    errors: ReadingError | None  #: of the readings that its deviations are for; None if it knows none
-    is_identified: bool  #: it is of one sensor, whose gains it knows
-    knows_touch: ClassVar[bool] = False  #: it decodes whatever presses: see `TouchDecoder`
+    moments: ClassVar[int] = 0  #: of a unit, that follow its forces in `Decoded.load`: see `TouchDecoder`
+
+    if TYPE_CHECKING:  # fields of some, properties of others
+
+        @property
+        def component(self) -> Component: ...
+        @property
+        def rows(self) -> int: ...
+        @property
+        def cols(self) -> int: ...
+        @property
+        def design(self) -> SensorDesign | None: ...
+        @property
+        def layout(self) -> Layout: ...
+        @property
+        def output_scaling(self) -> Scaling:
+            """Of forces, over those that it knows."""
+
+        @property
+        def errors(self) -> ReadingError | None:
+            """Of the readings that its deviations are for; None if it knows none."""
+
+        @property
+        def is_identified(self) -> bool:
+            """It is of one sensor, whose gains it knows."""
 
     @property
     def knows_uncertainty(self) -> bool:
@@ -51,6 +80,24 @@ class Decoder(ABC):
     @abstractmethod
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces (n, rows, cols, n_axes) [N]."""
+
+    @abstractmethod
+    def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
+
+    @abstractmethod
+    def deviations(
+        self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Half-widths that hold 68 % of the errors of `forces` [N], and the covariance (n, m, m) of m sums of loads.
+
+        `weights` (rows·cols·k, m) are those of the k loads of each unit in each sum. `own` are relative deviations that
+        each reading has besides, of the shape of the resistances.
+        """
+
+    def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> "Decoded":
+        """All that one decoding tells of scans; arguments are as of `deviations`, which costs more, and is left out."""
+        return Decoded(force_n=self.forces(resistance_ohm))
 
     @abstractmethod
     def rest_resistances(self) -> FloatArray | None:

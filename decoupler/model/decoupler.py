@@ -343,7 +343,10 @@ class Decoupler(Decoder):
     def _foretold(self) -> Foretold | None:
         if not self._missing.any() or self.usual is None:
             return None
-        return Foretold.by(self.usual, self._missing, self.readable, self._relative(np.exp(self.usual.log_ohm)))
+        usual = self.usual
+        if usual.log_ohm is None:
+            return None
+        return Foretold.by(usual, self._missing, self.readable, self._relative(np.exp(usual.log_ohm)))
 
     def _relative(self, ohm: FloatArray) -> FloatArray:
         """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
@@ -372,7 +375,8 @@ class Decoupler(Decoder):
         by_force = (2.0 * J / lengths[..., None])[0, known.which]
         by_force *= 1.0 - (forward.offset_ohm / forward.resistances(inverse.centre_n[None])[0])[known.which, None]
         least = MIN_NOISE**2 * np.eye(len(known.which))
-        return np.linalg.inv(known.covariance + least), np.linalg.inv(m.T @ m / DRAWN + least), by_force
+        usual, agree = (np.asarray(np.linalg.inv(each + least)) for each in (known.covariance, m.T @ m / DRAWN))
+        return usual, agree, by_force
 
     def _missed(self, columns_ohm: FloatArray) -> FloatArray:
         """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""

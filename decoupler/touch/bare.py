@@ -46,7 +46,7 @@ class BareDecoder(TouchDecoder):
 
     library: TouchLibrary
 
-    n_loads, of_model = 5, 0.005
+    n_loads, moments, of_model = 5, 2, 0.005
 
     @property
     def usual_n(self) -> FloatArray:

@@ -1,7 +1,7 @@
 """What a scan tells of whatever presses, on any surface: loads of each unit, how sure they are, and contacts."""
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -14,7 +14,7 @@ from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
-from decoupler.model.decoder import Decoder
+from decoupler.model.decoder import Decoded, Decoder
 from decoupler.touch.sensing import Displacements, Pillars, Sensing, Whitening
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
@@ -103,7 +103,6 @@ class TouchDecoder(Decoder):
     made_from: dict[str, Any] = field(default_factory=dict)
 
     dead = None
-    knows_touch = True
     n_loads: ClassVar[int]  #: of a unit: see `Touched.load`
     of_model: ClassVar[float]  #: of the largest reading: what the model of a press has not
 
@@ -236,6 +235,16 @@ class TouchDecoder(Decoder):
         one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
         return one, two
 
+    def deviations(
+        self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        stated = self.decoded(resistance_ohm, weights, own).stated
+        assert stated is not None
+        return stated
+
+    def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
+        return told_by(self.touches(resistance_ohm, own), (self.rows, self.cols), weights)
+
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `reading`.
 
@@ -267,6 +276,21 @@ class TouchDecoder(Decoder):
         return np.array([each.chi2 for each in found]), np.array([each.limit for each in found])
 
 
+def told_by(touches: Sequence[Touched], shape: tuple[int, int], weights: FloatArray) -> Decoded:
+    """What n touches of an array of rows and columns say, with `weights` as of `Decoder.deviations`."""
+    load = np.stack([each.load for each in touches]).reshape(len(touches), *shape, -1)
+    half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
+    sums = [weights.T @ each.factors for each in touches]
+    return Decoded(
+        force_n=load[..., :3],
+        moment_nmm=load[..., 3:],
+        moment_deviation_nmm=half[..., 3:],
+        contacts=[each.contacts for each in touches],
+        stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
+        tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
+    )
+
+
 class Follower:
     """A decoder of touches for scans that come one after another: each goes on from the one before."""
 
@@ -280,6 +304,11 @@ class Follower:
     def read_by(self, errors: ReadingError) -> "Follower":
         """The same for readings that err so."""
         return Follower(self._decoder.read_by(errors))
+
+    def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
+        """As of `Decoder`, of scans in their order."""
+        decoder = self._decoder
+        return told_by(self.touches(resistance_ohm, own), (decoder.rows, decoder.cols), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; arguments as of `TouchDecoder.touches`."""

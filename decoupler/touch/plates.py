@@ -75,7 +75,7 @@ class PlateDecoder(TouchDecoder):
     """A decoder of whatever presses rigid plates; each scan by itself."""
 
     library: PlateResponse
-    n_loads, of_model = N_LOADS, 1e-3
+    n_loads, moments, of_model = N_LOADS, N_LOADS - 3, 1e-3
 
     @cached_property
     def sensing(self) -> Sensing:

@@ -99,7 +99,7 @@ def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
         rows=model.rows,
         cols=model.cols,
         axes=axes,
-        position_mm=places if design is None else pad_positions(design, of_units=model.knows_touch),
+        position_mm=places if design is None else pad_positions(design, of_units=model.moments > 0),
         pad_mm=np.nan if design is None else design.pad.size_mm,
         range_n=limits.reshape(*shape[:2], len(axes), 2),
         rest_ohm=np.full(shape, np.nan) if rest_ohm is None else rest_ohm,

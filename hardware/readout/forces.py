@@ -90,7 +90,7 @@ class Forces:
         """
         if self.stated is not None:
             return self.stated
-        if self.model is None or self.model.knows_touch:
+        if self.model is None:
             return None, None
         ohms = self._decoded_ohm
         chunks = [slice(k, k + CHUNK) for k in range(0, len(ohms), CHUNK)]
@@ -242,15 +242,13 @@ class ForceReader:
             np.ones(self.calibration.gain.shape[-1]) if rest_ohm is None else rest_ohm
         )
         self.description = describe(model, info)
-        moments = model.n_loads - len(AXES) if model.knows_touch else 0
-        self._weights = wrench_weights(self.description.position_mm, model.component.axes, moments)
-        self._uncertain = model if model.knows_uncertainty else None
-        if rest_ohm is not None and self._uncertain:
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.moments)
+        self._uncertain = model if (errors := model.errors) is not None else None
+        if rest_ohm is not None and errors is not None:
+            # this board's steps, which a plain divider amplifies, for those of training
             steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
-            errors = model.errors  # by this board's steps, which a plain divider amplifies, for those of training
             self._uncertain = model.read_by(replace(errors, noise=math.hypot(errors.noise, steps), bits=None))
-        if self._uncertain and rest_ohm is not None:  # prepared before the first scan
-            _ = self._uncertain.consistency(rest_ohm[None])
+            _ = self._uncertain.consistency(rest_ohm[None])  # prepared before the first scan
 
     @cached_property
     def fault_test(self) -> "FaultTest | None":
@@ -279,7 +277,7 @@ class ForceReader:
         if self.memory is not None:
             read = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
         ohms = np.where(left_out, OPEN_OHM, read["resistance_ohm"])
-        decoded = self._touched(ohms, read) if self.model.knows_touch else {"force_n": self.model.forces(ohms)}
+        decoded = (self._uncertain or self.model).decoded(ohms, self._weights, read.get("memory_deviation"))
         return Forces(
             saturated=saturated,
             left_out=left_out,
@@ -287,28 +285,8 @@ class ForceReader:
             weights=self._weights,
             description=self.description,
             **read,
-            **decoded,
+            **vars(decoded),
         )
-
-    def _touched(self, resistance_ohm: FloatArray, read: dict[str, Any]) -> dict[str, Any]:
-        """Forces by touches, with their deviations."""
-        assert self._uncertain is not None
-        assert self._uncertain.knows_touch
-        touches, shape = (
-            self._uncertain.touches(resistance_ohm, read.get("memory_deviation")),
-            resistance_ohm.shape[:-1],
-        )
-        load = np.stack([each.load for each in touches]).reshape(*shape, -1)
-        sums = [self._weights.T @ each.factors for each in touches]
-        half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
-        return {
-            "force_n": load[..., :3],
-            "moment_nmm": load[..., 3:],
-            "moment_deviation_nmm": half[..., 3:],
-            "contacts": [each.contacts for each in touches],
-            "stated": (half[..., :3], np.stack([each @ each.T for each in sums])),
-            "tested": (np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
-        }
 
 
 class LiveSensor:

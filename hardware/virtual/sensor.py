@@ -175,7 +175,7 @@ class VirtualSensor:
                 raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
             if other is not None and other.layout != self._layout:
                 raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
-        feels = model is not None and model.knows_touch
+        feels = model is not None and model.moments > 0
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
         self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
         self._crossbar = crossbar

@@ -220,8 +220,8 @@ def plates(name: str) -> Case:
 
 EVERY = CASES | {f"plates-{name}": lambda name=name: plates(name) for name in ("six-pillar", "song2018", "conduction")}
 each_made = cache(lambda name: EVERY[name]() if name not in CASES else made(name))
-#: least share that 95 % deviations of the unit with a broken pillar hold, where it is not 0.9: two pillars of three leave
-#: a force to the usual loads, and those of these tests are wider than the ones that such decoders know
+#: least share that 95 % deviations of the unit with a broken pillar hold, where it is not 0.9: two pillars of three
+#: leave a force to the usual loads, and those of these tests are wider than the ones that such decoders know
 LEAST_HELD = {"finite-strain": 0.85, "identified": 0.85}
 
 
