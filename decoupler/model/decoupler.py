@@ -302,7 +302,7 @@ class Decoupler(Decoder):
 
     def by_read(self, columns_ohm: FloatArray) -> FloatArray:
         """`derivatives` by those that are read, which move what is left out as well; 0 by those."""
-        slopes, known = self.derivatives(columns_ohm), self._foretold
+        slopes, known = self.derivatives(columns_ohm), self.foretold
         if known is None:
             return slopes
         by_read = np.where(self._missing, 0.0, slopes)
@@ -340,7 +340,8 @@ class Decoupler(Decoder):
         return self.left_out.reshape(-1)[self.places] & self.readable
 
     @cached_property
-    def _foretold(self) -> Foretold | None:
+    def foretold(self) -> Foretold | None:
+        """What stands in the places of readings that are left out; None if none is, or nobody knows them."""
         if not self._missing.any() or self.usual is None:
             return None
         usual = self.usual
@@ -363,7 +364,7 @@ class Decoupler(Decoder):
         None if nobody knows the response, and of `MANY` readings and more: then loads are too far from the usual ones.
         N is what m is under drawn loads, with every reading there: by errors, and as the decoder is not exact.
         """
-        known, inverse = self._foretold, self.inverse
+        known, inverse = self.foretold, self.inverse
         if known is None or inverse is None or self.usual is None or len(known.which) >= MANY:
             return None
         generator, forward = np.random.default_rng(0), inverse.forward
@@ -380,18 +381,18 @@ class Decoupler(Decoder):
 
     def _missed(self, columns_ohm: FloatArray) -> FloatArray:
         """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""
-        assert self._foretold is not None
+        assert self.foretold is not None
         assert self.inverse is not None
-        which = self._foretold.which
+        which = self.foretold.which
         shown_ohm = self.inverse.forward.resistances(self.first_answers(columns_ohm))[:, which]
         return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
 
     def _steps(self, columns_ohm: FloatArray, missed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Steps of δ by m and by δ itself, (n, k, k) each: (V⁻¹ + Aᵀ N⁻¹ A)⁻¹ times Aᵀ N⁻¹ and times V⁻¹."""
-        assert self._foretold is not None
+        assert self.foretold is not None
         assert self._agreement is not None
         usual, agree, _ = self._agreement
-        which, A = self._foretold.which, np.empty((*missed.shape, missed.shape[1]))
+        which, A = self.foretold.which, np.empty((*missed.shape, missed.shape[1]))
         for k, place in enumerate(which):
             there = columns_ohm.copy()
             there[:, place] *= np.exp(DIFFERENCE)
@@ -402,7 +403,7 @@ class Decoupler(Decoder):
 
     def _with_foretold(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with what is left out filled in."""
-        known = self._foretold
+        known = self.foretold
         if known is None:
             return columns_ohm
         here = known.filled(columns_ohm)
@@ -428,7 +429,7 @@ class Decoupler(Decoder):
 
     def _by_missing(self, columns_ohm: FloatArray) -> FloatArray:
         """Changes of the forces by errors of what was filled in, (n, n_out, k) [N]."""
-        known = self._foretold
+        known = self.foretold
         assert known is not None
         slopes = self.derivatives(columns_ohm)[:, :, known.which] * columns_ohm[:, None, known.which]
         if self._agreement is not None:
@@ -539,7 +540,7 @@ class Decoupler(Decoder):
         deviation_ohm = errors.deviation(settled)
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
-        unsure_n = None if self._foretold is None else self._by_missing(columns_ohm)
+        unsure_n = None if self.foretold is None else self._by_missing(columns_ohm)
         read = self.readable & ~self._missing
         return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, read, unsure_n)
 

@@ -1,13 +1,14 @@
 """Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from decoupler.data.columns import Columns, rowwise
+from decoupler.data.columns import Columns, namespace, rowwise
 from geometry.layout import FloatArray
 
 RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyond `FRICTION`
@@ -71,10 +72,15 @@ class UsualLoads:
 class Foretold:
     """What k of P readings are when they are not read, by the others: normal, as logarithms."""
 
-    which: NDArray[np.intp]  #: (k,)
+    missing: FloatArray  #: (P,): 1 of what is not read, 0 of the others
     mean: FloatArray  #: (P,): of ln R under usual loads
-    weights: FloatArray  #: (P, k): of the others' distances from it; 0 of those that are not read
+    weights: FloatArray  #: (P, P): of the others' distances from it, in those of the k; 0 of all else
     covariance: FloatArray  #: (k, k): of what that leaves
+
+    @cached_property
+    def which(self) -> NDArray[np.intp]:
+        """Numbers of the k."""
+        return np.flatnonzero(self.missing)
 
     @classmethod
     def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], errors: FloatArray) -> Self:
@@ -84,20 +90,20 @@ class Foretold:
         """
         mean, which = usual.log_ohm, np.flatnonzero(missing)
         assert mean is not None
-        weights = np.zeros((len(mean), len(which)))
-        if usual.log_ohm_covariance is None:
-            return cls(which, mean, weights, SPREAD**2 * np.eye(len(which)))
+        weights, covariance = np.zeros((len(mean), len(mean))), SPREAD**2 * np.eye(len(which))
         others = np.flatnonzero(read & ~missing)
-        S = usual.log_ohm_covariance + errors @ errors.T
-        if len(others):
-            weights[others] = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
-        return cls(which, mean, weights, S[np.ix_(which, which)] - weights.T @ S[:, which])
+        if usual.log_ohm_covariance is not None:
+            S = usual.log_ohm_covariance + errors @ errors.T
+            by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
+            weights[np.ix_(others, which)] = by_others
+            covariance = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
+        return cls(missing.astype(float), mean, weights, covariance)
 
     def filled(self, columns_ohm: FloatArray) -> FloatArray:
-        """Readings (n, P) [Ω] with those that are foretold in their places."""
-        found = columns_ohm.copy()
-        found[:, self.which] = np.exp(rowwise(np.log(columns_ohm) - self.mean, self.weights) + self.mean[self.which])
-        return found
+        """Readings (n, P) [Ω] with those that are foretold in their places; also tensors of torch."""
+        xp = namespace(columns_ohm)
+        found = xp.exp(rowwise(xp.log(columns_ohm) - self.mean, self.weights) + self.mean)
+        return columns_ohm * (1.0 - self.missing) + found * self.missing
 
 
 @dataclass(frozen=True, eq=False)

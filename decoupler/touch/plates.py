@@ -21,7 +21,6 @@ from common.storage.files import digest
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.touch.decoder import TouchDecoder, Touched
 from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing, Whitening
-from fem.contact.surface import N_LOADS, moved_by_wrenches
 from geometry.design import SensorDesign, at_rest, bent
 from geometry.layout import FloatArray
 
@@ -61,6 +60,8 @@ def plate_response(
     cache_key = digest("plates", VERSION, solved)
 
     def make() -> PlateResponse:
+        from fem.contact.surface import moved_by_wrenches  # a decoder that has its response needs nothing of fem
+
         moved, conducted = moved_by_wrenches(solved, progress)
         if conducted is None:
             return PlateResponse(moved_mm=moved, cache_key=cache_key)
@@ -75,7 +76,7 @@ class PlateDecoder(TouchDecoder):
     """A decoder of whatever presses rigid plates; each scan by itself."""
 
     library: PlateResponse
-    n_loads, moments, of_model = N_LOADS, N_LOADS - 3, 1e-3
+    n_loads, moments, of_model = 6, 3, 1e-3
 
     @cached_property
     def sensing(self) -> Sensing:
@@ -109,18 +110,18 @@ class PlateDecoder(TouchDecoder):
         the last x. Deviations are of the normal distribution that is left with sizes as wide as they may be.
         """
         n = self.design.n_units
-        size2, told, x = np.full(n, START_N**2), np.zeros(n), np.zeros((n, N_LOADS))
+        size2, told, x = np.full(n, START_N**2), np.zeros(n), np.zeros((n, self.n_loads))
         on = np.ones(n, dtype=bool)  # plates that are not taken for untouched
         for _ in range(ROUNDS):
             J, missed = self._about(x, reading, white)
             precision, pull = J.T @ J, J.T @ (missed + J @ x.ravel())
             for _ in range(STEPS):
-                own = np.flatnonzero(np.repeat(on, N_LOADS))
+                own = np.flatnonzero(np.repeat(on, self.n_loads))
                 prior = np.outer(size2[on], self._scale**2)
                 root = _root(precision[np.ix_(own, own)], prior)
-                x = np.zeros((n, N_LOADS))
-                x[on] = (root @ (root.T @ pull[own])).reshape(-1, N_LOADS)
-                told[on] = (1 - (root**2).sum(axis=1).reshape(-1, N_LOADS) / prior).sum(axis=1)
+                x = np.zeros((n, self.n_loads))
+                x[on] = (root @ (root.T @ pull[own])).reshape(-1, self.n_loads)
+                told[on] = (1 - (root**2).sum(axis=1).reshape(-1, self.n_loads) / prior).sum(axis=1)
                 size2[on] = ((x[on] / self._scale) ** 2).sum(axis=1) / np.maximum(told[on], 1e-9)
                 size2 = np.maximum(size2, LEAST_N**2)
                 on = size2 > LEAST_N**2
@@ -130,7 +131,7 @@ class PlateDecoder(TouchDecoder):
         factors = _root(J.T @ J, np.outer(wider**2 * size2, self._scale**2))
         between = np.diag((OF_BETWEEN * np.abs(x) * np.repeat([1.0, 0.0], 3)).ravel())
         factors = np.hstack([factors, between])
-        force_n, of_forces = x[:, :3], factors.reshape(n, N_LOADS, -1)[:, :3].reshape(3 * n, -1)
+        force_n, of_forces = x[:, :3], factors.reshape(n, self.n_loads, -1)[:, :3].reshape(3 * n, -1)
         covariance = of_forces @ of_forces.T
         test = LoadTest.by(PRESSED, covariance, np.sqrt(covariance.diagonal()))
         tests = [(float(test.chi2(force_n.reshape(1, -1))[0]), test.limit)]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -177,7 +177,7 @@ class VirtualSensor:
                 raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
         feels = model is not None and model.moments > 0
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
-        self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
+        self._model, self._decoder = model, None if model is None or feels else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())
@@ -317,7 +317,10 @@ class VirtualSensor:
         return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
-        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, P) [Ω]."""
+        """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, P) [Ω].
+
+        In the places of readings that no strain explains stands what the others foretell of usual loads.
+        """
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
@@ -325,7 +328,12 @@ class VirtualSensor:
         columns = resistance_ohm[..., pillars]
         if (dead := self._decoder.dead) is not None:
             columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
-        decoded = self._decoder.first_answers(columns.reshape(self.environments, -1))
+        columns, shown_ohm = columns.reshape(self.environments, -1), resistance_ohm.detach().cpu().double().numpy()
+        for which, decoder in self._model.sifted(shown_ohm):
+            if decoder.foretold is not None:
+                rows = torch.as_tensor(which, device=self.device)
+                columns = columns.index_copy(0, rows, in_torch(decoder.foretold, self._like).filled(columns[rows]))
+        decoded = self._decoder.first_answers(columns)
         return decoded.reshape(self.environments, *self.shape, -1)
 
     def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:

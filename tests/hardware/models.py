@@ -27,6 +27,12 @@ class Unknown(Decoder):
     def read_by(self, errors):
         return self
 
+    def half_widths(self, resistance_ohm):
+        raise NotImplementedError
+
+    def deviations(self, resistance_ohm, weights, own=None):
+        raise NotImplementedError
+
     def require(self, resistance_ohm):
         pass
 

@@ -24,14 +24,13 @@ class Shares(Unknown):
     rows, cols = 2, 3
 
     def __init__(self, **known):
-        vars(self).update({"rest_ohm": REST_OHM} | known)
+        vars(self).update({"rest_ohm": REST_OHM, "by_noise": 0.0} | known)
 
     def read_by(self, errors):
-        return Shares(errors=errors, deviations=self.deviations_of(errors.noise))
+        return Shares(errors=errors, by_noise=errors.noise)
 
-    @staticmethod
-    def deviations_of(noise):
-        return lambda resistance_ohm, _: (noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6)))
+    def deviations(self, resistance_ohm, weights, own=None):
+        return self.by_noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6))
 
     def rest_resistances(self):
         return self.rest_ohm
