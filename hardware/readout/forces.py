@@ -246,7 +246,8 @@ class ForceReader:
         self._uncertain = model if (errors := model.errors) is not None else None
         if rest_ohm is not None and errors is not None:
             # this board's steps, which a plain divider amplifies, for those of training
-            steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
+            usual_ohm = rest_ohm if model.usual_ohm is None else model.usual_ohm
+            steps = float(np.median(self.crossbar.step_deviation(usual_ohm[None])))
             self._uncertain = model.read_by(replace(errors, noise=math.hypot(errors.noise, steps), bits=None))
             _ = self._uncertain.consistency(rest_ohm[None])  # prepared before the first scan
 
