@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import Foretold, LoadTest, UsualLoads
+from decoupler.solve import descended
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -42,7 +43,8 @@ CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 MOST = 0.5  #: change of the logarithm of a reading that is filled in, by one of them
-REFINED = 4  #: steps by the response towards readings that are left out
+REFINED = 6  #: steps by the response towards readings that are left out; two are usual
+GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
 DRAWN = 200  #: loads by which those are trusted
 DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
 MIN_NOISE = 1e-5  #: relative, of readings by which those are found
@@ -387,7 +389,9 @@ class Decoupler(Decoder):
         shown_ohm = self.inverse.forward.resistances(self.first_answers(columns_ohm))[:, which]
         return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
 
-    def _steps(self, columns_ohm: FloatArray, missed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _steps(
+        self, columns_ohm: FloatArray, missed: FloatArray, damping: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Steps of δ by m and by δ itself, (n, k, k) each: (V⁻¹ + Aᵀ N⁻¹ A)⁻¹ times Aᵀ N⁻¹ and times V⁻¹."""
         assert self.foretold is not None
         assert self._agreement is not None
@@ -398,7 +402,10 @@ class Decoupler(Decoder):
             there[:, place] *= np.exp(DIFFERENCE)
             A[:, :, k] = (missed - self._missed(there)) / DIFFERENCE
         told = A.swapaxes(1, 2) @ agree
-        covariance = np.linalg.inv(usual + told @ A)
+        H = usual + told @ A
+        if damping is not None:
+            H += (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(len(usual))
+        covariance = np.linalg.inv(H)
         return covariance @ told, covariance @ usual
 
     def _with_foretold(self, columns_ohm: FloatArray) -> FloatArray:
@@ -411,21 +418,24 @@ class Decoupler(Decoder):
             return here
         usual, agree, _ = self._agreement
         first = np.log(here[:, known.which])
-        delta, m, size = np.zeros_like(first), self._missed(here), np.ones((len(here), 1))
 
-        def cost(m: FloatArray, delta: FloatArray) -> FloatArray:
-            return (rowwise(m, agree) * m + rowwise(delta, usual) * delta).sum(axis=1)
+        def filled(delta: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            there = here[on]
+            there[:, known.which] = np.exp(first[on] + delta)
+            return there
 
-        for _ in range(REFINED):
-            by_missed, by_delta = self._steps(here, m)
-            step = (by_missed @ m[..., None] - by_delta @ delta[..., None])[..., 0]
-            trial, there = delta + np.clip(size * step, -MOST, MOST), here.copy()
-            there[:, known.which] = np.exp(first + trial)
-            after = self._missed(there)
-            better = (cost(after, trial) < cost(m, delta))[:, None]
-            here, delta, m = np.where(better, there, here), np.where(better, trial, delta), np.where(better, after, m)
-            size = np.where(better, 1.0, 0.3 * size)
-        return here
+        def at(delta: FloatArray, on: NDArray[np.intp]) -> _Missed:
+            m = self._missed(filled(delta, on))
+            return _Missed((rowwise(m, agree) * m + rowwise(delta, usual) * delta).sum(axis=1), m, delta)
+
+        def step(now: _Missed, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            by_missed, by_delta = self._steps(filled(now.delta, on), now.m, damping)
+            found = (by_missed @ now.m[..., None] - by_delta @ now.delta[..., None])[..., 0]
+            return np.clip(found, -MOST, MOST)
+
+        every = np.arange(len(here))
+        delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
+        return filled(delta, every)
 
     def _by_missing(self, columns_ohm: FloatArray) -> FloatArray:
         """Changes of the forces by errors of what was filled in, (n, n_out, k) [N]."""
@@ -580,3 +590,11 @@ class Decoupler(Decoder):
         if self.network.net == "skip":
             network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
         return self.output_scaling.half_range[:, None] * (network @ by_ohm)
+
+
+class _Missed(NamedTuple):
+    """Readings of n scans that are filled in."""
+
+    cost: FloatArray  #: (n,)
+    m: FloatArray  #: (n, k)
+    delta: FloatArray  #: (n, k)
