@@ -177,7 +177,8 @@ class VirtualSensor:
                 raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
         feels = model is not None and model.moments > 0
         self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
-        self._model, self._decoder = model, None if model is None or feels else in_torch(model, self._like)
+        self._model: Any = model
+        self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())
