@@ -535,10 +535,15 @@ class Decoupler(Decoder):
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
 
-    def refined(self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None) -> Found:
+    def refined(
+        self,
+        columns_ohm: FloatArray,
+        own_ohm: FloatArray | None = None,
+        left_out: tuple[NDArray[np.bool_], FloatArray | None] | None = None,
+    ) -> Found:
         """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them.
 
-        `own_ohm` (n, n_in) are deviations that the readings have besides.
+        `own_ohm` (n, n_in) are deviations that the readings have besides; `left_out` is of `doubts`, default: its own.
         """
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
@@ -550,9 +555,12 @@ class Decoupler(Decoder):
         deviation_ohm = errors.deviation(settled)
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
-        unsure_n = None if self.foretold is None else self._by_missing(columns_ohm)
-        read = self.readable & ~self._missing
-        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, read, unsure_n)
+        doubts = self.doubts(columns_ohm) if left_out is None else left_out
+        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, *doubts)
+
+    def doubts(self, columns_ohm: FloatArray) -> tuple[NDArray[np.bool_], FloatArray | None]:
+        """Which inputs are read, (n_in,), and what errors of others do to first answers, (n, n_out, k) [N]."""
+        return self.readable & ~self._missing, None if self.foretold is None else self._by_missing(columns_ohm)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""

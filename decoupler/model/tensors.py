@@ -19,22 +19,23 @@ if TYPE_CHECKING:
 def in_torch(part: Any, like: "Tensor") -> Any:
     """A decoupler, its forward model or another part with tensors of the type and device of `like`.
 
-    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked. A model that
-    learned from samples at finite strain is a `DesignError`.
+    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked. A model that was
+    identified at finite strain is a `DesignError`.
     """
-    if isinstance(part, Decoupler) and part.posterior is not None:
+    if isinstance(part, Decoupler) and part.posterior is not None and part.ensemble is not None:
         raise DesignError(
-            "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
+            "a sensor identified at finite strain is not known in torch: give a model that was trained, or linear."
         )
     return converted(part, like.new_tensor)
 
 
 def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
-    """A decoupler without what says how sure it is, or another part, with each real array converted."""
+    """A decoupler that need not say how sure it is, or another part, with each real array converted."""
     if isinstance(part, SensorModel):
         part = part.with_own_influences()
     if isinstance(part, Decoupler):
-        part = replace(part, uncertainty=None, usual=None, ensemble=None, least_squares=None)
+        known = part.uncertainty if part.posterior is not None else None  # errors of readings, which it weighs
+        part = replace(part, uncertainty=known, usual=None, ensemble=None, least_squares=None)
     changed: dict[str, Any] = {}
     for spec in fields(part):
         value = getattr(part, spec.name)

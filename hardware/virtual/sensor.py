@@ -330,12 +330,22 @@ class VirtualSensor:
         if (dead := self._decoder.dead) is not None:
             columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
         columns, shown_ohm = columns.reshape(self.environments, -1), resistance_ohm.detach().cpu().double().numpy()
+        decoded = self._like.new_empty((self.environments, len(self._decoder.output_weights)))
         for which, decoder in self._model.sifted(shown_ohm):
+            rows = torch.as_tensor(which, device=self.device)
+            some = columns[rows]
             if decoder.foretold is not None:
-                rows = torch.as_tensor(which, device=self.device)
-                columns = columns.index_copy(0, rows, in_torch(decoder.foretold, self._like).filled(columns[rows]))
-        decoded = self._decoder.first_answers(columns)
+                some = in_torch(decoder.foretold, self._like).filled(some)
+            decoded = decoded.index_copy(0, rows, self._told(decoder, some))
         return decoded.reshape(self.environments, *self.shape, -1)
+
+    def _told(self, decoder: Decoupler, columns_ohm: Tensor) -> Tensor:
+        """Forces (n, Q) [N] of readings (n, P) [Ω], by the model that does without what this decoder leaves out."""
+        if decoder.posterior is None:
+            return self._decoder.first_answers(columns_ohm)
+        read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
+        unsure = None if unsure_n is None else self._like.new_tensor(unsure_n)
+        return self._decoder.refined(columns_ohm, left_out=(read, unsure)).force_n
 
     def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`.
