@@ -36,6 +36,7 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
+from hardware.virtual.strained import StrainedSensor
 from hardware.virtual.twin_sensors import TwinSensors
 
 if TYPE_CHECKING:
@@ -61,8 +62,9 @@ class VirtualSensor:
 
     Contact forces at points go to the pads, by the array's response and eq. 1 (or conduction) into resistances; each
     specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these, and a trained
-    model forces. Loads are quasi-static and the rubber linear; what its resistance remembers (`Memory`) is kept from
-    reading to reading. Forces are those that act: they do not relax.
+    model forces. Loads are quasi-static and the rubber linear, or, with a model of finite strain, as that has learned
+    it; bodies press linear rubber. What its resistance remembers (`Memory`) is kept from reading to reading. Forces are
+    those that act: they do not relax.
 
     Parameters
     ----------
@@ -183,8 +185,11 @@ class VirtualSensor:
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())
             self._found = Corrector(host).correct if correct else host.uncorrected
-        if decoder is None:
-            self._twin = None
+        self._twin = None
+        self._forward: Any
+        if decoder is None and (strained := getattr(model, "posterior", None)) is not None:
+            self._forward = self._shape = StrainedSensor(strained.forward, self._like)
+        elif decoder is None:
             solved = self._designed(response)
             self._forward = in_torch(SensorModel.of(solved, COMPONENTS["all"]), self._like)
             self._shape = self._forward  # whose lengths are the pillars' own
