@@ -86,12 +86,11 @@ class Posterior:
 
         Notes
         -----
-        Over states G, with y(G) and F(G) as `SensorModel.at_states` has them, steps of Gauss and Newton lead to the least
+        Over states G, with y(G) and F(G) as `SensorModel.at_states` has them, `STEPS` steps of Gauss and Newton lower
         Σ (ν + 1) ln(1 + r²/ν) + (m − F(G))ᵀ P (m − F(G)), each with the weights that the last one left, where m and P
         are the prior's mean and precision, and r the residuals y − y(G) made independent and of variance 1 by the
-        covariance of readings, maps and specimen together. After `STEPS` from where the first answer leads, forces err
-        as at the end of all steps; where readings have several states, less. A sample gives the same bits alone and in
-        any batch.
+        covariance of readings, maps and specimen together. More steps gain nothing: readings that several states
+        explain lead some of them far from the first answer. A sample gives the same bits alone and in any batch.
         """
         unsure_n = first_n[:, :, None][..., :0] if unsure_n is None else unsure_n
         given, starts = (resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n), range(0, len(first_n), CHUNK)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import torch
 
-from common.errors import DesignError
 from dataset import Imperfections, Samples
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, component_named, read_model, train, write_model
 from decoupler.data.columns import DEAD_OHM, pillar_columns

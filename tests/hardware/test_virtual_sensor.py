@@ -248,7 +248,7 @@ def test_a_model_of_finite_strain_reads_decodes_and_has_derivatives():
     expected = model.forces(read)
     decoded = virtual.forces(torch.from_numpy(read)).numpy()
     np.testing.assert_allclose(decoded, expected, atol=1e-9 * np.abs(expected).max())
-    weight = torch.randn(shown.shape[:3] + (3,), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    weight = torch.randn((*shown.shape[:3], 3), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
     def score(force_n: torch.Tensor) -> torch.Tensor:
         return (virtual.forces(virtual.resistances(force_n)) * weight).sum()
