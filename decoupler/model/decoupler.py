@@ -551,7 +551,7 @@ class Decoupler(Decoder):
         shared_ohm = errors.shared(settled, self.rows, self.cols)
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
-            shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
+            shared_ohm = namespace(columns_ohm).concat([shared_ohm, unsure_ohm], axis=2)
         deviation_ohm = errors.deviation(settled)
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.errors import DesignError
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
@@ -19,13 +18,8 @@ if TYPE_CHECKING:
 def in_torch(part: Any, like: "Tensor") -> Any:
     """A decoupler, its forward model or another part with tensors of the type and device of `like`.
 
-    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked. A model that was
-    identified at finite strain is a `DesignError`.
+    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked.
     """
-    if isinstance(part, Decoupler) and part.posterior is not None and part.ensemble is not None:
-        raise DesignError(
-            "a sensor identified at finite strain is not known in torch: give a model that was trained, or linear."
-        )
     return converted(part, like.new_tensor)
 
 
@@ -34,8 +28,9 @@ def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
     if isinstance(part, SensorModel):
         part = part.with_own_influences()
     if isinstance(part, Decoupler):
-        known = part.uncertainty if part.posterior is not None else None  # errors of readings, which it weighs
-        part = replace(part, uncertainty=known, usual=None, ensemble=None, least_squares=None)
+        part = replace(part, usual=None, least_squares=None)
+        if part.posterior is None:  # which weighs errors of readings and of the sensor
+            part = replace(part, uncertainty=None, ensemble=None)
     changed: dict[str, Any] = {}
     for spec in fields(part):
         value = getattr(part, spec.name)

@@ -15,6 +15,10 @@ class TwinSensors:
     """The posterior's sensors of a twin, each to first order about the most probable one, as `Ensemble.readings`."""
 
     def __init__(self, decoder: Decoupler, like: Tensor) -> None:
+        if decoder.posterior is not None:
+            raise DesignError(
+                "a twin at finite strain tells no other sensors: give its design, and its model."
+            )
         if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
             raise DesignError(
                 f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."

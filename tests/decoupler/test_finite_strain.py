@@ -6,6 +6,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import torch
 
 from dataset import Imperfections
 from dataset.changed_designs import Answers
@@ -18,6 +19,7 @@ from decoupler.inverse import posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
 from decoupler.model.model_file import read_model, write_model
+from decoupler.model.tensors import in_torch
 from decoupler.training import finite_strain
 from decoupler.training.finite_strain import states_of, with_strain_maps
 from decoupler.twin import identification, identify, near_designs
@@ -319,4 +321,8 @@ def test_a_specimen_is_found_from_pairs(decoder, monkeypatch, tmp_path):
     assert (own < two).mean() > 0.92
     write_model(twin.decoder, tmp_path / "own.safetensors")
     again = read_model(tmp_path / "own.safetensors")
-    assert np.array_equal(again.forces(test.resistance_ohm[:20]), twin.decoder.forces(test.resistance_ohm[:20]))
+    ohms, found = test.resistance_ohm[:20], twin.decoder.forces(test.resistance_ohm[:20])
+    assert np.array_equal(again.forces(ohms), found)
+    columns = torch.from_numpy(again.columns(ohms))
+    tensors = in_torch(again, columns).outputs(columns).numpy()
+    np.testing.assert_allclose(tensors.reshape(found.shape), found, atol=1e-6 * np.abs(found).max())  # single draws
