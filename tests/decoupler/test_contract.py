@@ -193,7 +193,7 @@ def test_other_forms_give_its_forces(case, tmp_path):
     exact = ROUNDING * np.abs(expected).max()
     np.testing.assert_allclose(tensors.reshape(expected.shape), expected, rtol=0, atol=exact)
     if model.posterior is not None:
-        with pytest.raises(ExportError, match="not exported yet"):
+        with pytest.raises(ExportError, match="are not exported"):
             export_model(model, tmp_path / "model.h")
         return
     rounded = converted(model, np.float32).first_answers(columns.numpy().astype(np.float32)).reshape(expected.shape)
