@@ -24,7 +24,7 @@ from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.model_file import read_model
-from decoupler.model.tensors import in_torch
+from decoupler.model.tensors import decoded_by, in_torch
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
@@ -36,6 +36,7 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
+from hardware.virtual.steps import rounded, shares
 from hardware.virtual.strained import StrainedSensor
 from hardware.virtual.twin_sensors import TwinSensors
 
@@ -273,7 +274,7 @@ class VirtualSensor:
         (rows, cols), pitch_mm = self.shape, self.design.array.pitch_mm
         x, y = points_mm[..., 0], points_mm[..., 1]
         on_slab = (x.abs() <= cols * pitch_mm / 2) & (y.abs() <= rows * pitch_mm / 2)
-        by_col, by_row = (_shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
+        by_col, by_row = (shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
         return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
 
     def resistances(self, force_n: Tensor, seconds: float | None = None) -> Tensor:
@@ -317,9 +318,9 @@ class VirtualSensor:
             readings = crossbar.readings(torch.where(self.dead, OPEN_OHM, ohms))
             if crossbar.noise:
                 readings = readings + crossbar.noise * self._normal(readings.shape)
-            ohms = self._found(readings if crossbar.bits is None else _rounded(readings, crossbar.bits))
+            ohms = self._found(readings if crossbar.bits is None else rounded(readings, crossbar.bits))
         elif settings.bits is not None:
-            ohms = SENSE_OHM * (1.0 / _rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
+            ohms = SENSE_OHM * (1.0 / rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
         return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
@@ -338,19 +339,8 @@ class VirtualSensor:
         decoded = self._like.new_empty((self.environments, len(self._decoder.output_weights)))
         for which, decoder in self._model.sifted(shown_ohm):
             rows = torch.as_tensor(which, device=self.device)
-            some = columns[rows]
-            if decoder.foretold is not None:
-                some = in_torch(decoder.foretold, self._like).filled(some)
-            decoded = decoded.index_copy(0, rows, self._told(decoder, some))
+            decoded = decoded.index_copy(0, rows, decoded_by(decoder, self._decoder, columns[rows]))
         return decoded.reshape(self.environments, *self.shape, -1)
-
-    def _told(self, decoder: Decoupler, columns_ohm: Tensor) -> Tensor:
-        """Forces (n, Q) [N] of readings (n, P) [Ω], by the model that does without what this decoder leaves out."""
-        if decoder.posterior is None:
-            return self._decoder.first_answers(columns_ohm)
-        read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
-        unsure = None if unsure_n is None else self._like.new_tensor(unsure_n)
-        return self._decoder.refined(columns_ohm, left_out=(read, unsure)).force_n
 
     def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`.
@@ -453,18 +443,3 @@ class VirtualSensor:
         expected = (self.environments, *self.shape, last)
         if values.shape != expected:
             raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
-
-
-def _rounded(readings: Tensor, bits: int) -> Tensor:
-    """Shares of full scale as a converter's counts hold them, the nearest inside its range; the derivative stays."""
-    full = 2.0**bits - 1.0
-    counts = (full * readings).clamp(1.0, full - 1.0)
-    return (counts + (counts.round() - counts).detach()) / full
-
-
-def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:
-    """Shares of the pads at these centres (n,) in forces at places (e, k), (e, k, n); they sum to 1."""
-    if len(centres_mm) == 1:
-        return torch.ones_like(place_mm)[..., None]
-    within = torch.minimum(torch.maximum(place_mm, centres_mm[0]), centres_mm[-1])
-    return (1.0 - (within[..., None] - centres_mm).abs() / (centres_mm[1] - centres_mm[0])).clamp(min=0.0)

@@ -16,9 +16,7 @@ class TwinSensors:
 
     def __init__(self, decoder: Decoupler, like: Tensor) -> None:
         if decoder.posterior is not None:
-            raise DesignError(
-                "a twin at finite strain tells no other sensors: give its design, and its model."
-            )
+            raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
         if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
             raise DesignError(
                 f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all forces."
