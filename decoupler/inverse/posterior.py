@@ -16,7 +16,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
-STEPS = 3  #: Gauss-Newton steps: more change forces by a hundredth of their errors
+STEPS = 3  #: Gauss-Newton steps; more change errors by a hundredth
 DAMPING = 1e-3  #: of these, relative to the diagonal
 UNREAD = 1e12  #: factor of the variance of a pillar that is not read
 FREEDOM = 4.0  #: degrees of freedom of the readings' errors (Student's t): the maps' have wide tails
