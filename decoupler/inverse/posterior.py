@@ -98,15 +98,8 @@ class Posterior:
         force_n, covariance_n2 = (namespace(first_n).concat(each) for each in zip(*parts, strict=True))
         return Found(force_n=force_n, covariance_n2=covariance_n2)
 
-    def _found(
-        self,
-        read: NDArray[np.bool_],
-        resistance_ohm: FloatArray,
-        first_n: FloatArray,
-        deviation_ohm: FloatArray,
-        shared_ohm: FloatArray,
-        unsure_n: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
+    def _found(self, read: NDArray[np.bool_], *given: FloatArray) -> tuple[FloatArray, FloatArray]:
+        resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n = given
         (n, Q), xp, c, maps = first_n.shape, namespace(first_n), self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
         to_mean, shift, precision = self._prior

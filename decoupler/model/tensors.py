@@ -23,17 +23,15 @@ def in_torch(part: Any, like: "Tensor") -> Any:
     return converted(part, like.new_tensor)
 
 
-def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> "Tensor":
+def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
     """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
     if decoder.foretold is not None:
         columns_ohm = in_torch(decoder.foretold, columns_ohm).filled(columns_ohm)
     if decoder.posterior is None:
-        force_n: Tensor = tensors.first_answers(columns_ohm)
-        return force_n
+        return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
     unsure = None if unsure_n is None else columns_ohm.new_tensor(unsure_n)
-    force_n = tensors.refined(columns_ohm, left_out=(read, unsure)).force_n
-    return force_n
+    return tensors.refined(columns_ohm, left_out=(read, unsure)).force_n
 
 
 def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
