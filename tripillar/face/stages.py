@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import (
-        RubberCheck, checked as check_rubber, forces_from_resistance, of_range, resistance_from_strain,
-    )  # fmt: skip
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
