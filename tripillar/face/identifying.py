@@ -312,7 +312,7 @@ def _checked_pairs(
 ) -> "tuple[stages.Pairs, dict[str, str]]":
     """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
     if isinstance(pairs, stages.Pairs):
-        doubted = stages.doubt_about(pairs, response)
+        doubted = stages.doubt(pairs, stages.component_named("all"), stages.joint_model(response))
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}

@@ -88,7 +88,7 @@ if TYPE_CHECKING:
     from hardware.readout.crossbar_readout import CrossbarReadout, seen_by, shunts_of
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
-    from hardware.readout.known_loads import calibrated, doubt_about
+    from hardware.readout.known_loads import calibrated
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, ended_by_signal, follows, hashes_of, live
     from hardware.session import measure_link, record_scans
