@@ -24,7 +24,7 @@ DOUBT = 0.2  #: belief in no memory before anything is seen
 FLOOR = 7.0  #: logarithm by which one belief exceeds another at most
 LOOK_S = 0.19  #: between looks at what all pillars did
 RISING = 0.15  #: part of all changes of ln R, squared, that rise: contacts that heal let all fall
-SUDDEN, SLOWER = 1.5, 0.3  #: growth of these squares with which a motion begins, and fall with which it ends
+SUDDEN, SLOWER = 1.5, 0.3  #: growth of these squares with which a motion begins, and fall from their most that ends it
 CREEP = 1.02  #: growth from look to look of what is taken for noise
 FAST, SLOW, SLOW_S, COMMON = 0.001, 0.01, 20.0, 0.003  #: errors of ln R: of single readings, slow ones, those all share
 SPREAD = 0.15  #: of pillars' numbers about their rubber's, relative
@@ -95,6 +95,7 @@ class SensorFollower:
         self._held: tuple[FloatArray, FloatArray] | None = None
         self._since_s = self._held_s = 0.0
         self._squares, self._noise = 0.0, np.inf
+        self._fastest = 0.0  #: largest squares of this motion
         a, unsure = self._law.a, np.reshape(self._known.unsure, (2, 1, 1))
         self._of_unseen, self._of_broken = (UNSEEN * a) ** 2, a**2 * (1.5 * SPREAD**2 + unsure)
         self._unread_s, self._unjudged_s = 0.0, JUDGE_S
@@ -179,7 +180,7 @@ class SensorFollower:
             self._log_belief, self._told = np.maximum(log - log.max(), -FLOOR), np.zeros(len(log))
             self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
             self._held = None
-        elif not moves and squares + floor < SLOWER * self._squares:  # the look may have seen the end of a motion
+        elif not moves and squares + floor < SLOWER * self._fastest:  # the look may have seen the end of a motion
             self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
             self._held, self._held_s, self._told = look, 0.0, np.zeros(len(self._told))
         elif self._held is not None:
@@ -189,7 +190,7 @@ class SensorFollower:
             worst = told if first else np.minimum(told, self._told)
             self._told = np.where(worst < -0.5, worst, told)
         self._believe()
-        self._squares = squares
+        self._squares, self._fastest = squares, max(squares, self._fastest * (self._held is None))
         self._look, self._since_s = look, 0.0
 
     def _believe(self) -> None:
