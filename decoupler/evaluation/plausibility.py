@@ -17,14 +17,12 @@ from dataset.measurement import ReadingError
 from dataset.protocols import INDENT
 from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
+from decoupler.data.enough import FALSE_ALARMS
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
 from geometry.layout import AXES, FloatArray, untold
 
-#: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
-#: (Markov's inequality), whatever it is compared with
-FALSE_ALARMS = 1e-4
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
 CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
 UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from decoupler.evaluation.plausibility import FALSE_ALARMS
+from decoupler.data.enough import FALSE_ALARMS
 from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import LINEAR, Rubber
 from geometry.design import Memory
@@ -40,7 +40,7 @@ MOST_BY_REST = 6.0  #: logarithm of belief that pillars all at rest by one law a
 SURE = 0.9  #: belief in rest from which they do
 PATH_S = 100.0  #: over which ways that strains went count for what a rubber unknown may remember
 GAP_S = 1.0  #: between readings, from which anything may have happened in between
-DECISIVE = float(np.log(1.0 / FALSE_ALARMS))  #: logarithm of a ratio that chance ever passes so rarely (Ville)
+DECISIVE = float(np.log(1.0 / FALSE_ALARMS))  #: logarithm of a likelihood ratio
 APART = 0.33  #: of each pillar's word whether its rubber remembers: those of a unit feel one load
 LOAD_CREEP = 0.1  #: of a load that is held, relative: what changes ln R in proportion without memory
 AMOUNTS = (0.03, 0.1, 0.3, 1.0, 3.0)  #: of what the law foretells, that another rubber's memory may have
