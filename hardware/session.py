@@ -95,8 +95,8 @@ def live(
     speed : float
         Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
     rubber : Path, optional
-        Rubber file of `tripillar rubber`, whose memory is taken out of the readings. Default: the memory of the model's
-        design, if any. What follows it is trained when it is first needed, in a minute.
+        Rubber file of `tripillar rubber`, whose memory is taken out of the readings once they have tested it, in a hold
+        or a rest. Default: the memory of the model's design, if any, from the first scan on.
     **settings
         As of `Scanner`.
 
@@ -129,14 +129,17 @@ def live(
 
 
 def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "SensorFilter | None":
-    """What follows the memory of a rubber file, or of the model's design; None if there is none to follow."""
+    """What follows the memory of a rubber file, or of the model's design; None if there is none to follow.
+
+    A design says what its sensor is; that the sensor is of a file's rubber its readings have to show first.
+    """
     from decoupler.rubber.belief import SensorFilter
     from decoupler.rubber.rubber_file import read_rubber
 
     if rubber is not None:
         return SensorFilter.of_rubber(read_rubber(Path(rubber)))
     memory = Memory() if model.design is None else model.design.pillar_material.memory
-    return None if memory == Memory() else SensorFilter(memory=memory)
+    return None if memory == Memory() else SensorFilter(memory=memory, is_tested=True)
 
 
 def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:

@@ -26,7 +26,7 @@ def decoder_of(
     errors: ReadingError,
     dead: NDArray[np.bool_],
     layout: Layout,
-    design: SensorDesign | None = None,
+    design: SensorDesign,
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 

@@ -49,9 +49,7 @@ def file_hash(path: Path) -> str:
 
 
 def most_probable(twin: Twin) -> SensorDesign:
-    """The design of a twin at its most probable values, resistivity included; `DesignError` if it has no design."""
-    if twin.design is None:
-        raise DesignError("the twin has no design: identify it with the design that was meant (--design).")
+    """The design of a twin at its most probable values, resistivity included."""
     values = {name: value for name, (value, _) in twin.parameters.items()}
     return nearest(twin.design, {**values, RESISTIVITY: twin.design.resistivity_ohm_mm * twin.posterior.resistivity})
 

@@ -38,7 +38,7 @@ LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as 
 #: values of `Forces` by scans
 BY_SCAN = (
     *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated", "left_out"),
-    *("memory_rise", "memory_deviation", "time_s", "stamp_ns", "device_us", "sequence"),
+    *("memory_rise", "memory_deviation", "memory_tested", "time_s", "stamp_ns", "device_us", "sequence"),
 )
 
 
@@ -66,6 +66,7 @@ class Forces:
     tested: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)  #: known `consistency`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
     memory_deviation: FloatArray | None = None  #: of that shape: relative, that this leaves of the resistances
+    memory_tested: Any = None  #: (n,): whether readings had tested the rubber's law, which is not applied before
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 

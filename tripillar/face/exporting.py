@@ -133,8 +133,6 @@ def write(thing: "Written", path: Path | str) -> None:
     ------
     ArgumentError
         If it is something else.
-    DesignError
-        If it is a twin of no design: write its decoder.
     NotWrittenError
         If the disk is full or the folder may not be written to.
 
@@ -156,7 +154,6 @@ def write(thing: "Written", path: Path | str) -> None:
     elif isinstance(thing, stages.Samples):
         thing.write(path)
     elif isinstance(thing, stages.Twin):
-        stages.most_probable(thing)  # refuses one of no design before anything is written
         decoder = path.with_suffix(".safetensors")
         if decoder == path:
             raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")

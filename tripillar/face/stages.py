@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model.model_file import require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import (
-        RubberCheck, checked as check_rubber, forces_from_resistance, of_range, resistance_from_strain,
-    )  # fmt: skip
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
@@ -56,7 +54,7 @@ if TYPE_CHECKING:
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
-    from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
+    from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
@@ -90,7 +88,7 @@ if TYPE_CHECKING:
     from hardware.readout.crossbar_readout import CrossbarReadout, seen_by, shunts_of
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
-    from hardware.readout.known_loads import calibrated, doubt_about
+    from hardware.readout.known_loads import calibrated
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, ended_by_signal, follows, hashes_of, live
     from hardware.session import measure_link, record_scans
