@@ -112,12 +112,13 @@ def _indenters(generator: Generator, n: int, design: SensorDesign, peak_mpa: Ran
     """Tractions that one to three round indenters add to each pad's preload, (n, MAX_INDENTERS, n_units) [MPa].
 
     An indenter adds (peak − preload)·exp(−r²/2w²), w one to two pitches, at distance r of its centre, which lies
-    anywhere over the array. Where several meet, they are weakened together so that no pad passes the largest peak. Indenters
-    that a sample does not have add 0.
+    anywhere over the array. Where several meet, they are weakened together so that no pad passes the largest peak.
+    Indenters that a sample does not have add 0.
     """
     preload_mpa, (x, y, _) = preload_of(peak_mpa), design.slab_mm
     centre = generator.uniform(-0.5, 0.5, (n, MAX_INDENTERS, 1, 2)) * (x, y)
-    width = generator.uniform(*(w * design.array.pitch_mm for w in INDENTER_WIDTH), (n, MAX_INDENTERS, 1))
+    narrow, wide = (share * design.array.pitch_mm for share in INDENTER_WIDTH)
+    width = generator.uniform(narrow, wide, (n, MAX_INDENTERS, 1))
     strength = generator.uniform(*peak_mpa, (n, MAX_INDENTERS, 1)) - preload_mpa
     number = generator.integers(1, MAX_INDENTERS + 1, (n, 1, 1))
     present = np.arange(MAX_INDENTERS)[:, None] < number

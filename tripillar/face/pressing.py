@@ -20,7 +20,7 @@ else:
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 USUAL_DEPTH = 0.05  #: of the slab's height
 #: at a fifth to a third of the height, from `studies.bench.peers.finite_contact`
-PUSHES_LESS = "real rubber pushes back 2 to 17 % less under balls, 9 to 19 % under flat punches"
+PUSHES_LESS = "neo-Hookean rubber pushes back 2 to 17 % less there under balls, 8 to 16 % under flat punches"
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 #: sizes of each shape, that which it needs first
 SIZES = {
@@ -49,8 +49,8 @@ def press(
 ) -> "stages.Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
-    Strain is linear where the rubbers' model is: depths of more than a tenth of the slab's height are only roughly right.
-    Of other rubbers frictionless contacts are solved at finite strain, in some 3 to 20 s of processor time.
+    Linear strain is only roughly right deeper than a tenth of the slab's height. Where the rubbers' model is another,
+    frictionless contacts are solved at finite strain, in some 3 to 20 s of processor time.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def press(
     if tangent is not None:
         caller.say(
             f"warning: the contact of {model} rubber is that of its tangent at rest, as {tangent}; where the top moves "
-            f"by more than {stages.LARGE_SHARE:g} of the slab's height, {least_mm:g} mm, finite strain tells"
+            f"by more than {stages.LARGE_SHARE:g} of the slab's height, {least_mm:g} mm, finite strain tells: {PUSHES_LESS}"
         )
     moved_mm = float(np.linalg.norm(contact.displacement_mm, axis=0).max())
     if is_linear and moved_mm > least_mm:

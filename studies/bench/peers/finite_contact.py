@@ -1,4 +1,4 @@
-"""``python -m studies.bench.peers.finite_contact``: balls and a punch at finite strain, by NGSolve and by `fem.contact`.
+"""``python -m studies.bench.peers.finite_contact``: balls and a punch at finite strain, by NGSolve and ours.
 
 NGSolve takes a disc of rubber as wide as the slab, axially symmetric, third-order triangles that are fine under the
 shape, its stored energy as it is written, and the shape by a penalty on how deep the deformed top is inside: no
