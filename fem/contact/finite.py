@@ -48,7 +48,7 @@ class FiniteContact(Contact):
 
     linear: Contact = field(repr=False)
     added_mm: FloatArray = field(repr=False)  #: to the electrodes' displacements, as `electrode_mm`
-    strain_errors: tuple[float, float]  #: estimated, relative: of the ratio, and of `added_mm` over the electrodes' all
+    strain_errors: tuple[float, float]  #: estimated, relative: of the ratio, and of `added_mm` over all
 
     @cached_property
     def displacement_mm(self) -> FloatArray:

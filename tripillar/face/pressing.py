@@ -130,7 +130,8 @@ def press(
     if tangent is not None:
         caller.say(
             f"warning: the contact of {model} rubber is that of its tangent at rest, as {tangent}; where the top moves "
-            f"by more than {stages.LARGE_SHARE:g} of the slab's height, {least_mm:g} mm, finite strain tells: {PUSHES_LESS}"
+            f"by more than {stages.LARGE_SHARE:g} of the slab's height, {least_mm:g} mm, finite strain tells: "
+            f"{PUSHES_LESS}"
         )
     moved_mm = float(np.linalg.norm(contact.displacement_mm, axis=0).max())
     if is_linear and moved_mm > least_mm:
