@@ -175,7 +175,7 @@ class _Model:
         return _Planes([(1.0, self.covered)], len(x), normal, offset, stiffness)
 
     def pressed(self, system: System) -> tuple[float, FloatArray]:
-        """Vertical force at full depth [N], and displacements (k, 3) of the electrodes [mm], 0 of those that are not seen."""
+        """Vertical force at full depth [N], and displacements (k, 3) of the electrodes [mm], 0 of unseen ones."""
         depth_mm, is_linear, factors = self.contact.depth_mm, system.body.law.is_linear, list[Factor]()
         state, before, reached = system.rest(), (0.0, system.rest()), 0.0
         step = depth_mm if is_linear else depth_mm / STEPS
