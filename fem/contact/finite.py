@@ -37,7 +37,7 @@ STEPS, MIN_STEP = 4, 1 / 64  #: of the depth
 ITERATIONS, BALANCED = 14, 1e-4  #: of an increment, and the forces that it leaves unbalanced, of the contact's
 RENEWALS, RESTED = 6, 5e-4  #: of the planes, and change of the force in the last one
 LEAST_VOLUME = 0.1  #: of every point's, that a foretold state leaves
-LEFT = 0.15  #: of what finite strain adds to electrodes, that may be missed: balls of 5 mm, 1 and 3.3 mm deep, 15 and 7 %
+LEFT = 0.15  #: of what finite strain adds to electrodes, that may be missed: balls of 5 mm, 1 and 3.3 mm deep, 15, 7 %
 NEAR_MM = 1e-4  #: over which a shape's slope is taken
 SECONDS = 4e-6  #: of a search, times unknowns to the power of 1.5
 
