@@ -24,7 +24,6 @@ from geometry.prism import unit_prisms
 
 #: of pillars stiffer and softer than the matrix: of the first, level 3 would cost as much as tetrahedra
 STAGES: tuple[tuple[Stage, ...], ...] = (((1, 2, 6),), ((1, 2, 7), (2, 3, 7)))
-FINE_BELOW = 0.3  #: times the matrix: of softer pillars the first stage seldom reaches 1e-2
 RATE = 2.3
 #: error over the extrapolation's step, which is a quarter of the levels' change. So the estimates of responses of 1 × 1
 #: and 2 × 2 units are 1.9 to 6.6 times the error of 13 designs (pillars 3 to 20 times as stiff and 1.75 to 3 mm wide,
@@ -104,8 +103,7 @@ class CutCell(DesignCell):
         return condense(cut_system(self.design, level), self._ports(degree), self.rectangles)
 
     def stages(self, tolerance: float) -> tuple[Stage, ...]:
-        contrast = _contrast(self.design)
-        return STAGES[contrast < 1][contrast < FINE_BELOW :]
+        return STAGES[_contrast(self.design) < 1]
 
     @property
     def extrapolation_error(self) -> float:

@@ -27,7 +27,7 @@ from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.kernel.top import Top
 from fem.levels import largest_contributors, limits, sizes, unit_loads
-from fem.meshes.tetrahedra import Tetrahedra, bisected, graded, cell_sizes, coarse_edge_mm, mesh_body, prism_of_cells
+from fem.meshes.tetrahedra import Tetrahedra, bisected, cell_sizes, coarse_edge_mm, graded, mesh_body, prism_of_cells
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import MeshAnswer, Stopwatch
 from geometry.layout import FloatArray
@@ -43,7 +43,7 @@ MAX_PROBES, N_SUMS = 4, 12  #: probes that have unit loads of their own; of more
 SAFETY = 2.0  #: deviations that the error is stated as
 CUT_ORDER = 8  #: of integration on loaded faces, which loads' edges may cut
 LEVELS, RATIO = 3, 0.25  #: of the grading to edges of plates, and of neighbouring distances
-#: edge of the cube of six times the volume of a regular tetrahedron, over its inradius; and root of a facet's area, over
+#: of regular tetrahedra: edge of the cube of six times the volume, over the inradius; root of a facet's area, over
 #: inradius² · area / volume
 OF_CELL, OF_FACET = 4.364, 4.298
 NOWHERE = np.empty((0, 4))
