@@ -30,7 +30,7 @@ RATE = 2.3
 #: pitches of 13 to 20 mm, heights of 6 to 16 mm, pads of 7 to 12 mm, ν of the matrix 0.3 and 0.49, 3 or 4 pillars), by
 #: tetrahedra of level 3, extrapolated; of ten others, drawn at random afterwards, 1.24 times at least. They are smaller
 #: beside the error at 50 and 121 times as stiff, and 0.75 times it where pillars are thinner than boxes. Of softer
-#: pillars half is enough: 1.2 to 4.2 times the error of 2 × 2 units on six designs (1/5 to 4/5 times as stiff)
+#: pillars half is enough: 1.2 to 7 times the error of 2 × 2 units on six designs (1/5 to 4/5 times as stiff)
 EXTRAPOLATION_ERRORS = 3.0, 1.5
 MIN_GAP = 0.005  #: of the pitch, between a face and another line, if it is to be one
 Z_LINES, CROWDING = 3, 0.09  #: boxes along z at level 1, and how far they crowd at both ends
