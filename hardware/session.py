@@ -28,8 +28,8 @@ from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
+    from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
-    from decoupler.touch.touch_file import AnyDecoder
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
@@ -76,7 +76,7 @@ def _await(port: str) -> None:
 @contextmanager
 def live(
     port: str,
-    model: "AnyDecoder | Path | str",
+    model: "Decoder | Path | str",
     calibration: Path | str | None = None,
     speed: float = 1.0,
     rubber: Path | str | None = None,
@@ -120,7 +120,7 @@ def live(
             for scan in scans:
                 print(scan.time_s, scan.force_n[2, 3], scan.deviation_n[2, 3])
     """
-    from decoupler.touch.touch_file import read_model
+    from decoupler.model.model_file import read_model
 
     decoder = read_model(Path(model)) if isinstance(model, Path | str) else model
     causal = follows(decoder, rubber)
@@ -128,7 +128,7 @@ def live(
         yield LiveSensor(scanner, decoder, known, causal)
 
 
-def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "SensorFilter | None":
+def follows(model: "Decoder", rubber: Path | str | None = None) -> "SensorFilter | None":
     """What follows the memory of a rubber file, or of the model's design; None if there is none to follow.
 
     A design says what its sensor is; that the sensor is of a file's rubber its readings have to show first.
@@ -189,7 +189,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     return np.array(taken)
 
 
-def hashes_of(model: "AnyDecoder") -> dict[str, str]:
+def hashes_of(model: "Decoder") -> dict[str, str]:
     """Hashes of the model and its design, which a recording keeps."""
     found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
     return {name: str(value) for name, value in found.items() if value}

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
+    from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
-    from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
 NAMED = 3  #: pillars left out that are named in a line
@@ -57,7 +57,7 @@ class Forces:
     stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
     device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
-    model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    model: "Decoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
     moment_deviation_nmm: FloatArray | None = None  #: of that shape: half-widths that hold 68 % of their errors
@@ -208,7 +208,7 @@ class ForceReader:
     def __init__(
         self,
         info: Info,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration | None = None,
         crosstalk: bool = True,
         causal: "SensorFilter | None" = None,
@@ -300,7 +300,7 @@ class LiveSensor:
     def __init__(
         self,
         scanner: Scanner,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration,
         causal: "SensorFilter | None" = None,
     ) -> None:
@@ -358,7 +358,7 @@ class LiveSensor:
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
     recording: Recording,
-    model: "AnyDecoder",
+    model: "Decoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,

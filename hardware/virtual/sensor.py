@@ -22,7 +22,7 @@ from dataset.resistance import conducted_lengths, exact_resistances, pillar_leng
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
-from decoupler.model.decoupler import Decoupler
+from decoupler.model.decoder import Decoder
 from decoupler.model.model_file import read_model
 from decoupler.model.tensors import in_torch
 from decoupler.touch.presses import Grid
@@ -68,7 +68,7 @@ class VirtualSensor:
     ----------
     design : SensorDesign, TwinFile or path
         A design, its file, or the file of a twin: then each environment has a sensor of the twin's posterior.
-    model : Decoupler or path, optional
+    model : Decoder or path, optional
         Default: a twin's own decoder; of a design none, and nothing is decoded. A decoder of touch has no derivatives.
     environments : int
         Number e of sensors.
@@ -118,7 +118,7 @@ class VirtualSensor:
     def __init__(
         self,
         design: SensorDesign | TwinFile | Path | str,
-        model: Decoupler | Path | str | None = None,
+        model: Decoder | Path | str | None = None,
         *,
         environments: int = 1,
         noise: float = 0.0,
@@ -165,20 +165,17 @@ class VirtualSensor:
         self.dtype, self.device = self._like.dtype, self._like.device  #: of all tensors
         self._generator = torch.Generator(device=self._like.device).manual_seed(seed)
         decoder = twin.read_decoder() if twin is not None else None
-        if model is None:
-            model = decoder
-        elif isinstance(model, Path | str):
-            model = read_model(Path(model))
-        for name, other in (("model", model), ("crossbar", crossbar)):
+        used: Decoder | None = read_model(Path(model)) if isinstance(model, Path | str) else model or decoder
+        for name, other in (("model", used), ("crossbar", crossbar)):
             if other is not None and (other.rows, other.cols) != self.shape:
                 sizes = f"{other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}"
                 raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
             if other is not None and other.layout != self._layout:
                 raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
-        feels = model is not None and model.moments > 0
-        self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
-        self._model: Any = model
-        self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
+        feels = used is not None and used.moments > 0
+        self._followers = [used.follower() for _ in range(environments)] if feels and used is not None else None
+        self._model: Any = used
+        self._decoder: Any = None if used is None or feels else in_torch(used, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())

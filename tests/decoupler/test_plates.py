@@ -10,10 +10,10 @@ from dataset import DatasetSettings, simulate
 from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
+from decoupler.model.model_file import read_model, write_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars
-from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.conducted import conducted_pillars
 from fem.contact import Flat, Sphere, SurfaceCompliance, about_z, press
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch
@@ -170,7 +170,7 @@ def test_rest_is_rest_and_the_file_holds_all(surfaces, tmp_path, name: str):
     decoder = decoder_of(surfaces[name])
     at_rest = decoder.rest_resistances()[None]
     assert not decoder.forces(at_rest).any()
-    write_touch(decoder, tmp_path / "plates.safetensors")
+    write_model(decoder, tmp_path / "plates.safetensors")
     again = read_model(tmp_path / "plates.safetensors")
     pressed = 0.98 * at_rest
     assert isinstance(again, PlateDecoder)

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from common.errors import FileFormatError
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
+from decoupler.model.model_file import read_model, write_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library
@@ -18,7 +19,6 @@ from decoupler.touch.plates import PlateResponse
 from decoupler.touch.presses import Grid, middles
 from decoupler.touch.regression import NEAREST
 from decoupler.touch.sensing import Pillars, Whitening
-from decoupler.touch.touch_file import read_model, write_touch
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, about_z, press, surface_compliance
 from geometry.design import Array, Pad, SensorDesign, Unit
@@ -214,7 +214,7 @@ def test_whoever_calls_it_reads_a_scan_on_one_thread(decoder, contacts, monkeypa
 
 def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp_path):
     path, some = tmp_path / "touch.safetensors", contacts.resistance_ohm[:3]
-    write_touch(decoder, path)
+    write_model(decoder, path)
     again = read_model(path)
     assert np.array_equal(again.forces(some), np.concatenate([decoder.forces(one[None]) for one in some]))
     whole = bytearray(path.read_bytes())

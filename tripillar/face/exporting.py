@@ -14,7 +14,7 @@ from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, ModelLike, design_of, job, model_of, name_of, to_write
 
 if TYPE_CHECKING:
-    Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.AnyDecoder | stages.Twin
+    Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.Decoder | stages.Twin
 
 MAX_NAMED = 3  #: places of damage in one line
 
@@ -160,7 +160,7 @@ def write(thing: "Written", path: Path | str) -> None:
         stages.write_model(thing.decoder, decoder)
         stages.write_twin(thing, path, decoder)
     elif isinstance(thing, stages.TouchDecoder):
-        stages.write_touch(thing, path)
+        stages.write_model(thing, path)
     elif not isinstance(thing, stages.Decoupler):
         raise ArgumentError(
             f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."

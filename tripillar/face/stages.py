@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from decoupler.inverse.posterior import Posterior
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.model_file import require_same_sensor, write_model
+    from decoupler.model.model_file import read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
     from decoupler.rubber.check import RubberCheck, checked as check_rubber
     from decoupler.rubber.fit import identified as rubber_of
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from decoupler.touch.library import OWN, PRESSES, touch_library
     from decoupler.touch.plates import PlateDecoder, plate_response
     from decoupler.touch.sensing import Pillars
-    from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
+    from decoupler.model.decoder import Decoder
     from decoupler.training.finite_strain import posterior_of
     from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
