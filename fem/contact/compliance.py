@@ -201,6 +201,11 @@ class PatchCompliance:
         """Cells (ny, nx) on tops of pillars."""
         return on_pillars(self.surface.design, self.patch.x_mm, self.patch.y_mm)
 
+    @cached_property
+    def stiffness(self) -> FloatArray | float:
+        """How stiff the rubber under each cell (ny, nx) is, over the matrix."""
+        return 1.0 if self._tops is None else np.where(self._pillars, 1 / stiffer(self.surface.design)[1], 1.0)
+
     @property
     def under_electrodes(self) -> FloatArray | float:
         """What the layer between an electrode and each cell (ny, nx) is, over that of the matrix."""
