@@ -263,19 +263,16 @@ def shares_by_rubber(
     smallest_mm = min(float(np.diff(lines).min()) for lines in top_lines(design)[1] + [y_lines])
     parts = min(MAX_PARTS, int(np.ceil(2 * max(patch.cell_mm) / smallest_mm)))
     fine = replace(patch, nx=parts * patch.nx, ny=parts * patch.ny)
-    counts = np.ones((patch.ny, parts, patch.nx, parts))
-    if parts > 1:
-        of_parts = on_pillars(design, fine.x_mm, fine.y_mm).reshape(counts.shape)
-        counts[:] = of_parts == on_pillars(design, patch.x_mm, patch.y_mm)[:, None, :, None]
-        counts /= counts.sum(axis=(1, 3), keepdims=True)
-    counts = counts.reshape(patch.ny, parts, fine.nx)
+    is_pillar = on_pillars(design, fine.x_mm, fine.y_mm).reshape(patch.ny, parts, patch.nx, parts)
+    counts = is_pillar == on_pillars(design, patch.x_mm, patch.y_mm)[:, None, :, None]
+    weight = (counts / counts.sum(axis=(1, 3), keepdims=True)).reshape(patch.ny, parts, fine.nx)
     columns, alike = np.unique(  # by the rubbers along y
         on_pillars(design, fine.x_mm, (y_lines[:-1] + y_lines[1:]) / 2).T, axis=0, return_inverse=True
     )
     by_y = np.empty((patch.ny, fine.nx, len(rows)))  # of the parts of a cell together
     for number, kind in enumerate(columns):
         at, found = alike.ravel() == number, _in_runs(fine.y_mm, y_lines, kind, width)
-        by_y[:, at] = counts[:, :, at].swapaxes(1, 2) @ found.reshape(patch.ny, parts, -1)
+        by_y[:, at] = weight[:, :, at].swapaxes(1, 2) @ found.reshape(patch.ny, parts, -1)
     entries = list[tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]]()
     for row in np.flatnonzero(by_y.any(axis=(0, 1))).tolist():
         x_lines, kind, tiles = rows[row]
@@ -295,7 +292,7 @@ def shares_by_rubber(
 def _rows_of_tiles(
     design: SensorDesign,
 ) -> tuple[FloatArray, list[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]]]:
-    """Lines between the array's rows of tiles, and of each its lines, which of its tiles are tops, and their numbers."""
+    """Lines between the array's rows of tiles; of each row its lines, which tiles are on tops, and their numbers."""
     (cols, rows), pitch = (design.array.cols, design.array.rows), design.array.pitch_mm
     along_y, lines = top_lines(design)
     y_lines, m = _all_over(along_y, rows, pitch), tiles_per_pitch(design)[0]
