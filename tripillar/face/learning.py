@@ -89,7 +89,7 @@ def train(
         Forces that the network tells, along one axis or all; default: those that act.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, 4 minutes, once, or 15 where pillars are of another rubber; on stiff pads from forces and moments of the
+        solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
         plates, 10 seconds.
     shape : list of path, optional
         STL files of tools that press: a decoder of touches knows them as well.
