@@ -36,7 +36,6 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
-from hardware.virtual.twin_sensors import TwinSensors
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -181,7 +180,7 @@ class VirtualSensor:
             host = replace(crossbar, shunt_siemens=())
             self._found = Corrector(host).correct if correct else host.uncorrected
         if decoder is None:
-            self._twin = None
+            self._twin: Any = None
             solved = self._designed(response)
             self._forward = in_torch(SensorModel.of(solved, COMPONENTS["all"]), self._like)
             self._shape = self._forward  # whose lengths are the pillars' own
@@ -190,8 +189,11 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            self._twin = TwinSensors(decoder, self._like)
-            self._forward = self._shape = self._twin.forward
+            if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+                told = ", ".join(decoder.component.forces)
+                raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
+            self._forward = self._shape = in_torch(decoder.inverse.forward, self._like)
+            self._twin = in_torch(decoder.ensemble, self._like)
         self._gain = self._like.new_ones((environments, *self._pillars))
         self._offset = torch.zeros_like(self._gain)
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
@@ -239,7 +241,7 @@ class VirtualSensor:
         self._rubber.forget(chosen, self._normal)
         if self._twin is not None:
             numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
-            self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
+            self._member[chosen] = numbers.random_(len(self._twin), generator=self._generator)
         at_rest = self._like.new_zeros((self.environments, *self.shape, len(AXES)))
         rest_ohm = self._gain * self.resistances(at_rest) + self._offset
         if bool((rest_ohm <= 0.0).any()):
@@ -277,7 +279,7 @@ class VirtualSensor:
         self._require(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            ohms = self._twin.resistances(columns, self._member).reshape(self._gain.shape)
+            ohms = self._twin.readings(self._forward, columns, self._member).reshape(self._gain.shape)
         else:
             ohms = self._forward.resistances(columns).reshape(self._gain.shape)
         return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(self._gain.shape), seconds)
