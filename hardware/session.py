@@ -120,7 +120,7 @@ def live(
             for scan in scans:
                 print(scan.time_s, scan.force_n[2, 3], scan.deviation_n[2, 3])
     """
-    from decoupler.model.model_file import read_model
+    from decoupler.model_file import read_model
 
     decoder = read_model(Path(model)) if isinstance(model, Path | str) else model
     causal = follows(decoder, rubber)

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from dataset.stored import read_samples
-from decoupler.model.model_file import read_network
+from decoupler.model_file import read_network
 from studies.program import run_alone
 
 

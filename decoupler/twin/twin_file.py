@@ -17,7 +17,7 @@ from common.storage.files import digest, write_bytes
 from common.storage.seal import BLANK, require_intact, sealed
 from common.storage.text_file import read_text, tables_of
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import read_network
+from decoupler.model_file import read_network
 from decoupler.twin.identification import Twin
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, row_text, whole_design

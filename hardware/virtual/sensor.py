@@ -23,8 +23,8 @@ from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.model.decoder import Decoder
-from decoupler.model.model_file import read_model
 from decoupler.model.tensors import in_torch
+from decoupler.model_file import read_model
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
@@ -324,17 +324,13 @@ class VirtualSensor:
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
-        pillars = self._decoder.pillars
-        columns = resistance_ohm[..., pillars]
-        if (dead := self._decoder.dead) is not None:
-            columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
-        columns, shown_ohm = columns.reshape(self.environments, -1), resistance_ohm.detach().cpu().double().numpy()
-        for which, decoder in self._model.sifted(shown_ohm):
-            if decoder.foretold is not None:
-                rows = torch.as_tensor(which, device=self.device)
-                columns = columns.index_copy(0, rows, in_torch(decoder.foretold, self._like).filled(columns[rows]))
-        decoded = self._decoder.first_answers(columns)
-        return decoded.reshape(self.environments, *self.shape, -1)
+        readable = torch.as_tensor(self._decoder.readable, device=self.device)
+        columns = torch.where(readable, resistance_ohm.flatten(1)[:, self._decoder.places], DEAD_OHM)
+        for which, decoder in self._model.sifted(resistance_ohm.detach().cpu().double().numpy()):
+            if decoder.filling is not None:
+                rows, by = torch.as_tensor(which, device=self.device), in_torch(decoder.filling.foretold, self._like)
+                columns = columns.index_copy(0, rows, by.filled(columns[rows]))
+        return self._decoder.first_answers(columns).reshape(self.environments, *self.shape, -1)
 
     def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`.

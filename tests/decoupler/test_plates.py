@@ -10,7 +10,7 @@ from dataset import DatasetSettings, simulate
 from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
-from decoupler.model.model_file import read_model, write_model
+from decoupler.model_file import read_model, write_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.sensing import Pillars

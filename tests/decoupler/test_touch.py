@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from common.errors import FileFormatError
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
-from decoupler.model.model_file import read_model, write_model
+from decoupler.model_file import read_model, write_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library

@@ -11,7 +11,7 @@ from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.model_file import read_model
+from decoupler.model_file import read_model
 from geometry.design_file import design_to_toml
 from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.house import House

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from decoupler.inverse.posterior import Posterior
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.model_file import read_model, require_same_sensor, write_model
+    from decoupler.model_file import read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
     from decoupler.rubber.check import RubberCheck, checked as check_rubber
     from decoupler.rubber.fit import identified as rubber_of

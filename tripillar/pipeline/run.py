@@ -20,8 +20,8 @@ from dataset.simulation import dataset_cache_key, simulate
 from dataset.stored import in_memory, is_current, read_samples
 from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_cache_key, read_network, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model_file import model_cache_key, read_network, write_model
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import check_unit

@@ -144,7 +144,8 @@ def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: 
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        made_from = {**decoupler.made_from, **data.made_from}
+        of_twin = "twin" in made_from or getattr(decoupler, "ensemble", None) is not None
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
