@@ -117,7 +117,6 @@ class Decoupler(Decoder):
         output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
         that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
         return self.each(resistance_ohm, lambda own, ohms, _: (own._forces(own.columns(ohms)),))[0]
 
     def _forces(self, columns: FloatArray) -> FloatArray:
@@ -140,7 +139,6 @@ class Decoupler(Decoder):
 
         A model that was written without its uncertainty is a `SampleError`, too.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
         one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
@@ -158,7 +156,6 @@ class Decoupler(Decoder):
         what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
 
         def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             return by._deviations(by.columns(ohms), weights, None if own is None else own[which])
@@ -342,6 +339,11 @@ class Decoupler(Decoder):
             ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
+
+    @property
+    def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
+        n = self.rows * self.cols * len(self.layout.pillars)
+        return None if self.usual is None else self.usual.readings(self.places, n)
 
     def read_by(self, errors: ReadingError) -> Self:
         """The model with half-widths for readings that err so."""

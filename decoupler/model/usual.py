@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from decoupler.data.columns import Columns
@@ -52,6 +53,14 @@ class UsualLoads:
             log_ohm=log_ohm.mean(axis=0),
             log_ohm_covariance=covariance,
         )
+
+    def readings(self, places: NDArray[np.int64], n: int) -> tuple[FloatArray, FloatArray] | None:
+        """Mean (n,) and covariance (n, n) of ln R of n pillars, of which those at `places` (n_in,) are known."""
+        if self.log_ohm is None or self.log_ohm_covariance is None:
+            return None
+        mean, covariance = np.zeros(n), np.eye(n)
+        mean[places], covariance[np.ix_(places, places)] = self.log_ohm, self.log_ohm_covariance
+        return mean, covariance
 
     def nearest(self, force_n: FloatArray) -> FloatArray:
         """Forces brought into the ranges, then shears onto the cone, (n, n_forces) [N]."""

@@ -256,9 +256,8 @@ class ForceReader:
     def fault_test(self) -> "FaultTest | None":
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
-        from decoupler.model.decoupler import Decoupler
 
-        return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
+        return None if self._uncertain is None else FaultTest.of(self._uncertain)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""

@@ -10,6 +10,7 @@ from dataset import DatasetSettings, simulate
 from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
+from decoupler.evaluation.faults import FaultTest
 from decoupler.model_file import read_model, write_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
@@ -176,3 +177,17 @@ def test_rest_is_rest_and_the_file_holds_all(surfaces, tmp_path, name: str):
     assert isinstance(again, PlateDecoder)
     assert np.array_equal(again.forces(pressed), decoder.forces(pressed))
     assert np.array_equal(again.half_widths(pressed), decoder.half_widths(pressed))
+
+
+def test_a_pillar_that_stays_at_its_last_value_is_named(surfaces):
+    """Within a window of scans under changing contacts; honest windows, at rest as well, name nothing."""
+    decoder = decoder_of(surfaces["six-pillar"])
+    test, generator = FaultTest.of(decoder), np.random.default_rng(5)
+    moved = wrenches(6 * test.window).reshape(-1, 24) @ decoder.library.moved_mm.reshape(24, -1)
+    for ohms in decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(6, test.window, *SHAPE, -1):
+        read_ohm = READ.read(ohms, generator)
+        assert test.named(read_ohm) == ()
+        read_ohm[:, 1, 0, 2] = read_ohm[0, 1, 0, 2]
+        assert [str(fault) for fault in test.named(read_ohm)] == ["pillar y of row 1, col 0 stuck"]
+    rest = np.repeat(decoder.rest_resistances()[None], test.window, axis=0)
+    assert test.named(READ.read(rest, generator)) == ()
