@@ -79,6 +79,16 @@ def crossing_of_pillar(rows: int, cols: int, layout: Layout = SONG2018) -> NDArr
     return np.argsort(pillar_of_crossing(rows, cols, layout)).reshape(rows, cols, -1)
 
 
+def pillars_of_wires(rows: int, cols: int, layout: Layout = SONG2018) -> list[NDArray[np.intp]]:
+    """Places in a flattened (rows, cols, n_pillars) array of the pillars on each row wire, then on each column wire.
+
+    >>> [each.tolist() for each in pillars_of_wires(1, 2)]
+    [[0, 1, 3, 4], [2, 5], [0, 2], [1], [3, 5], [4]]
+    """
+    board = _pillar_at(rows, cols, layout)
+    return [wire[wire >= 0] for wire in (*board, *board.T)]
+
+
 @cache
 def fewest_wires(layout: Layout) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
     """Electrodes by the row and by the column wires of a unit, as few of both together as any sharing allows.

@@ -57,9 +57,9 @@ def told(model: Decoupler, resistance_ohm: FloatArray, force_n: FloatArray) -> s
     net_n = (error_n.reshape(len(error_n), -1) @ w)[:, 0]
     deviation = np.sqrt(model.deviations(resistance_ohm, w)[1][:, 0, 0])
     units = [np.mean(np.abs(error_n) <= width) for width in model.half_widths(resistance_ohm)]
-    test = model.load_test
-    assert test is not None
-    flagged = np.mean(model.chi2(resistance_ohm) > test.limit)
+    consistency = model.consistency(resistance_ohm)
+    assert consistency is not None
+    flagged = np.mean(np.greater(*consistency))
     return (
         f"units within {units[0]:.1%}, {units[1]:.1%}, worst {np.abs(error_n).max():.0f} N; net Fz "
         f"{np.sqrt(np.mean(net_n**2)):.0f} N, stated {deviation.mean():.0f} N, within 95 %: "

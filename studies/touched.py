@@ -16,10 +16,10 @@ from common.errors import DesignError
 from dataset import Samples
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, drawn_press, largest_strain, samples_of
 from dataset.measurement import ReadingError
+from decoupler.model_file import read_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
-from decoupler.touch.touch_file import read_model
 from fem import SolverError
 from fem.contact import Contact, ContactError, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign

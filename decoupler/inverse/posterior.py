@@ -5,20 +5,20 @@ are the prior; the readings, with theirs, are the data; and damped Gauss-Newton 
 the rubber, and with it the forces.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES
+from decoupler.solve import descended
 from geometry.layout import FloatArray
 
 MAX_STEPS = 12  #: damped Gauss-Newton steps; five are usual
-FIRST_DAMPING = 1e-3  #: relative to the diagonal
-LAST_DAMPING = 1e6  #: at which a sample comes no nearer
+DAMPING, FACTORS = (1e-3, 1e6), (0.1, 8.0)  #: as of `descended`, relative to the diagonal
 UNREAD = 1e12  #: factor of the variance of a pillar that is not read
 GAINED = 1e-3  #: fall of the cost below which a sample has ended
 FREEDOM = 4.0  #: degrees of freedom of the readings' errors (Student's t): the maps' have wide tails
@@ -78,11 +78,13 @@ class Posterior:
         deviation_ohm: FloatArray,
         shared_ohm: FloatArray,
         read: NDArray[np.bool_],
+        unsure_n: FloatArray | None = None,
     ) -> Found:
         """Most probable forces of readings (n, P) [Ω] by first answers (n, Q) [N].
 
         Errors of the readings have deviations (n, P) [Ω] of each pillar alone, and (n, P, m) [Ω] that pillars share,
-        which may come of a sensor that is not quite known. `read` (P,) says which pillars are read.
+        which may come of a sensor that is not quite known. `read` (P,) says which pillars are read. `unsure_n`
+        (n, Q, k) are changes of the first answers by independent errors that they have besides.
 
         Notes
         -----
@@ -93,7 +95,8 @@ class Posterior:
         in any batch.
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(first_n), CHUNK)]
-        given = resistance_ohm, first_n, deviation_ohm, shared_ohm
+        unsure_n = np.empty((*first_n.shape, 0)) if unsure_n is None else unsure_n
+        given = resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n
         found = [self._found(read, *(values[part] for values in given)) for part in parts]
         names = Found.__dataclass_fields__
         return Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in names})
@@ -105,12 +108,17 @@ class Posterior:
         first_n: FloatArray,
         deviation_ohm: FloatArray,
         shared_ohm: FloatArray,
+        unsure_n: FloatArray,
     ) -> Found:
         n, Q = first_n.shape
         c, maps = self.forward.ohm_per_mm2, self.forward.maps
         assert maps is not None
         to_mean, shift, precision = self._prior
         mean_n = (first_n[:, None] @ to_mean)[:, 0] + shift
+        by_error = to_mean.T @ unsure_n
+        P = precision @ by_error
+        less = P @ np.linalg.solve(np.eye(P.shape[2]) + by_error.swapaxes(1, 2) @ P, P.swapaxes(1, 2))
+        precision = precision - less
         state = self.first_states(mean_n)
         variance = (deviation_ohm / c) ** 2 + self.squares_variance(state)
         variance = np.where(read, variance, UNREAD * variance)
@@ -122,14 +130,13 @@ class Posterior:
             whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         y = (resistance_ohm - self.forward.offset_ohm) / c
 
-        def at(state_n: FloatArray, on: slice | NDArray[np.int64]) -> _Point:
+        def at(state_n: FloatArray, on: NDArray[np.intp]) -> _Point:
             """States of some of the samples."""
             modelled, by_state, force_n, by_force = self.forward.at_states(state_n)
             missing, off_n = (whiten[on] @ (y[on] - modelled)[..., None])[..., 0], mean_n[on] - force_n
             squares = missing**2
-            held = ((off_n[:, None] @ precision)[:, 0] * off_n).sum(axis=1)
+            held = ((off_n[:, None] @ precision[on])[:, 0] * off_n).sum(axis=1)
             return _Point(
-                state=state_n,
                 cost=(FREEDOM + 1.0) * np.log1p(squares / FREEDOM).sum(axis=1) + held,
                 missing=missing,
                 weight=(FREEDOM + 1.0) / (FREEDOM + squares),
@@ -139,31 +146,21 @@ class Posterior:
                 force_n=force_n,
             )
 
-        here = at(state, slice(None))
-        damping, on = np.full(n, FIRST_DAMPING), np.arange(n)
-        for _ in range(MAX_STEPS):
-            H, down = here.part(on).normal(precision)
-            H += (damping[on, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(Q)
-            trial = here.state[on] + np.linalg.solve(H, down[..., None])[..., 0]
-            there = at(trial, on)
-            gain = here.cost[on] - there.cost
-            better = gain > 0
-            here.replace(on[better], there.part(np.flatnonzero(better)))
-            damping[on] *= np.where(better, 0.1, 8.0)
-            on = on[~((better & (gain < GAINED)) | (damping[on] > LAST_DAMPING))]
-            if not len(on):
-                break
-        H, _ = replace(here, weight=np.full_like(here.weight, INFORMATION)).normal(precision)
+        def step(here: _Point, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            H, down = here.normal(precision[on])
+            H += (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(Q)
+            return np.asarray(np.linalg.solve(H, down[..., None])[..., 0])
+
+        state, here = descended(state, at, step, MAX_STEPS, DAMPING, FACTORS, gained=GAINED)
+        H, _ = here._replace(weight=np.full_like(here.weight, INFORMATION)).normal(precision)
         covariance = here.by_force @ np.linalg.solve(H, here.by_force.swapaxes(1, 2))
-        covariance[:, np.arange(Q), np.arange(Q)] += maps.misfit_variance(here.state)[..., :N_AXES].reshape(n, Q)
+        covariance[:, np.arange(Q), np.arange(Q)] += maps.misfit_variance(state)[..., :N_AXES].reshape(n, Q)
         return Found(force_n=here.force_n, covariance_n2=covariance)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Point:
+class _Point(NamedTuple):
     """States of n samples, linearised."""
 
-    state: FloatArray  #: (n, Q)
     cost: FloatArray  #: (n,)
     missing: FloatArray  #: y − y(G), whitened, (n, P)
     weight: FloatArray  #: of its squares, (n, P)
@@ -178,12 +175,3 @@ class _Point:
         KP = self.by_force.swapaxes(1, 2) @ precision
         down = JW @ self.missing[..., None] + KP @ self.off_n[..., None]
         return JW @ self.by_state + KP @ self.by_force, down[..., 0]
-
-    def part(self, which: NDArray[np.int64]) -> Self:
-        """Some of the samples."""
-        return replace(self, **{name: values[which] for name, values in vars(self).items()})
-
-    def replace(self, which: NDArray[np.int64], other: "_Point") -> None:
-        """Let other points replace some samples'."""
-        for name, values in vars(self).items():
-            values[which] = getattr(other, name)

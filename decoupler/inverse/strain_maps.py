@@ -8,18 +8,19 @@ readings are turned around for it: where conduction is far from linear these may
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset.samples import SampleError
 from decoupler.data.columns import rowwise
+from decoupler.solve import descended
 from geometry.layout import FloatArray
 
 MAX_STEPS = 40  #: damped Newton steps from forces to states; five are usual
 CONVERGED = 1e-10  #: relative to the largest force
-FIRST_DAMPING = 1e-3  #: of the steps, where derivatives are of the order of 1
-LAST_DAMPING = 1e3  #: at which a sample comes no nearer
+DAMPING = 1e-3, 1e3  #: the first one, where derivatives are of the order of 1, and that at which a sample has ended
 BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are beyond them
 N_AXES = 3  #: forces of a pad
 CHUNK = 64  #: samples whose derivatives are in memory together
@@ -179,19 +180,17 @@ class StrainMaps:
 
     def _solved(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         found, enough = np.array(force_n, dtype=np.float64), CONVERGED * max(np.abs(force_n).max(initial=0.0), 1.0)
-        misfit, J = self._misfit(force_n, found)
-        damping = np.full(len(found), FIRST_DAMPING)
-        for _ in range(MAX_STEPS):
-            on = np.flatnonzero((np.abs(misfit).max(axis=1) > enough) & (damping < LAST_DAMPING))
-            if not len(on):
-                break
-            Jt = J[on].swapaxes(1, 2)
-            M = Jt @ J[on] + damping[on, None, None] * np.eye(J.shape[1])
-            trial = found[on] + np.linalg.solve(M, Jt @ misfit[on, :, None])[..., 0]
-            after, J_after = self._misfit(force_n[on], trial)
-            better = np.linalg.norm(after, axis=1) < np.linalg.norm(misfit[on], axis=1)
-            found[on[better]], misfit[on[better]], J[on[better]] = trial[better], after[better], J_after[better]
-            damping[on] *= np.where(better, 0.1, 10.0)
+
+        def at(state_n: FloatArray, on: NDArray[np.intp]) -> _Off:
+            misfit, J = self._misfit(force_n[on], state_n)
+            return _Off(np.linalg.norm(misfit, axis=1), misfit, J)
+
+        def step(here: _Off, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            Jt = here.J.swapaxes(1, 2)
+            M = Jt @ here.J + damping[:, None, None] * np.eye(here.J.shape[1])
+            return np.asarray(np.linalg.solve(M, Jt @ here.misfit[..., None])[..., 0])
+
+        found, (_, misfit, _) = descended(found, at, step, MAX_STEPS, DAMPING, enough=enough)
         left = np.sqrt((misfit.reshape(len(misfit), -1, N_AXES) ** 2).mean(axis=1))
         return found, (left <= BEYOND * self.misfit[:N_AXES] + enough).all(axis=1)
 
@@ -237,6 +236,14 @@ class StrainMaps:
         own = self.own(np.eye(N_AXES * k)).transpose(1, 2, 0)
         around = np.concatenate([own, np.zeros((1, *own.shape[1:]))])[self.near].reshape(k, 8 * OWN, -1)
         return np.ascontiguousarray(np.concatenate([own, around], axis=1))
+
+
+class _Off(NamedTuple):
+    """Forces less those that act in states."""
+
+    size: FloatArray  #: (n,)
+    misfit: FloatArray  #: (n, 3 k) [N]
+    J: FloatArray  #: of those that act by the states, (n, 3 k, 3 k)
 
 
 def _with_own(o: FloatArray, around: FloatArray, pairs: FloatArray, pairs_around: FloatArray) -> FloatArray:

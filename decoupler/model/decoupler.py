@@ -5,12 +5,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.storage.files import digest
 from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
@@ -30,7 +29,9 @@ from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.posterior import Found, Posterior
 from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.baseline import LeastSquares
+from decoupler.model.decoder import Decoder
 from decoupler.model.ensemble import Ensemble
+from decoupler.model.left_out import LeftOut
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
@@ -39,12 +40,11 @@ from geometry.layout import FloatArray, Layout
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
-MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decoupler:
+class Decoupler(Decoder):
     """A network as trained; never changed, only used."""
 
     component: Component
@@ -65,8 +65,8 @@ class Decoupler:
     usual: UsualLoads | None = None  #: loads that it knows; None in files of before
     ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
     least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
+    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
-    knows_touch: ClassVar[Literal[False]] = False  #: a decoder of touch does
 
     def __post_init__(self) -> None:
         if self.design is not None:
@@ -110,14 +110,16 @@ class Decoupler:
 
         Takes resistances of the pillars, (n, rows, cols, n_pillars) [Ω]; those that the component does not take, and
         dead ones, may hold anything. An array of another size, or a resistance that is not finite or not above 0, is a
-        `SampleError`.
+        `SampleError`. Readings that no strain explains are left out (`Decoder.lost`).
 
         Notes
         -----
         output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
         that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
-        columns = self.columns(resistance_ohm)
+        return self.each(resistance_ohm, lambda own, ohms, _: (own._forces(own.columns(ohms)),))[0]
+
+    def _forces(self, columns: FloatArray) -> FloatArray:
         n = len(columns)
         outputs = np.empty((n, len(self.output_weights)))
 
@@ -130,14 +132,14 @@ class Decoupler:
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 list(pool.map(fill, range(0, n, CHUNK)))
-        return outputs.reshape(n, self.rows, self.cols, len(self.component.axes))
+        return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
 
         A model that was written without its uncertainty is a `SampleError`, too.
         """
-        one, two = self.half_widths_of(self.columns(resistance_ohm))
+        one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
     def deviations(
@@ -154,16 +156,29 @@ class Decoupler:
         what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
-        found, columns = self._known, self.columns(resistance_ohm)
+
+        def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+            return by._deviations(by.columns(ohms), weights, None if own is None else own[which])
+
+        deviation_n, covariance = self.each(resistance_ohm, ask)
+        return deviation_n.reshape(self._shape), covariance
+
+    def _deviations(
+        self, columns: FloatArray, weights: FloatArray, own: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        found = self._known
         more_n2: Any = 0.0
+        own_ohm = None
         if own is not None:
             own_ohm = columns * pillar_columns(own, self.component, self.layout, self.dead)
+        if self.posterior is not None:
+            covariance = self.refined(columns, own_ohm).covariance_n2
+            return np.sqrt(np.einsum("nii->ni", covariance)), weights.T @ covariance @ weights
+        if own_ohm is not None:
             slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
+            own_ohm = own_ohm * ~self._missing
             factors = np.concatenate(slopes) * own_ohm[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
-        if self.posterior is not None:
-            covariance = self.refined(columns).covariance_n2 + more_n2
-            return np.sqrt(np.einsum("nii->ni", covariance)).reshape(self._shape), weights.T @ covariance @ weights
         own_n2, (scale, two) = self._own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
@@ -176,7 +191,7 @@ class Decoupler:
         if own is not None:
             variance += np.einsum("nii->ni", more_n2) / scale**2
             covariance += weights.T @ more_n2 @ weights
-        return (np.sqrt(variance) * scale).reshape(self._shape), covariance
+        return np.sqrt(variance) * scale, covariance
 
     @property
     def _known(self) -> Uncertainty:
@@ -189,38 +204,26 @@ class Decoupler:
         """Of forces, of as many samples as there are."""
         return -1, self.rows, self.cols, len(self.component.axes)
 
-    def chi2(self, resistance_ohm: FloatArray) -> FloatArray:
-        """χ², over its degrees of freedom, of readings (n, rows, cols, n_pillars) [Ω] if a usual load acts, (n,).
-
-        Above `load_test.limit` no load that the model knows explains a reading: a dead wire, another sensor, a load
-        beyond its range. A model that was written without the loads that it knows is a `SampleError`.
-        """
+    def consistency(
+        self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """By how far forces are outside the usual loads (`LoadTest`)."""
         if self.load_test is None:
-            raise SampleError("this model does not say which loads it knows: train it again.")
-        return self.load_test.chi2(self.forces(resistance_ohm).reshape(len(resistance_ohm), -1))
+            return None
+        told_n = self.forces(resistance_ohm) if force_n is None else force_n
+
+        def ask(by: Self, _: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+            assert by.load_test is not None
+            found = by.load_test.chi2(told_n[which].reshape(len(which), -1))
+            return found, np.full_like(found, by.load_test.limit)
+
+        chi2, limit = self.each(resistance_ohm, ask)
+        return chi2, limit
 
     @cached_property
     def load_test(self) -> LoadTest | None:
         """The test whether a usual load explains a reading; None if loads, deviations or rest are unknown."""
-        if self.usual is None or self.uncertainty is None or (self.inverse is None and self.design is None):
-            return None
-        if self.inverse is None:
-            rest_ohm = self.rest_resistances()
-            assert rest_ohm is not None
-            rest = self.columns(rest_ohm[None])
-        else:
-            centre = self.output_scaling.centre
-            rest, pressed = self.inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
-        errors = self.uncertainty.errors
-        by_error = self.derivatives(rest)[0] @ np.hstack(
-            [np.diag(errors.deviation(rest)[0]), errors.shared(rest, self.rows, self.cols)[0]]
-        )
-        covariance = by_error @ by_error.T
-        deviation_n = np.maximum(self.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
-        covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
-        if self.inverse is not None:
-            deviation_n = np.maximum(deviation_n, self.half_widths_of(pressed)[0][0])
-        return LoadTest.by(self.usual, covariance, deviation_n)
+        return LoadTest.of(self)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
@@ -254,11 +257,14 @@ class Decoupler:
         Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
         ensemble over the root of their number. Where nothing errs there is no chunk.
         """
-        if errors.is_exact and self.ensemble is None:
+        if errors.is_exact and self.ensemble is None and self.filling is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
-            slopes, columns = self.derivatives(columns_ohm[chunk]), columns_ohm[chunk]
+            columns = columns_ohm[chunk]
+            whole = slopes = self.derivatives(columns)
+            if self.filling is not None:
+                slopes = self.filling.by_read(columns, whole)
             factors = slopes * errors.deviation(columns)[:, None]
             common = []
             if errors.has_drift:
@@ -267,7 +273,29 @@ class Decoupler:
             if self.ensemble is not None:
                 assert self.inverse is not None
                 common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.forces(columns)))
+            if self.filling is not None:
+                common.append(self.filling.by_missing(columns, whole))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
+
+    def without(self, pillars: NDArray[np.bool_]) -> Self:
+        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
+
+        In their places stands what the others foretell of usual loads; where the response is known, that is moved
+        towards what it shows under the forces that come out, as far as these tell it (`LeftOut`).
+        """
+        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
+
+    @cached_property
+    def _missing(self) -> NDArray[np.bool_]:
+        """Which inputs are left out, (n_in,)."""
+        if self.left_out is None:
+            return np.zeros(len(self.places), dtype=bool)
+        return self.left_out.reshape(-1)[self.places] & self.readable
+
+    @cached_property
+    def filling(self) -> LeftOut | None:
+        """What stands in the places of readings that are left out; None if none is, or nobody knows them."""
+        return LeftOut.of(self, self._missing)
 
     @property
     def is_identified(self) -> bool:
@@ -298,35 +326,28 @@ class Decoupler:
         """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
         return readable_columns(self.component, self.layout, self.dead, len(self.places))
 
-    def follower(self) -> Self:
-        """The same decoder for scans that come one after another: each is decoded for itself."""
-        return self
+    @property
+    def errors(self) -> ReadingError | None:
+        """Of the readings that its deviations are for; None if it knows none."""
+        return None if self.uncertainty is None else self.uncertainty.errors
+
+    @cached_property
+    def usual_ohm(self) -> FloatArray | None:
+        """Those of the mean load of training, else at rest."""
+        ohms = self.rest_resistances()
+        if self.usual is not None and self.usual.log_ohm is not None:
+            ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
+            ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
+        return ohms
 
     @property
-    def knows_uncertainty(self) -> bool:
-        """`half_widths` can be asked for."""
-        return self.uncertainty is not None
+    def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
+        n = self.rows * self.cols * len(self.layout.pillars)
+        return None if self.usual is None else self.usual.readings(self.places, n)
 
-    def read_by(self, noise: float) -> "Decoupler":
-        """The model with half-widths for readings of this relative standard deviation, converter's steps included."""
-        if self.uncertainty is None:
-            return self
-        errors = replace(self.uncertainty.errors, noise=noise, bits=None)
-        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
-
-    @property
-    def reading_noise(self) -> float:
-        """Relative error of readings at rest that its half-widths assume, the median over pillars; 0 if unknown."""
-        rest_ohm = self.rest_resistances()
-        if self.uncertainty is None or rest_ohm is None:
-            return 0.0
-        errors = replace(self.uncertainty.errors, drift_pillar=0.0)
-        return float(np.median(errors.deviation(rest_ohm) / rest_ohm))
-
-    @property
-    def design_hash(self) -> str | None:
-        """Hash of the design it was made for; None if that is unknown."""
-        return None if self.design is None else digest(self.design)
+    def read_by(self, errors: ReadingError) -> Self:
+        """The model with half-widths for readings that err so."""
+        return self if self.uncertainty is None else replace(self, uncertainty=replace(self.uncertainty, errors=errors))
 
     def rest_resistances(self) -> FloatArray | None:
         """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
@@ -361,14 +382,20 @@ class Decoupler:
                 f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
                 "train a model on data of this sensor."
             )
-        return columns
+        return columns if self.filling is None else self.filling.filled(columns)
+
+    def require(self, resistance_ohm: FloatArray) -> None:
+        self.columns(resistance_ohm)
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
 
-    def refined(self, columns_ohm: FloatArray) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them."""
+    def refined(self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None) -> Found:
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them.
+
+        `own_ohm` (n, n_in) are deviations that the readings have besides.
+        """
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
@@ -376,7 +403,14 @@ class Decoupler:
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
             shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
-        return self.posterior.found(settled, first_n, errors.deviation(settled), shared_ohm, self.readable)
+        deviation_ohm = errors.deviation(settled)
+        if own_ohm is not None:
+            deviation_ohm = np.hypot(deviation_ohm, own_ohm)
+        unsure_n = None
+        if self.filling is not None:
+            unsure_n = self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
+        read = self.readable & ~self._missing
+        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, read, unsure_n)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""

@@ -1,19 +1,24 @@
 """Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from decoupler.data.columns import Columns
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from decoupler.model.decoupler import Decoupler
 
 RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyond `FRICTION`
 MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loads
 FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
 SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
 SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
+MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
 
 
@@ -24,8 +29,8 @@ class UsualLoads:
     low_n: FloatArray  #: (n_axes,) [N]
     high_n: FloatArray  #: (n_axes,) [N]
     friction: FloatArray  #: (1,); 0 where any shear is known
-    log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them; None of too few samples
-    log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in)
+    log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them
+    log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in); None of too few samples
 
     @classmethod
     def of(cls, data: Columns) -> Self:
@@ -38,17 +43,24 @@ class UsualLoads:
             shear = np.hypot(pads[:, 0], pads[:, 1])
             if (shear > np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).mean() <= RARE:
                 friction = FRICTION
-        mean = covariance = None
+        log_ohm, covariance = np.log(columns_ohm), None
         if len(columns_ohm) >= SAMPLES * columns_ohm.shape[1]:
-            log_ohm = np.log(columns_ohm)
-            mean, covariance = log_ohm.mean(axis=0), np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
+            covariance = np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
         return cls(
             low_n=(1.0 + MARGIN) * low,
             high_n=(1.0 + MARGIN) * high,
             friction=np.array([friction]),
-            log_ohm=mean,
+            log_ohm=log_ohm.mean(axis=0),
             log_ohm_covariance=covariance,
         )
+
+    def readings(self, places: NDArray[np.int64], n: int) -> tuple[FloatArray, FloatArray] | None:
+        """Mean (n,) and covariance (n, n) of ln R of n pillars, of which those at `places` (n_in,) are known."""
+        if self.log_ohm is None or self.log_ohm_covariance is None:
+            return None
+        mean, covariance = np.zeros(n), np.eye(n)
+        mean[places], covariance[np.ix_(places, places)] = self.log_ohm, self.log_ohm_covariance
+        return mean, covariance
 
     def nearest(self, force_n: FloatArray) -> FloatArray:
         """Forces brought into the ranges, then shears onto the cone, (n, n_forces) [N]."""
@@ -59,6 +71,11 @@ class UsualLoads:
             held = np.minimum(self.friction[0] * near[:, 2] / np.maximum(shear, 1e-12), 1.0)
             near[:, :2] *= held[:, None]
         return near.reshape(force_n.shape)
+
+    def drawn(self, n: int, n_forces: int, generator: np.random.Generator) -> FloatArray:
+        """So many loads (n, n_forces) [N] out of them, as likely all over their ranges."""
+        pads = generator.uniform(self.low_n, self.high_n, (n * n_forces // len(self.low_n), len(self.low_n)))
+        return self.nearest(pads.reshape(n, n_forces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +88,28 @@ class LoadTest:
     usual: UsualLoads
     deviation_n: FloatArray  #: σ, (n_forces,) [N]
     limit: float  #: of χ²/n, that `FALSE_ALARMS` of readings are beyond if all errors lead out of the usual loads
+
+    @classmethod
+    def of(cls, decoder: "Decoupler") -> "LoadTest | None":
+        """That of a network; None if loads, deviations or rest are unknown."""
+        usual, known, inverse = decoder.usual, decoder.uncertainty, decoder.inverse
+        rest_ohm = decoder.rest_resistances()
+        if usual is None or known is None or (inverse is None and rest_ohm is None):
+            return None
+        if inverse is None:
+            assert rest_ohm is not None
+            rest = decoder.columns(rest_ohm[None])
+        else:
+            centre = decoder.output_scaling.centre
+            rest, pressed = inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
+        deviation, shared = known.errors.deviation(rest)[0], known.errors.shared(rest, decoder.rows, decoder.cols)[0]
+        by_error = decoder.derivatives(rest)[0] @ np.hstack([np.diag(deviation), shared])
+        covariance = by_error @ by_error.T
+        deviation_n = np.maximum(decoder.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
+        covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
+        if inverse is not None:
+            deviation_n = np.maximum(deviation_n, decoder.half_widths_of(pressed)[0][0])
+        return cls.by(usual, covariance, deviation_n)
 
     @classmethod
     def by(cls, usual: UsualLoads, covariance_n2: FloatArray, deviation_n: FloatArray) -> Self:

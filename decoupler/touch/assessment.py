@@ -46,8 +46,8 @@ def assess_touch(
     """
     reader = decoder if data.errors.is_exact else replace(decoder, errors=data.errors)
     touches = []
-    for reading in reader.reading(data.resistance_ohm):
-        touches.append(reader.touched(reading))
+    for decoder, reading, _ in reader.scans(data.resistance_ohm):
+        touches.append(decoder.touched(reading))
         progress(1)
     shape = len(data), decoder.rows * decoder.cols, -1
     true_n, found_n = data.force_n.reshape(shape), np.stack([each.force_n for each in touches])

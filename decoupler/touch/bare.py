@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri
+from scipy.special import chdtri, log_ndtr, ndtri
 
+from decoupler.model.usual import FALSE_ALARMS
 from decoupler.touch.decoder import AT_REST, WIDTHS, TouchContact, TouchDecoder, Touched
 from decoupler.touch.morph import PRIOR, BareSensing, Fit, Part, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
+from decoupler.touch.sensing import Whitening
 from geometry.layout import FloatArray
 
 STARTS, STEPS = 32, 8  #: presses that are fitted, and steps after the first one at most
@@ -33,6 +35,7 @@ TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST = 0.03, 0.01  #: of a force's deviation, beside what the fits say
 MIN_DEVIATION = 3.64e-5  #: of the same, over the rubber's modulus times the pitch squared: 0.05 N of the paper's sensor
 SCALE = 0.2  #: of changes of squared lengths, over the height squared
+FORETOLD = 1e-6  #: ridge of readings that are left out on the others, over their mean square
 DIRECTIONS = 4000  #: of readings under light touches, by which these are told from rest
 RESTING, SEED = 1000, 0  #: scans at rest that are drawn to see how like a press these may be
 
@@ -43,7 +46,7 @@ class BareDecoder(TouchDecoder):
 
     library: TouchLibrary
 
-    n_loads, of_model = 5, 0.005
+    n_loads, moments, of_model = 5, 2, 0.005
 
     @property
     def usual_n(self) -> FloatArray:
@@ -56,45 +59,73 @@ class BareDecoder(TouchDecoder):
 
     @cached_property
     def regression(self) -> Regression:
+        white = self.sensing.whitening(np.zeros_like(self.sensing.rest_mm2), self.errors)
         return Regression(
             reading=self.sensing.reading(self.library.moved_mm.astype(float)).astype(np.float32),
             unit=self.library.unit.astype(np.float32),
             scale_mm2=SCALE * self.design.unit.height_mm**2,
-            noise=self.sensing.deviation(np.zeros_like(self.sensing.rest_mm2), self.errors),
+            noise=white.total,
         )
 
-    def pressed(self, reading: FloatArray, deviation: FloatArray, at_rest: float, last: Touched | None) -> Touched:
+    def without(self, pillars: NDArray[np.bool_]) -> "BareDecoder":
+        other = super().without(pillars)
+        vars(other).update({name: getattr(self, name) for name in ("sensing", "regression")})  # as they are
+        return other
+
+    def filled(self, reading: FloatArray) -> FloatArray:
+        """A reading (m,) with what is left out as the others would have it, by the library's linear regression."""
+        if self.left_out is None:
+            return reading
+        return np.where(self.missing, reading @ self._foretold, reading)
+
+    @cached_property
+    def _foretold(self) -> FloatArray:
+        """Weights (m, m) of the readings that are read in those that are not."""
+        x, _, _ = self.regression.known
+        S, read = (x.T @ x).astype(float) / len(x), np.flatnonzero(~self.missing)
+        S += FORETOLD * np.trace(S) / len(S) * np.eye(len(S))
+        weights = np.zeros_like(S)
+        weights[read] = np.linalg.solve(S[np.ix_(read, read)], S[read])
+        return weights
+
+    def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """The best fits of the scan before go on, if they still hold."""
         wait = max(last.wait - 1, 0) if last else 0
         best = sorted(last.fits if last else (), key=lambda fit: fit.cost)[:FOLLOWED]
         fits = list[Fit]()
         for parts in {len(fit.parts) for fit in best}:
             alike = [(fit.parts, fit.q) for fit in best if len(fit.parts) == parts]
-            fits += fitted(reading, deviation, alike, FOLLOWED_STEPS)
+            fits += fitted(reading, white, alike, FOLLOWED_STEPS)
         if last and fits and min(fit.cost for fit in fits) <= last.sought_cost + RISE:
-            found = self._weighed(at_rest, fits)
+            found = self._weighed(white.n, at_rest, fits)
             wider = FOLLOWED_WIDER * found.factors
             return replace(found, factors=wider, wait=wait, sought_cost=last.sought_cost)
-        rows = self.regression.nearest(reading, NEAREST)
-        near = self.regression.answer(reading, rows)
+        whole = self.filled(reading)
+        rows = self.regression.nearest(whole, NEAREST)
+        near = self.regression.answer(whole, rows)
         if last and wait:
             starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
-            fits += fitted(reading, deviation, starts, FOLLOWED_STEPS)
-            return replace(self._weighed(at_rest, fits, *near), wait=wait, sought_cost=last.sought_cost)
-        found = self._weighed(at_rest, self._fits(reading, deviation, rows), *near)
+            fits += fitted(reading, white, starts, FOLLOWED_STEPS)
+            return replace(self._weighed(white.n, at_rest, fits, *near), wait=wait, sought_cost=last.sought_cost)
+        found = self._weighed(white.n, at_rest, self._fits(reading, white, rows), *near)
         sought_cost = min(fit.cost for fit in found.fits)
         return replace(found, wait=PAUSES[int(found.chi2 > SECOND)], sought_cost=sought_cost)
 
     def _weighed(
-        self, at_rest: float, fits: list[Fit], near: FloatArray | None = None, near_deviation: FloatArray | float = 0.0
+        self,
+        read: int,
+        at_rest: float,
+        fits: list[Fit],
+        near: FloatArray | None = None,
+        near_deviation: FloatArray | float = 0.0,
     ) -> Touched:
-        """Fits by their costs, beside rest of that χ², and the nearest presses' loads where they are known."""
+        """Fits of so many readings by their costs, beside rest of that χ², and the nearest presses' loads, if known."""
         costs = np.array([fit.cost for fit in fits])
         weights = np.exp((costs.min() - costs) / TEMPER)
         weights /= weights.sum()
         answers = [fit.loads() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
-        chi2 = min(fit.chi2 for fit in fits) / len(self.sensing.rest_mm2)
+        chi2 = min(fit.chi2 for fit in fits) / read
         share = 1.0 if near is None else float(np.interp(chi2, AT_CHI2, SHARES))
         near = morphed if near is None else near
         touching = 1.0 / (1.0 + float(np.exp(min((costs.min() + FIRST_COST - at_rest) / TEMPER, 50.0))))
@@ -109,13 +140,14 @@ class BareDecoder(TouchDecoder):
         floor = np.sqrt((OF_FORCE * force) ** 2 + (OF_LARGEST * np.abs(force).max()) ** 2 + least_n**2)
         of_near = np.broadcast_to(near_deviation, blend.shape)[:, :3]
         # a press that hardly stands out may as well be one on other units
-        elsewhere = self._standing_out**2 / max(at_rest - len(self.sensing.rest_mm2), self._standing_out**2)
+        elsewhere = self._standing_out**2 / max(at_rest - read, self._standing_out**2)
         hidden = max(1.0 - touching, elsewhere)
         alone = np.sqrt(floor**2 + (1.0 - share) * of_near**2 + hidden * self.hidden_n**2)
         return Touched(
             load=load,
             factors=np.column_stack([shared, self._alone(alone)]),
             chi2=chi2,
+            limit=float(chdtri(read, FALSE_ALARMS)) / read,
             contacts=_contacts(fits, weights),
             fits=tuple(fits),
         )
@@ -125,17 +157,17 @@ class BareDecoder(TouchDecoder):
         spread_mm = self.design.array.pitch_mm / np.sqrt(12.0)
         return np.diag(np.column_stack([deviation_n, spread_mm * deviation_n[:, [2, 2]]]).ravel())
 
-    def _fits(self, reading: FloatArray, deviation: FloatArray, rows: Any) -> list[Fit]:
+    def _fits(self, reading: FloatArray, white: Whitening, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
         starts = [([part], nothing) for part in self._starts(rows, STARTS)]
-        fits = fitted(reading, deviation, starts, 1 + STEPS, KEPT)
+        fits = fitted(reading, white, starts, 1 + STEPS, KEPT)
         one = min(fits, key=lambda fit: fit.cost)
-        if one.chi2 > SECOND * len(reading):
+        if one.chi2 > SECOND * white.n:
             left = reading - self.sensing.reading(one.moved_mm[None])[0]
-            more = self._starts(self.regression.nearest(left, NEAREST), SECOND_STARTS)
+            more = self._starts(self.regression.nearest(self.filled(left), NEAREST), SECOND_STARTS)
             starts = [([*one.parts, part], np.vstack([one.q, nothing])) for part in more]
-            for two in fitted(reading, deviation, starts, SECOND_STEPS, SECOND_KEPT):
+            for two in fitted(reading, white, starts, SECOND_STEPS, SECOND_KEPT):
                 if two.cost + SECOND_COST < one.cost:
                     fits.append(replace(two, cost=two.cost + SECOND_COST))
         return fits
@@ -157,9 +189,9 @@ class BareDecoder(TouchDecoder):
 
     @cached_property
     def _directions(self) -> NDArray[np.float32]:
-        """Readings under light presses (n, m) over their deviations, brought to length 1."""
-        some = self.regression.reading[:: -(-len(self.regression.reading) // DIRECTIONS)] / self.regression.noise
-        return (some / np.linalg.norm(some, axis=1, keepdims=True)).astype(np.float32)
+        """Readings under light presses (n, m), whitened as at rest, brought to length 1."""
+        some = self.white_at_rest(self.regression.reading[:: -(-len(self.regression.reading) // DIRECTIONS)])
+        return (some / np.maximum(np.linalg.norm(some, axis=1, keepdims=True), 1e-9)).astype(np.float32)
 
     @cached_property
     def _standing_out(self) -> float:
@@ -185,7 +217,7 @@ class BareDecoder(TouchDecoder):
         to what stands out.
         """
         readings, units = self.regression.reading, self.regression.unit[:, :, :3].astype(float)
-        seen = ((readings / self.regression.noise) ** 2).sum(axis=1)
+        seen = (self.white_at_rest(readings) ** 2).sum(axis=1)
         part = np.random.default_rng(SEED).uniform(size=len(seen))
         scale = part * self._standing_out / np.sqrt(np.maximum(seen, 1e-9))
         top = units[:, :, 2].argmax(axis=1)

@@ -1,19 +1,21 @@
 """What a scan tells of whatever presses, on any surface: loads of each unit, how sure they are, and contacts."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
-from decoupler.touch.sensing import Displacements, Pillars, Sensing
+from decoupler.model.decoder import Decoded, Decoder
+from decoupler.touch.sensing import Displacements, Pillars, Sensing, Whitening
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -50,7 +52,8 @@ class Touched:
 
     load: FloatArray  #: (units, 5 or 6) [N, N mm]
     factors: FloatArray  #: (units·5 or ·6, m): independent errors of the loads; their squares add up
-    chi2: float  #: of the best fit over the number of readings; of rest, at rest
+    chi2: float  #: of the best fit over the number of readings, or of what of forces nothing does that presses; of rest
+    limit: float  #: of χ², beyond which no press explains the scan
     contacts: tuple[TouchContact, ...] = ()  #: none at rest
     fits: "tuple[Fit, ...]" = ()
     wait: int = 0  #: scans until fits may be sought among all presses again
@@ -89,18 +92,17 @@ class Touched:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchDecoder(ABC):
+class TouchDecoder(Decoder):
     """A decoder of whatever presses; never changed, only used. `bare` and `plates` have one each."""
 
     design: SensorDesign
     errors: ReadingError
     library: Displacements
     pillars: Pillars
+    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
     made_from: dict[str, Any] = field(default_factory=dict)
 
-    dead = ensemble = usual = inverse = load_test = least_squares = uncertainty = posterior = None
-    knows_uncertainty = True
-    knows_touch: ClassVar[Literal[True]] = True
+    dead = None
     n_loads: ClassVar[int]  #: of a unit: see `Touched.load`
     of_model: ClassVar[float]  #: of the largest reading: what the model of a press has not
 
@@ -115,8 +117,8 @@ class TouchDecoder(ABC):
         """Factors of errors at rest, by touches that are not told from it, (units·n_loads, m)."""
 
     @abstractmethod
-    def pressed(self, reading: FloatArray, deviation: FloatArray, at_rest: float, last: Touched | None) -> Touched:
-        """Touch of a reading (m,) with deviations (m,) [mm²] and that χ² of rest, after the scan before."""
+    def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
+        """Touch of a reading (m,) [mm²] whose errors are whitened so, with that χ² of rest, after the scan before."""
 
     @cached_property
     def sensing(self) -> Sensing:
@@ -144,14 +146,6 @@ class TouchDecoder(ABC):
         return COMPONENTS["all"]
 
     @property
-    def reading_noise(self) -> float:
-        return self.errors.own_relative
-
-    @property
-    def design_hash(self) -> str:
-        return digest(self.design)
-
-    @property
     def output_scaling(self) -> Scaling:
         """Centre 0 and the usual forces."""
         n = self.design.n_units
@@ -161,13 +155,27 @@ class TouchDecoder(ABC):
         """Resistances (rows, cols, n_pillars) [Ω] with nothing on the sensor."""
         return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, -1)
 
+    @property
+    def usual_ohm(self) -> FloatArray:
+        """Those at rest."""
+        return self.rest_resistances()
+
+    def without(self, pillars: NDArray[np.bool_]) -> Self:
+        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing: they weigh nothing."""
+        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
+
+    @cached_property
+    def missing(self) -> NDArray[np.bool_]:
+        """Which readings are left out, (m,)."""
+        nothing = np.zeros(len(self.sensing.rest_mm2), dtype=bool)
+        return nothing if self.left_out is None else self.left_out.reshape(-1)
+
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
         return Follower(self)
 
-    def read_by(self, noise: float) -> "TouchDecoder":
-        """The same decoder for readings that err by so much."""
-        return replace(self, errors=replace(self.errors, noise=noise))
+    def require(self, resistance_ohm: FloatArray) -> None:
+        self.reading(resistance_ohm)
 
     def reading(self, resistance_ohm: FloatArray) -> FloatArray:
         """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show.
@@ -182,21 +190,37 @@ class TouchDecoder(ABC):
         if ohms.shape[1:] != wanted:
             raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {', '.join(map(str, wanted))}).")
         if not (np.isfinite(ohms) & (ohms > 0)).all():
-            raise SampleError("a resistance is not finite or not above 0: touch needs every pillar.")
+            raise SampleError("a resistance is not finite or not above 0: leave that scan out or mend the pillar.")
         return self.sensing.shown(ohms.reshape(len(ohms), -1))
 
+    def white(self, reading: FloatArray, more_mm2: FloatArray | float = 0.0) -> Whitening:
+        """What whitens the errors of a reading (m,), with `more_mm2` of each; what is left out weighs nothing."""
+        return self.sensing.whitening(reading, self.errors, np.where(self.missing, np.inf, more_mm2))
+
+    @cached_property
+    def white_at_rest(self) -> Whitening:
+        return self.white(np.zeros_like(self.sensing.rest_mm2))
+
     @one_blas_thread()
-    def touched(self, reading: FloatArray, last: Touched | None = None) -> Touched:
-        """Touch of one reading (m,) [mm²], after the scan before if there was one."""
-        own = self.sensing.deviation(reading, self.errors)
-        at_rest = float((reading / own) @ (reading / own))
-        if at_rest >= chdtri(len(reading), AT_REST) or self.is_like_a_press(reading / own):
-            return self.pressed(reading, np.hypot(own, self.of_model * np.abs(reading).max()), at_rest, last)
+    def touched(self, reading: FloatArray, last: Touched | None = None, own: FloatArray | None = None) -> Touched:
+        """Touch of one reading (m,) [mm²], after the scan before if there was one.
+
+        `own` (m,) are deviations [mm²] that the readings have besides the decoder's errors.
+        """
+        reading = np.where(self.missing, 0.0, reading)
+        more = 0.0 if own is None else own
+        white = self.white(reading, more)
+        relative = white(reading)
+        at_rest = float(relative @ relative)
+        if at_rest >= chdtri(white.n, AT_REST) or self.is_like_a_press(relative):
+            of_model = self.of_model * np.abs(reading).max()
+            return self.pressed(reading, self.white(reading, np.hypot(more, of_model)), at_rest, last)
         none, wait = np.zeros((self.design.n_units, self.n_loads)), max(last.wait - 1, 0) if last else 0
-        return Touched(load=none, factors=self.hidden, chi2=at_rest / len(reading), wait=wait)
+        limit = chdtri(white.n, AT_REST) / max(white.n, 1)
+        return Touched(load=none, factors=self.hidden, chi2=at_rest / max(white.n, 1), limit=limit, wait=wait)
 
     def is_like_a_press(self, relative: FloatArray) -> bool:
-        """Whether a reading over its deviations (m,) is more like some press than one scan in 1/`AT_REST` at rest."""
+        """Whether a reading, whitened, (m,) is more like some press than one scan in 1/`AT_REST` at rest."""
         return False
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -211,9 +235,60 @@ class TouchDecoder(ABC):
         one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
         return one, two
 
-    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `reading`."""
-        return [self.touched(reading) for reading in self.reading(resistance_ohm)]
+    def deviations(
+        self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        stated = self.decoded(resistance_ohm, weights, own).stated
+        assert stated is not None
+        return stated
+
+    def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
+        return told_by(self.touches(resistance_ohm, own), (self.rows, self.cols), weights)
+
+    def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
+        """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `reading`.
+
+        `own` are relative deviations that each resistance has besides, of their shape. Readings that no strain explains
+        are left out (`Decoder.lost`).
+        """
+        return [decoder.touched(reading, None, more) for decoder, reading, more in self.scans(resistance_ohm, own)]
+
+    def scans(
+        self, resistance_ohm: FloatArray, own: FloatArray | None = None
+    ) -> "Iterator[tuple[TouchDecoder, FloatArray, FloatArray | None]]":
+        """Of each scan the decoder that takes it, its reading (m,) and what this errs by besides (m,) [mm²]."""
+        readings, lost = self.reading(resistance_ohm), self.lost(resistance_ohm)
+        for k, reading in enumerate(readings):
+            more = None
+            if own is not None:
+                more = (own[k] * resistance_ohm[k]).reshape(-1) / self.pillars.ohm_per_mm2
+            yield self.doing_without(lost[k]), reading, more
+
+    def read_by(self, errors: ReadingError) -> Self:
+        """The same decoder for readings that err so."""
+        return replace(self, errors=errors)
+
+    def consistency(
+        self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """By what the best fit leaves of each reading, or rest."""
+        found = self.touches(resistance_ohm)
+        return np.array([each.chi2 for each in found]), np.array([each.limit for each in found])
+
+
+def told_by(touches: Sequence[Touched], shape: tuple[int, int], weights: FloatArray) -> Decoded:
+    """What n touches of an array of rows and columns say, with `weights` as of `Decoder.deviations`."""
+    load = np.stack([each.load for each in touches]).reshape(len(touches), *shape, -1)
+    half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
+    sums = [weights.T @ each.factors for each in touches]
+    return Decoded(
+        force_n=load[..., :3],
+        moment_nmm=load[..., 3:],
+        moment_deviation_nmm=half[..., 3:],
+        contacts=[each.contacts for each in touches],
+        stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
+        tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
+    )
 
 
 class Follower:
@@ -226,14 +301,19 @@ class Follower:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._decoder, name)
 
-    def read_by(self, noise: float) -> "Follower":
-        """The same for readings that err by so much."""
-        return Follower(self._decoder.read_by(noise))
+    def read_by(self, errors: ReadingError) -> "Follower":
+        """The same for readings that err so."""
+        return Follower(self._decoder.read_by(errors))
 
-    def touches(self, resistance_ohm: FloatArray) -> list[Touched]:
-        """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; errors as of `TouchDecoder.reading`."""
+    def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
+        """As of `Decoder`, of scans in their order."""
+        decoder = self._decoder
+        return told_by(self.touches(resistance_ohm, own), (decoder.rows, decoder.cols), weights)
+
+    def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
+        """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; arguments as of `TouchDecoder.touches`."""
         found = []
-        for reading in self._decoder.reading(resistance_ohm):
-            self._last = self._decoder.touched(reading, self._last)
+        for decoder, reading, more in self._decoder.scans(resistance_ohm, own):
+            self._last = decoder.touched(reading, self._last, more)
             found.append(self._last)
         return found

@@ -61,7 +61,7 @@ def _on_rubber(near: SensorDesign, force_n: float, errors: ReadingError) -> list
         part = Part.of(sensing, *_drawn(generator, near.array.pitch_mm, force_n))
         zero = np.zeros((1, len(PRIOR)))
         reading = sensing.reading(part.moved(zero))[0]
-        (fit,) = fitted(reading, sensing.deviation(reading, errors), [([part], zero)], 0)
+        (fit,) = fitted(reading, sensing.whitening(reading, errors), [([part], zero)], 0)
         values, slopes = replace(fit, curvature=fit.curvature + held).contacts()
         deviation = np.sqrt((slopes[0] ** 2).sum(axis=-1))
         found.append((100 * deviation[2] / values[0, 2], np.hypot(*deviation[3:5])))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from decoupler.touch.presses import Grid, middles
-from decoupler.touch.sensing import Sensing
+from decoupler.touch.sensing import Sensing, Whitening
 from geometry.layout import FloatArray
 
 #: standard deviations of q before a scan is seen; of places in heights
@@ -167,12 +167,12 @@ def _and_steps(q: FloatArray) -> FloatArray:
 
 def fitted(
     reading: FloatArray,
-    deviation: FloatArray,
+    white: Whitening,
     starts: Sequence[tuple[Sequence[Part], FloatArray]],
     steps: int,
     kept: Sequence[int] = (),
 ) -> list[Fit]:
-    """Gauss-Newton on a reading (m,) with deviations (m,) [mm²], in so many steps at most, from all starts at once.
+    """Gauss-Newton on a reading (m,) [mm²] by its errors, in so many steps at most, from all starts at once.
 
     A start is its parts, as many as of the others, and their q (parts, 14). After the first step only the `kept[0]`
     best are left, after the next ones the `kept[1]` best of these go on, and so forth.
@@ -186,7 +186,7 @@ def fitted(
         moved = each[:, :, 0].sum(axis=1)
         changed = moved[:, None] + (each[:, :, 1:] - each[:, :, :1]).reshape(*flat.shape, -1)
         read = sensing.reading(np.concatenate([moved[:, None], changed], axis=1))
-        slopes, left = (read[:, 1:] - read[:, :1]) / change[:, None] / deviation, (reading - read[:, 0]) / deviation
+        slopes, left = white((read[:, 1:] - read[:, :1]) / change[:, None]), white(reading - read[:, 0])
         chi2, curvature = (left**2).sum(axis=1), slopes @ slopes.swapaxes(1, 2) + np.diag(prior)
         cost = chi2 + flat**2 @ prior
         if steps:
@@ -196,7 +196,7 @@ def fitted(
             new = flat[:, None] + np.clip(by, -limit, limit)
             by_part = new.reshape(*tried.shape, *shape).swapaxes(1, 2)
             tried_mm = parts[going].moved(by_part).sum(axis=1)
-            each_chi2 = (((reading - sensing.reading(tried_mm)) / deviation) ** 2).sum(axis=-1)
+            each_chi2 = (white(reading - sensing.reading(tried_mm)) ** 2).sum(axis=-1)
             costs = each_chi2 + new**2 @ prior
             best = np.arange(len(new)), costs.argmin(axis=1)
             falls, gain = costs[best] < cost, cost - costs[best]

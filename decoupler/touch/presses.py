@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.touch.sensing import Displacements
-from fem.contact.compliance import SurfaceCompliance
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.contact.compliance import SurfaceCompliance
 
 CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
 #: the same where tops of pillars lie bare, 121 times as stiff: electrodes err by 3 % in the median, with 16 by 7 %
@@ -57,7 +60,7 @@ class Grid:
     half: NDArray[np.float16]  #: (ny, nx, 3, e) [mm/N]: by forces along x, y, z up; e = rows·cols·n_upper·3
 
     @classmethod
-    def of(cls, surface: SurfaceCompliance) -> "Grid":
+    def of(cls, surface: "SurfaceCompliance") -> "Grid":
         """Of a sensor's top."""
         design = surface.design
         slab = np.array(design.slab_mm[:2])

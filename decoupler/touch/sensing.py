@@ -39,6 +39,39 @@ class Pillars:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Whitening:
+    """Makes the errors of a reading independent, each of variance 1."""
+
+    deviation: FloatArray  #: (m,): what each errs by alone [mm²]; infinite of those that are not read
+    shared: FloatArray  #: (m, k): independent directions over the deviations, along which they err together as well
+    growth: FloatArray  #: (k,): variance along each, beside 1
+
+    @classmethod
+    def of(cls, deviation: FloatArray, shared: FloatArray) -> Self:
+        """Of deviations (m,) and of changes by k errors that readings share (m, k), each of one deviation [mm²]."""
+        directions, sizes, _ = np.linalg.svd(shared / deviation[:, None], full_matrices=False)
+        return cls(deviation=deviation, shared=directions, growth=sizes**2)
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Differences of readings (..., m) [mm²], whitened: by (1 + U Uᵀ)^(−1/2) D⁻¹."""
+        found = values / self.deviation
+        if not len(self.growth):
+            return found
+        less = 1.0 - 1.0 / np.sqrt(1.0 + self.growth)
+        return np.asarray(found - (found @ self.shared * less) @ self.shared.T)
+
+    @property
+    def total(self) -> FloatArray:
+        """Standard deviation of each reading, of what it shares as well, (m,) [mm²]."""
+        return np.asarray(self.deviation * np.sqrt(1.0 + self.shared**2 @ self.growth))
+
+    @cached_property
+    def n(self) -> int:
+        """Number of readings that are read."""
+        return int(np.isfinite(self.deviation).sum())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Sensing:
     """Readings of a sensor's pillars by displacements of their electrodes."""
 
@@ -65,9 +98,15 @@ class Sensing:
         return (ohms - self.pillars.offset_ohm) / self.pillars.ohm_per_mm2 - self.rest_mm2
 
     def deviation(self, reading: FloatArray, errors: ReadingError) -> FloatArray:
-        """Standard deviation of a reading, of its shape [mm²]."""
+        """Standard deviation of what each reading has by itself, of its shape [mm²]."""
         own = errors.deviation(self.ohms(reading))
         return np.hypot(own, self.pillars.deviation_ohm) / self.pillars.ohm_per_mm2
+
+    def whitening(self, reading: FloatArray, errors: ReadingError, more_mm2: FloatArray | float = 0.0) -> Whitening:
+        """Of errors of a reading (m,), with `more_mm2` (m,) of each alone."""
+        array = self.design.array
+        shared = errors.shared(self.ohms(reading)[None], array.rows, array.cols)[0] / self.pillars.ohm_per_mm2[:, None]
+        return Whitening.of(np.hypot(self.deviation(reading, errors), more_mm2), shared)
 
     @cached_property
     def by_electrode(self) -> FloatArray:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from common.errors import FileFormatError
 from common.storage.netcdf import Content, Named, labelled
 from common.threads import one_blas_thread
+from dataset.imperfections import OPEN_OHM
 from geometry.layout import AXES, FloatArray
 from hardware.link.frames import Info
 from hardware.link.reception import Scan
@@ -28,15 +29,16 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
+    from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
-    from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
+NAMED = 3  #: pillars left out that are named in a line
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 #: values of `Forces` by scans
 BY_SCAN = (
-    *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated"),
-    *("memory_rise", "memory_deviation", "time_s", "stamp_ns", "device_us", "sequence"),
+    *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated", "left_out"),
+    *("memory_rise", "memory_deviation", "memory_tested", "time_s", "stamp_ns", "device_us", "sequence"),
 )
 
 
@@ -50,18 +52,21 @@ class Forces:
     force_n: FloatArray  #: (n, rows, cols, k)
     resistance_ohm: FloatArray  #: (n, rows, cols, P): of the P pillars of each unit as the model saw them
     saturated: NDArray[np.bool_]  #: (n, rows, cols, P): counts at 0 or full scale, which only bound a resistance
+    left_out: NDArray[np.bool_]  #: (n, rows, cols, P): readings that no strain explains, which the forces do without
     time_s: Any = None  #: (n,): start of each scan; live on the Unix clock, of a recording the board's
     stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
     device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
-    model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    model: "Decoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
     moment_deviation_nmm: FloatArray | None = None  #: of that shape: half-widths that hold 68 % of their errors
     contacts: Any = None  #: (n,): of touch, `TouchContact` of each scan
     stated: tuple[FloatArray | None, FloatArray | None] | None = field(default=None, repr=False)  #: known `deviations`
+    tested: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)  #: known `consistency`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
     memory_deviation: FloatArray | None = None  #: of that shape: relative, that this leaves of the resistances
+    memory_tested: Any = None  #: (n,): whether readings had tested the rubber's law, which is not applied before
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
@@ -70,7 +75,8 @@ class Forces:
         given = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
         known = vars(self).get("deviations", self.stated)
         stated: Any = known and tuple(None if each is None else each[which] for each in known)
-        some = replace(self, **given, stated=stated)
+        tested: Any = self.tested and tuple(each[which] for each in self.tested)
+        some = replace(self, **given, stated=stated, tested=tested)
         if "wrench" in vars(self):
             found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
             vars(some)["wrench"] = Wrench(**found)
@@ -85,14 +91,19 @@ class Forces:
         """
         if self.stated is not None:
             return self.stated
-        if self.model is None or self.model.knows_touch:
+        if self.model is None:
             return None, None
-        ohms = self.resistance_ohm.reshape(-1, *self.resistance_ohm.shape[-3:])
+        ohms = self._decoded_ohm
         chunks = [slice(k, k + CHUNK) for k in range(0, len(ohms), CHUNK)]
         own = [] if self.memory_deviation is None else [self.memory_deviation.reshape(ohms.shape)]
         parts = [self.model.deviations(ohms[k], self.weights, *(each[k] for each in own)) for k in chunks]
         deviation_n, covariance = (np.concatenate(each) for each in zip(*parts, strict=True))
         return deviation_n.reshape(self.force_n.shape), covariance.reshape(*self.force_n.shape[:-3], 6, 6)
+
+    @property
+    def _decoded_ohm(self) -> FloatArray:
+        """Resistances (n, rows, cols, P) as they were decoded: those left out as open."""
+        return np.where(self.left_out, OPEN_OHM, self.resistance_ohm).reshape(-1, *self.resistance_ohm.shape[-3:])
 
     @property
     def deviation_n(self) -> FloatArray | None:
@@ -106,19 +117,44 @@ class Forces:
         return net_wrench(load, self.weights, self.deviations[1])
 
     @cached_property
+    def consistency(self) -> tuple[FloatArray, FloatArray] | None:
+        """χ² over its degrees of freedom if a load that the model knows is on the sensor, and its limit, each (n,)."""
+        if self.tested is not None or self.model is None:
+            return self.tested
+        ohms = self._decoded_ohm
+        found = self.model.consistency(ohms, self.force_n.reshape(len(ohms), *self.force_n.shape[-3:]))
+        return found and (found[0].reshape(self.force_n.shape[:-3]), found[1].reshape(self.force_n.shape[:-3]))
+
+    @property
     def chi2(self) -> FloatArray | None:
-        """χ² over its degrees of freedom if a load that the model knows is on the sensor, (n,); None if unknown."""
-        test = None if self.model is None else self.model.load_test
-        if test is None:
-            return None
-        return test.chi2(self.force_n.reshape(-1, len(self.weights))).reshape(self.force_n.shape[:-3])
+        """χ² over its degrees of freedom, (n,); None if the model does not say which loads it knows."""
+        return self.consistency and self.consistency[0]
 
     @property
     def unexplained(self) -> NDArray[np.bool_]:
         """Which scans no load explains that the model knows, (n,): χ² is beyond the 99.9 % of readings at rest."""
-        if self.chi2 is None or self.model is None or self.model.load_test is None:
+        if self.consistency is None:
             return np.zeros(self.force_n.shape[:-3], dtype=bool)
-        return np.asarray(~(self.chi2 <= self.model.load_test.limit))
+        return np.asarray(~(self.consistency[0] <= self.consistency[1]))
+
+    @cached_property
+    def unreliable(self) -> NDArray[np.bool_]:
+        """Which scans have lost so many readings that their forces are not to be relied on, (n,)."""
+        lost = self.left_out.reshape(-1, *self.left_out.shape[-3:])
+        found = np.zeros(len(lost), dtype=bool) if self.model is None else self.model.unreliable(lost)
+        return found.reshape(self.force_n.shape[:-3])
+
+    def named_out(self) -> list[tuple[int, int, str]]:
+        """Row, column and name of each pillar that is left out of any of the scans."""
+        lost = self.left_out.reshape(-1, *self.left_out.shape[-3:]).any(axis=0)
+        names = self.description.layout.pillar_names
+        return [(row, col, names[pillar]) for row, col, pillar in np.argwhere(lost).tolist()]
+
+    def said_out(self) -> str:
+        """The same in words, the first few of them."""
+        lost = self.named_out()
+        named = ", ".join(f"{name} of row {row}, col {col}" for row, col, name in lost[:NAMED])
+        return f"{named} and {len(lost) - NAMED} more" if len(lost) > NAMED else named
 
     def net(self) -> dict[str, FloatArray]:
         """Values of the wrench by their names in files and streams; unknown deviations are left out."""
@@ -160,8 +196,8 @@ class Forces:
 class ForceReader:
     """Turns counts of one board into the forces on its sensor, in one thread.
 
-    A model mixes the pillars of all units, so one that is saturated makes the forces of its whole scan an
-    extrapolation. They are given all the same, finite, and `Forces.saturated` says so.
+    A model mixes the pillars of all units, so readings that are saturated, or that no strain explains, are left out of
+    their scan: `Forces.left_out` says which, and `Forces.unreliable` where too many are.
 
     Without a calibration the sensor is taken to be as designed; without `crosstalk` each crossing is taken as read
     alone. With `causal`, what the rubber remembers is taken out of the readings, which then have an order: a reader is
@@ -172,7 +208,7 @@ class ForceReader:
     def __init__(
         self,
         info: Info,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration | None = None,
         crosstalk: bool = True,
         causal: "SensorFilter | None" = None,
@@ -207,23 +243,21 @@ class ForceReader:
             np.ones(self.calibration.gain.shape[-1]) if rest_ohm is None else rest_ohm
         )
         self.description = describe(model, info)
-        moments = model.n_loads - len(AXES) if model.knows_touch else 0
-        self._weights = wrench_weights(self.description.position_mm, model.component.axes, moments)
-        self._uncertain = model if model.knows_uncertainty else None
-        if rest_ohm is not None and self._uncertain:
-            steps = float(np.median(self.crossbar.step_deviation(rest_ohm[None])))
-            if steps > model.reading_noise:  # a plain divider amplifies its converter's steps
-                self._uncertain = model.read_by(steps)
-        if self._uncertain:
-            _ = self._uncertain.load_test  # prepared before the first scan
+        self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.moments)
+        self._uncertain = model if (errors := model.errors) is not None else None
+        if rest_ohm is not None and errors is not None:
+            # this board's steps, which a plain divider amplifies, for those of training
+            usual_ohm = rest_ohm if model.usual_ohm is None else model.usual_ohm
+            steps = float(np.median(self.crossbar.step_deviation(usual_ohm[None])))
+            self._uncertain = model.read_by(replace(errors, noise=math.hypot(errors.noise, steps), bits=None))
+            _ = self._uncertain.consistency(rest_ohm[None])  # prepared before the first scan
 
     @cached_property
     def fault_test(self) -> "FaultTest | None":
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
-        from decoupler.model.decoupler import Decoupler
 
-        return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
+        return None if self._uncertain is None else FaultTest.of(self._uncertain)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""
@@ -239,35 +273,21 @@ class ForceReader:
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
+        left_out = self.model.lost(resistance_ohm) | saturated
         read: dict[str, Any] = {"resistance_ohm": resistance_ohm}
         if self.memory is not None:
             read = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
-        ohms = read["resistance_ohm"]
-        decoded = self._touched(ohms) if self.model.knows_touch else {"force_n": self.model.forces(ohms)}
+        ohms = np.where(left_out, OPEN_OHM, read["resistance_ohm"])
+        decoded = (self._uncertain or self.model).decoded(ohms, self._weights, read.get("memory_deviation"))
         return Forces(
             saturated=saturated,
+            left_out=left_out,
             model=self._uncertain,
             weights=self._weights,
             description=self.description,
             **read,
-            **decoded,
+            **vars(decoded),
         )
-
-    def _touched(self, resistance_ohm: FloatArray) -> dict[str, Any]:
-        """Forces by touches, with their deviations."""
-        assert self._uncertain is not None
-        assert self._uncertain.knows_touch
-        touches, shape = self._uncertain.touches(resistance_ohm), resistance_ohm.shape[:-1]
-        load = np.stack([each.load for each in touches]).reshape(*shape, -1)
-        sums = [self._weights.T @ each.factors for each in touches]
-        half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
-        return {
-            "force_n": load[..., :3],
-            "moment_nmm": load[..., 3:],
-            "moment_deviation_nmm": half[..., 3:],
-            "contacts": [each.contacts for each in touches],
-            "stated": (half[..., :3], np.stack([each @ each.T for each in sums])),
-        }
 
 
 class LiveSensor:
@@ -279,7 +299,7 @@ class LiveSensor:
     def __init__(
         self,
         scanner: Scanner,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration,
         causal: "SensorFilter | None" = None,
     ) -> None:
@@ -337,7 +357,7 @@ class LiveSensor:
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
     recording: Recording,
-    model: "AnyDecoder",
+    model: "Decoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,

@@ -170,6 +170,7 @@ def _everything() -> Forces:
         force_n=100.0 * unit,
         resistance_ohm=unit,
         saturated=unit > 1,
+        left_out=unit > 1,
         stamp_ns=0,
         stated=(unit, np.eye(6)),
         contacts=[SimpleNamespace(centre_mm=np.ones(2), half_mm=np.ones(2), plain=lambda: contact)],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dataset import measured
-from decoupler import NetworkConfig, SampleError, TrainingConfig, train
+from decoupler import NetworkConfig, SampleError, TrainingConfig, train, write_model
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -53,7 +53,12 @@ def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(mo
     np.testing.assert_array_equal(model.forces(read_ohm), plain.forces(read_ohm))
 
 
-def test_using_a_model_loads_no_torch():
+def test_using_a_model_loads_no_torch_and_nothing_that_solves(model, tmp_path):
     """A live sensor starts in a fraction of a second; torch alone takes seconds."""
-    code = "import sys, decoupler; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    write_model(model, tmp_path / "model.safetensors")
+    code = (
+        "import sys, pathlib, tripillar; tripillar.read_model(pathlib.Path(sys.argv[1])); "
+        "sys.exit(bool({'torch', 'skfem', 'fem'} & {name.split('.')[0] for name in sys.modules}))"
+    )
+    arguments = [sys.executable, "-c", code, tmp_path / "model.safetensors"]
+    assert subprocess.run(arguments, check=False).returncode == 0

@@ -10,7 +10,7 @@ from dataset.samples import joined
 from decoupler import SampleError, component_named, train
 from decoupler.data.columns import force_columns
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.model_file import require_same_sensor
+from decoupler.model_file import require_same_sensor
 from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import response, sensor
 
@@ -69,7 +69,7 @@ def test_deviations_hold_the_net_force_and_a_decoder_that_knows_no_drift_is_sure
     assert size[0] < min(1.1 * least_net_deviation(test_data), size[1])
     assert stated[1] < 0.3 * size[1]
     assert stated[0] > 0.8 * size[0]
-    assert (model.chi2(test_data.resistance_ohm) > model.load_test.limit).mean() <= 0.01
+    assert np.greater(*model.consistency(test_data.resistance_ohm)).mean() <= 0.01
 
 
 def test_a_model_knows_the_drifts_and_takes_data_of_a_design_that_states_others(model, test_data):

@@ -5,24 +5,42 @@ from typing import ClassVar
 import numpy as np
 
 from decoupler.data.columns import COMPONENTS, Scaling
+from decoupler.model.decoder import Decoder
 from geometry.layout import SONG2018
 from hardware.link.frames import Info, ScanMode
 
 INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_ohm=4_700, serial=3, rate_hz=200)
 
 
-class Unknown:
+class Unknown(Decoder):
     """What a model says of itself that knows no design, no uncertainty and no loads."""
 
     component = COMPONENTS["all"]
-    design = design_hash = dead = ensemble = load_test = usual = None
-    is_identified = knows_uncertainty = knows_touch = False
-    reading_noise = 0.0
+    design = design_hash = dead = usual_ohm = usual_readings = errors = None
+    is_identified = False
     made_from: ClassVar = {}
     layout = SONG2018
 
-    def follower(self):
+    def without(self, pillars):
         return self
+
+    def read_by(self, errors):
+        return self
+
+    def half_widths(self, resistance_ohm):
+        raise NotImplementedError
+
+    def deviations(self, resistance_ohm, weights, own=None):
+        raise NotImplementedError
+
+    def require(self, resistance_ohm):
+        pass
+
+    def consistency(self, resistance_ohm, force_n=None):
+        return None
+
+    def rest_resistances(self):
+        return None
 
     @property
     def output_scaling(self):
@@ -34,7 +52,10 @@ class PillarModel(Unknown):
     """Takes resistances (n, rows, cols, 3) to forces by a function."""
 
     def __init__(self, forces, rows=6, cols=6, rest_ohm=None):
-        self.forces, self.rows, self.cols, self.rest_ohm = forces, rows, cols, rest_ohm
+        self._by, self.rows, self.cols, self.rest_ohm = forces, rows, cols, rest_ohm
+
+    def forces(self, resistance_ohm):
+        return self._by(resistance_ohm)
 
     def rest_resistances(self):
         return self.rest_ohm

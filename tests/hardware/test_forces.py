@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from common.errors import FileFormatError
+from dataset.measurement import ReadingError
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
 from hardware.readout.forces import ForceReader, LiveSensor, replay
@@ -23,14 +24,13 @@ class Shares(Unknown):
     rows, cols = 2, 3
 
     def __init__(self, **known):
-        vars(self).update({"rest_ohm": REST_OHM} | known)
+        vars(self).update({"rest_ohm": REST_OHM, "by_noise": 0.0} | known)
 
-    def read_by(self, noise):
-        return Shares(deviations=self.deviations_of(noise))
+    def read_by(self, errors):
+        return Shares(errors=errors, by_noise=errors.noise)
 
-    @staticmethod
-    def deviations_of(noise):
-        return lambda resistance_ohm, _: (noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6)))
+    def deviations(self, resistance_ohm, weights, own=None):
+        return self.by_noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6))
 
     def rest_resistances(self):
         return self.rest_ohm
@@ -131,17 +131,15 @@ def test_what_does_not_belong_together_is_refused(info, model, calibration, mess
 
 
 def test_deviations_are_the_models_and_wider_where_the_board_reads_worse_than_in_training():
-    """By what its converter's steps leave of a resistance at rest."""
+    """By what its converter's steps leave of a resistance at rest, beside the noise: their squares add up."""
     assert ForceReader(INFO, Shares()).forces(counts_of([0.0])).deviation_n is None
-    model = Shares(knows_uncertainty=True, reading_noise=0.1, deviations=Shares.deviations_of(0.1))
-    found = ForceReader(INFO, model).forces(counts_of([0.0]))
-    assert found.deviation_n == pytest.approx(0.1 * found.resistance_ohm)
     info = replace(INFO, scan_mode=ScanMode.DIVIDER, bits=10, sense_ohm=2_200)
-    reader = ForceReader(info, Shares(knows_uncertainty=True, reading_noise=1e-4))
-    found = reader.forces(Electronics().crossbar(info).counts(REST_OHM[None]))
-    steps = np.median(reader.crossbar.step_deviation(REST_OHM[None]))
-    assert 1e-3 < steps < 1e-1
-    assert found.deviation_n == pytest.approx(steps * found.resistance_ohm)
+    for noise in (1e-4, 1e-2, 0.1):
+        reader = ForceReader(info, Shares(errors=ReadingError(noise=noise, bits=16)))
+        found = reader.forces(Electronics().crossbar(info).counts(REST_OHM[None]))
+        steps = np.median(reader.crossbar.step_deviation(REST_OHM[None]))
+        assert 1e-3 < steps < 1e-1
+        assert found.deviation_n == pytest.approx(np.hypot(noise, steps) * found.resistance_ohm)
 
 
 def test_live_sensors_name_faults_of_whole_windows_a_second_apart():

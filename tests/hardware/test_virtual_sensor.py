@@ -13,7 +13,7 @@ from dataset.indentation import samples_of
 from dataset.resistance import exact_resistances, pillar_resistances
 from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.pairs import Pairs
-from decoupler.model.model_file import write_model
+from decoupler.model_file import write_model
 from decoupler.twin import identify, simulate_twin, write_twin
 from decoupler.twin.twin_file import read_twin
 from fem.array.closed_forms import layer_response
@@ -218,3 +218,16 @@ def test_bodies_pressed_on_plates_read_by_conduction_as_contacts_do(monkeypatch:
 def test_what_makes_no_sense_is_refused(response, settings, said):
     with pytest.raises((ArgumentError, DesignError), match=said):
         VirtualSensor(DESIGN, response=response, **settings).forces(torch.ones(1, 2, 3, 3))
+
+
+def test_broken_pillars_are_left_out_as_by_the_model_itself(response, samples, model):
+    """Each environment another one; what the others foretell stands in its place, with derivatives by those."""
+    ohms = samples.resistance_ohm.copy()
+    ohms.reshape(40, -1)[np.arange(40), np.arange(40) % 18] = OPEN_OHM
+    read = torch.from_numpy(ohms).requires_grad_()
+    found = sensor(response, model=model, dtype=torch.float64).forces(read)
+    assert np.abs(found.detach().numpy() - model.forces(ohms)).max() < 0.02 * np.abs(samples.force_n).max()
+    assert np.abs(found.detach().numpy() - samples.force_n).max() < np.abs(samples.force_n).max()
+    found.sum().backward()
+    assert (read.grad.reshape(40, -1)[np.arange(40), np.arange(40) % 18] == 0).all()
+    assert (read.grad != 0).any()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import COMPONENTS
 from geometry.layout import AXES
 from hardware.link.frames import Frame, Info
@@ -39,7 +40,7 @@ def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear_and_what_is_wro
     assert "3.0 ←" in drawn(force_table(np.array([[[-3.0]]]), ("x",), 10.0))
     force_n = np.ones((1, 2, 3))
     wrench = net_wrench(force_n, wrench_weights(PLACES, AXES))
-    memory = {"memory_rise": np.array([0.03, -0.05]), "memory_deviation": np.array([0.02, 0.02])}
+    memory = {"memory_rise": np.array([0.03, -0.05]), "memory_deviation": np.array([0.02, 0.02]), "memory_tested": True}
     scan = SimpleNamespace(force_n=force_n, deviation_n=force_n, wrench=wrench, contacts=None, **memory)
     text = drawn(live_view(scan, AXES, 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"
@@ -61,7 +62,6 @@ class Model(Unknown):
     """Tells Fz of scan k as k + 1/3 [N]; counts how often deviations, a hundredth of it, are calculated."""
 
     rows, cols, component, dead, fault_test = 1, 2, COMPONENTS["fz"], None, None
-    load_test = SimpleNamespace(chi2=lambda force_n: np.full(len(force_n), 1.23456), limit=2.0)
     calculated, fz_n = 0, -2 / 3
 
     def rest_resistances(self):
@@ -70,6 +70,9 @@ class Model(Unknown):
     def forces(self, resistance_ohm):
         self.fz_n += 1
         return np.full((1, 1, 2, 1), self.fz_n)
+
+    def consistency(self, resistance_ohm, force_n=None):
+        return np.full(len(resistance_ohm), 1.23456), np.full(len(resistance_ohm), 2.0)
 
     def deviations(self, resistance_ohm, weights):
         self.calculated += 1
@@ -85,7 +88,7 @@ def scan(k, us=0, run=0):
 def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(monkeypatch, capsys):
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: map(scan, range(RATE_HZ)))
     scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
-    model.knows_uncertainty = True
+    model.errors = ReadingError(noise=0.01)
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
     sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}
     sensor._reader._weights = wrench_weights(PLACES, ("z",))

@@ -100,7 +100,8 @@ def watch(
     model : Decoupler or path
         Model file.
     rubber : path, optional
-        Rubber file (.toml) whose memory is taken out of the readings; default: that of the model's design, if any.
+        Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
+        of the model's design, if any.
     seconds : float
         Seconds after which to stop; default: on Ctrl-C.
     rate_hz : int, optional
@@ -232,8 +233,8 @@ def replay(
     calibration : path, optional
         Calibration file to use instead of the one in the recording, if any.
     rubber : path, optional
-        Rubber file (.toml) whose memory is taken out of the readings, from the first frame on; default: that of the
-        model's design, if any.
+        Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
+        of the model's design, if any, from the first frame on.
     speed : float, optional
         Times its own pace at which to show it, as `live` does; default: all at once.
     out : path, optional
@@ -287,10 +288,16 @@ def replay(
         text = recorded.calibration if own is None else own.to_json()
         stages.write_forces(replace(recorded, calibration=text, made_from=hashes), found, Path(out), ros2)
     frames, saturated = len(found.force_n), int(found.saturated.any(axis=(1, 2, 3)).sum())
+    partial, unreliable = int(found.left_out.any(axis=(1, 2, 3)).sum()), int(found.unreliable.sum())
     unexplained, lost, component = int(found.unexplained.sum()), recorded.statistics.lost, decoupler.component
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
+    result |= {"left_out": found.named_out(), "partial_frames": partial, "unreliable_frames": unreliable}
     result |= {"faults": found.faults, "statistics": asdict(recorded.statistics), "axes": component.axes}
-    lines = [f"{frames} frames, {lost} lost, {saturated} with a saturated pillar (extrapolated)"]
+    lines = [f"{frames} frames, {lost} lost, {saturated} with a saturated pillar"]
+    if partial:
+        lines.append(
+            f"{partial} without pillars that no strain explains, {unreliable} of them not reliable: {found.said_out()}"
+        )
     for name, newtons in zip(component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     if unexplained:
@@ -299,6 +306,7 @@ def replay(
         )
     if found.memory_rise is not None:
         lines.append(stages.memory_line(found))
+        result["memory_untested_frames"] = int((~found.memory_tested).sum())
     lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
 
     def told() -> dict[str, Any]:

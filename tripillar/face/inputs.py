@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     DesignLike = SensorDesign | File
     SamplesLike = stages.AnySamples | File
     PairsLike = stages.AnySamples | stages.Pairs | File
-    ModelLike = stages.AnyDecoder | File
+    ModelLike = stages.Decoder | File
     SceneLike = stages.Scene | File
     BodyLike = SensorDesign | stages.Scene | File
 else:
@@ -210,7 +210,7 @@ def samples_of(source: "SamplesLike", labels_only: bool = True) -> "stages.AnySa
     return stages.in_memory(found).at_moments()
 
 
-def model_of(source: "ModelLike") -> "stages.AnyDecoder":
+def model_of(source: "ModelLike") -> "stages.Decoder":
     """A model, or that of a file."""
     return stages.read_model(Path(source)) if isinstance(source, Path | str) else source
 

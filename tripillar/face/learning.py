@@ -261,6 +261,7 @@ def evaluate(
         caller.say(told_by_tilt(sensor.unit, decoupler.component.axes))
     if isinstance(decoupler, stages.TouchDecoder):
         return _assessed_touch(decoupler, data)
+    assert isinstance(decoupler, stages.Decoupler)
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
@@ -310,22 +311,25 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
-    of_sensor: dict[str, Any] = {"design": design, "errors": stages.ReadingError(**READ)}
+    errors = stages.ReadingError(**READ).with_drifts_of(design.electrics)
+    of_sensor: dict[str, Any] = {"design": design, "errors": errors}
     of_sensor |= {"pillars": pillars, "made_from": made_from}
     decoder: stages.TouchDecoder
     if is_plated:
         advance = caller.bars.begin("plates", total=1)
         plates, _, reused = stages.plate_response(design, lambda step: advance(0, step))
+        made_from["library"] = plates.cache_key
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
         advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
         library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+        made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)
         result = {"presses": len(library.presses.size), "rows": len(library.source)}
         text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
     if out is not None:
-        stages.write_touch(decoder, out)
+        stages.write_model(decoder, out)
     made = {"file": str(out)} | result | {"reused": reused, "seconds": caller.bars.seconds()}
     caller.answer(lambda: made, text, out)
     return decoder
