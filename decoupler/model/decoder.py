@@ -42,7 +42,7 @@ class Decoder(ABC):
 
     dead: NDArray[np.bool_] | None  #: (rows, cols, n_pillars): pillars that are never looked at
     made_from: dict[str, Any]
-    moments: ClassVar[int] = 0  #: of a unit, that follow its forces in `Decoded.load`: see `TouchDecoder`
+    moments: ClassVar[int] = 0  #: of a unit, beside its forces: see `TouchDecoder`
 
     if TYPE_CHECKING:  # fields of some, properties of others
 
