@@ -16,6 +16,7 @@ from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.loads import PAPERS
 from dataset.measurement import Readout
+from dataset.protocols import scaled_indenters
 from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
@@ -63,7 +64,8 @@ def group_cache_key(response: ArrayResponse, settings: DatasetSettings) -> str:
         drawn["loads"] = settings.loads
     if settings.table_mpa is not None:
         drawn["table"] = settings.table_mpa
-    return digest("finite samples", METHOD, GROUP, response.content_hash, response.design, drawn)
+    width = scaled_indenters(settings.protocol, response.design)
+    return digest("finite samples", METHOD, GROUP, response.content_hash, response.design, drawn, *width)
 
 
 def require_finite(design: SensorDesign) -> None:

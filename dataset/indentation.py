@@ -39,7 +39,7 @@ RADIUS, SIDE, LENGTH, DEPTH, SLIDE = (0.3, 2.0), (0.4, 2.0), (0.5, 3.0), (0.01, 
 FRICTION = (0.1, 1.0)
 PRESSED_ONLY = 1 / 3  #: of the samples, which are not dragged
 CELLS = 32  #: of a contact's grid: its force errs by 0.1 %
-VERSION = 4  #: raise when the same settings give other samples
+VERSION = 5  #: raise when the same settings give other samples
 _MAKING = Lock()
 
 

@@ -85,17 +85,25 @@ def loads_of(response: "ArrayResponse", cap: float = CAP) -> Loads:
     """The paper's loads where a design bears them, else its own: from its largest pressure down to a fifth of it.
 
     A design bears the paper's loads if their middle, on the weakest pad alone and on all pads at once, strains no
-    pillar beyond `CAP`: a smaller cap draws more of them again, as the paper's does. Its own largest pressure is the
-    smaller of `largest_pressures` at the cap, and no more than what sinks an electrode by the cap times the height, as
-    stiff pillars lean over in soft rubber before they are strained; rounded down to two digits.
+    pillar beyond `CAP`: a smaller cap draws more of them again, as the paper's does. Its own largest pressure is
+    `bearable_mpa`, rounded down to two digits.
     """
     if min(largest_pressures(response, max(cap, CAP))) >= PAPERS.middle_mpa:
         return PAPERS
-    sinks_mm = np.abs(_pressed_mm(response)[..., AXES.index("z")]).max()
-    most_mpa = min(*largest_pressures(response, cap), cap * response.design.unit.height_mm / float(sinks_mm))
+    most_mpa = bearable_mpa(response, cap)
     step = 10.0 ** (math.floor(math.log10(most_mpa)) - 1)
     high = float(f"{math.floor(most_mpa / step) * step:.2g}")
     return Loads.of((float(f"{LOWEST * high:.3g}"), high))
+
+
+def bearable_mpa(response: "ArrayResponse", cap: float) -> float:
+    """Largest pressure [MPa] that the weakest pad alone, and all pads at once, bear.
+
+    The smaller of `largest_pressures` at the cap, and no more than what sinks an electrode by the cap times the height,
+    as stiff pillars lean over in soft rubber before they are strained.
+    """
+    sinks_mm = np.abs(_pressed_mm(response)[..., AXES.index("z")]).max()
+    return min(*largest_pressures(response, cap), cap * response.design.unit.height_mm / float(sinks_mm))
 
 
 def largest_pressures(response: "ArrayResponse", cap: float) -> tuple[float, float]:

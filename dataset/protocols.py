@@ -6,6 +6,7 @@ tractions of shape (n_samples, n_units, 3) [MPa] along x, y, z; z is negative wh
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -18,7 +19,8 @@ from geometry.layout import AXES, FloatArray, unit_centres
 MAX_INDENTERS = 3
 LIGHT_N = 10.0  #: largest force of a light touch, the paper's smallest range
 MAX_TOUCHED = 3  #: pads; as often as one or any other number, none is touched
-INDENTER_WIDTH_MM = (15.0, 30.0)  #: standard deviation of an indenter's bell: what pads a pitch apart resolve
+#: standard deviation of an indenter's bell, in pitches: what pads a pitch apart resolve; with the paper's pitch
+INDENTER_WIDTH, PAPERS_PITCH_MM = (1.0, 2.0), 15.0
 
 Draw = Callable[[Generator, int, SensorDesign, Loads], FloatArray]
 Listed = tuple[tuple[tuple[float, ...], ...], ...]  #: tractions as settings hold them
@@ -109,13 +111,14 @@ def _touched(generator: Generator, n: int, design: SensorDesign, range_mpa: Rang
 def _indenters(generator: Generator, n: int, design: SensorDesign, peak_mpa: Range) -> FloatArray:
     """Tractions that one to three round indenters add to each pad's preload, (n, MAX_INDENTERS, n_units) [MPa].
 
-    An indenter adds (peak − preload)·exp(−r²/2w²) at distance r of its centre, which lies anywhere over the
-    array. Where several meet, they are weakened together so that no pad passes the largest peak. Indenters
-    that a sample does not have add 0.
+    An indenter adds (peak − preload)·exp(−r²/2w²), w one to two pitches, at distance r of its centre, which lies
+    anywhere over the array. Where several meet, they are weakened together so that no pad passes the largest peak.
+    Indenters that a sample does not have add 0.
     """
     preload_mpa, (x, y, _) = preload_of(peak_mpa), design.slab_mm
     centre = generator.uniform(-0.5, 0.5, (n, MAX_INDENTERS, 1, 2)) * (x, y)
-    width = generator.uniform(*INDENTER_WIDTH_MM, (n, MAX_INDENTERS, 1))
+    narrow, wide = (share * design.array.pitch_mm for share in INDENTER_WIDTH)
+    width = generator.uniform(narrow, wide, (n, MAX_INDENTERS, 1))
     strength = generator.uniform(*peak_mpa, (n, MAX_INDENTERS, 1)) - preload_mpa
     number = generator.integers(1, MAX_INDENTERS + 1, (n, 1, 1))
     present = np.arange(MAX_INDENTERS)[:, None] < number
@@ -157,6 +160,12 @@ SUMMARIES = {name: protocol.summary for name, protocol in PROTOCOLS.items()} | {
     TABLE: "loads of a table, drawn at random",
     INDENT: "a sphere, cylinder or flat punch is pressed in, and mostly dragged, with friction",
 }
+
+
+def scaled_indenters(protocol: str, design: SensorDesign) -> list[Any]:
+    """What hashes of samples hold beside their settings: the indenters' width where it is not the paper's."""
+    is_scaled = protocol.startswith("contact") and design.array.pitch_mm != PAPERS_PITCH_MM
+    return ["indenters", INDENTER_WIDTH] if is_scaled else []
 
 
 def forces(traction_mpa: FloatArray, design: SensorDesign) -> FloatArray:

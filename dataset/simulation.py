@@ -24,7 +24,7 @@ from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.loads import displacements
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
-from dataset.protocols import INDENT, forces
+from dataset.protocols import INDENT, forces, scaled_indenters
 from dataset.resistance import conducted_lengths, exact_resistances, largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples, require_samples, require_variables
 from dataset.settings import BLOCK, DatasetSettings
@@ -50,7 +50,9 @@ def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readou
     """Hash of all that a dataset depends on."""
     settings = settings.suited(response)
     through: list[Any] = [] if readout is None else [readout]
-    through += [INDENT, VERSION] if settings.protocol == INDENT else []
+    through += (
+        [INDENT, VERSION] if settings.protocol == INDENT else scaled_indenters(settings.protocol, response.design)
+    )
     return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from decoupler.evaluation.metrics import component_errors, evaluate, force_errors, pca_floor
     from decoupler.model.baseline import LeastSquares, hooke_forces
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.model_file import model_cache_key, read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig, TrainingError
+    from decoupler.model_file import model_cache_key, read_model, require_same_sensor, write_model
     from decoupler.training.trainer import train
 
 __all__ = [

@@ -6,8 +6,8 @@ is the lower one. The estimate is that error times `SAFETY`.
 
 Where elements are split one by one, the error of a probe is a(u − u_h, z − z_h), z the answer to a unit load on the
 probe (Becker & Rannacher, Acta Numerica 10, 2001). Indicators bound it element by element up to a ratio. On boxes the
-answers of two orders on the same mesh show it (`estimated_errors`); on tetrahedra it changes slowly from mesh to mesh
-and is the change of the probe over the fall of the indicators' sum η (`shown_ratios`).
+answers of two orders on the same mesh show it (`estimated_errors`); on tetrahedra it hardly changes from mesh to mesh,
+and answers on several show both it and what they tend to (`limits`).
 """
 
 from collections.abc import Mapping
@@ -30,6 +30,10 @@ ALONE = 2.5
 #: (in one 1000 times as stiff), on others 1.37, 0.45 in the median
 COMPARED = 2.2, 1.5
 MIN_CHANGE = 0.2  #: of η: a smaller change with the order may be chance
+#: of the ratio of error and η on tetrahedra: how far it is off by chance, and changes from mesh to mesh, relative; and
+#: as how many meshes that counts
+CHANCE, DRIFT, COUNTED = 0.1, 0.2, 2.0
+STILL = 1e-12  #: relative change of a value that rounding may make
 
 
 def richardson_factor(coarse: float, fine: float, rate: float) -> float:
@@ -141,14 +145,26 @@ def estimated_errors(
     return COMPARED[is_suited] * np.sqrt(eta * np.maximum(change, MIN_CHANGE * eta))
 
 
-def shown_ratios(probes: FloatArray, eta: FloatArray, min_fall: float) -> FloatArray:
-    """The largest ratio of a probe's change (k, n, 3) to the fall of its η (k, n) from mesh to mesh, (n,).
+def limits(values: FloatArray, eta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What values (k, n, 3) on k ≥ 3 meshes tend to where their η (k, n, 3) vanish, (n, 3), and its deviation (n,).
 
-    Falls of less than `min_fall` of η say little and count as that.
+    Errors are −b η, where b varies by `CHANCE` of itself, and by as much again as `DRIFT` from mesh to mesh. So values
+    over η are a line over 1/η, whose slope is the limit, found by generalised least squares. Few meshes show little of
+    the chance, so that what is said here counts as `COUNTED` further ones. Values that do not change are the limits.
     """
-    changes = np.linalg.norm(np.diff(probes, axis=0), axis=2) / sizes(probes[-1])
-    falls = np.maximum(-np.diff(eta, axis=0), min_fall * eta[:-1])
-    return np.asarray((changes / np.where(falls > 0, falls, 1.0)).max(axis=0))
+    k, last = len(values), values[-1]
+    each = np.arange(k)
+    P = np.linalg.inv(CHANCE**2 * np.eye(k) + DRIFT**2 * np.minimum.outer(each, each))
+    still = (np.ptp(values, axis=0) <= STILL * np.linalg.norm(last, axis=1, keepdims=True)) | (eta[0] == 0)
+    x = 1 / np.where(still, 2.0 ** -each[:, None, None], eta)
+    y = values * x
+    middle, mean = (np.tensordot(P.sum(axis=0), each, 1) / P.sum() for each in (x, y))
+    x, y = x - middle, y - mean
+    spread, common = (np.einsum("kni,kl,lni->ni", x, P, each) for each in (x, y))
+    limit = common / spread
+    squares = np.einsum("kni,kl,lni->ni", y - limit * x, P, y - limit * x) + COUNTED * (limit * middle - mean) ** 2
+    variance = np.where(still, 0.0, squares / (k - 2 + COUNTED) / spread)
+    return np.where(still, last, limit), np.sqrt(variance.sum(axis=1))
 
 
 def largest_contributors(indicators: FloatArray, share: float) -> NDArray[np.int64]:

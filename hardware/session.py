@@ -28,8 +28,8 @@ from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
 
 if TYPE_CHECKING:
+    from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
-    from decoupler.touch.touch_file import AnyDecoder
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
@@ -76,7 +76,7 @@ def _await(port: str) -> None:
 @contextmanager
 def live(
     port: str,
-    model: "AnyDecoder | Path | str",
+    model: "Decoder | Path | str",
     calibration: Path | str | None = None,
     speed: float = 1.0,
     rubber: Path | str | None = None,
@@ -95,8 +95,8 @@ def live(
     speed : float
         Pace of a recording: 1 is as recorded, `math.inf` as fast as it is read.
     rubber : Path, optional
-        Rubber file of `tripillar rubber`, whose memory is taken out of the readings. Default: the memory of the model's
-        design, if any. What follows it is trained when it is first needed, in a minute.
+        Rubber file of `tripillar rubber`, whose memory is taken out of the readings once they have tested it, in a hold
+        or a rest. Default: the memory of the model's design, if any, from the first scan on.
     **settings
         As of `Scanner`.
 
@@ -120,7 +120,7 @@ def live(
             for scan in scans:
                 print(scan.time_s, scan.force_n[2, 3], scan.deviation_n[2, 3])
     """
-    from decoupler.touch.touch_file import read_model
+    from decoupler.model_file import read_model
 
     decoder = read_model(Path(model)) if isinstance(model, Path | str) else model
     causal = follows(decoder, rubber)
@@ -128,15 +128,18 @@ def live(
         yield LiveSensor(scanner, decoder, known, causal)
 
 
-def follows(model: "AnyDecoder", rubber: Path | str | None = None) -> "SensorFilter | None":
-    """What follows the memory of a rubber file, or of the model's design; None if there is none to follow."""
+def follows(model: "Decoder", rubber: Path | str | None = None) -> "SensorFilter | None":
+    """What follows the memory of a rubber file, or of the model's design; None if there is none to follow.
+
+    A design says what its sensor is; that the sensor is of a file's rubber its readings have to show first.
+    """
     from decoupler.rubber.belief import SensorFilter
     from decoupler.rubber.rubber_file import read_rubber
 
     if rubber is not None:
         return SensorFilter.of_rubber(read_rubber(Path(rubber)))
     memory = Memory() if model.design is None else model.design.pillar_material.memory
-    return None if memory == Memory() else SensorFilter(memory=memory)
+    return None if memory == Memory() else SensorFilter(memory=memory, is_tested=True)
 
 
 def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:
@@ -186,7 +189,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     return np.array(taken)
 
 
-def hashes_of(model: "AnyDecoder") -> dict[str, str]:
+def hashes_of(model: "Decoder") -> dict[str, str]:
     """Hashes of the model and its design, which a recording keeps."""
     found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
     return {name: str(value) for name, value in found.items() if value}

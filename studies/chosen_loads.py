@@ -11,8 +11,7 @@ from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import KnownLoad
 from decoupler.data.pairs import Pairs
-from decoupler.inverse.limits import exact_inverse
-from decoupler.inverse.sensor_model import SensorModel
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.twin.expectation import Expectation
 from decoupler.twin.identification import readings_of
 from decoupler.twin.next_load import KITCHEN, Knowledge, as_columns, choose, loads_at_hand
@@ -54,7 +53,8 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     found = infer(expected, readings_of(pairs, EVERYTHING), draws=2)
     columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
-    missed = (exact_inverse(found.sensor, columns, acting.mean(axis=0)) - acting).reshape(len(force_n), -1, 3)
+    inverse = ModelInverse.about(found.sensor, acting, np.ones(columns.shape[1], dtype=bool), noise=0.0)
+    missed = (inverse.forces(columns) - acting).reshape(len(force_n), -1, 3)
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from dataset.stored import read_samples
-from decoupler.model.model_file import read_model
+from decoupler.model_file import read_network
 from studies.program import run_alone
 
 
@@ -20,7 +20,7 @@ def decoded(
     data: Annotated[Path, Parameter(help="Samples that it decodes, at finite strain.")],
 ) -> None:
     """Print errors fx / fy / fz in % of full scale: rms, median and worst sample; and shares within half-widths."""
-    decoder, samples = read_model(model), read_samples(data)[:]
+    decoder, samples = read_network(model), read_samples(data)[:]
     true = samples.force_n
     full = np.abs(true).max(axis=(0, 1, 2)) / 100
     columns = decoder.columns(samples.resistance_ohm)

@@ -19,7 +19,7 @@ from fem.finite.samples import SampleSolver
 from fem.pictures.arrays import pressed_sensor
 from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import solve_scene_parts
-from geometry.design import Array, Material, Pad, SensorDesign
+from geometry.design import Array, Pad, SensorDesign, with_model
 from geometry.layout import FloatArray
 from studies.charts import save_small
 from studies.program import run_alone
@@ -121,8 +121,10 @@ def as_table(found: list[Cost]) -> str:
 
 def draw(folder: Path) -> None:
     """One pad of a row under `PICTURE_MPA` by linear elasticity and at finite strain, true scale, side by side."""
-    rubber, row = Material(model="neo-hookean"), replace(DESIGN, array=Array(rows=1, cols=3))
-    designs = {"linear": row, "finite strain": replace(row, pillar_material=rubber, matrix_material=rubber)}
+    row = replace(DESIGN, array=Array(rows=1, cols=3))
+    own = row.matrix_material.model
+    models = {"linear": "linear", "finite strain": "neo-hookean" if own == "linear" else own}  # as `SampleSolver`
+    designs = {name: with_model(row, model) for name, model in models.items()}
     panels = {}
     for name, design in designs.items():
         every = pressed_sensor(design, "uniform", PICTURE_MPA)

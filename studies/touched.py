@@ -16,10 +16,11 @@ from common.errors import DesignError
 from dataset import Samples
 from dataset.indentation import DEPTH, FRICTION, PRESSED_ONLY, SLIDE, drawn_press, largest_strain, samples_of
 from dataset.measurement import ReadingError
+from decoupler.model_file import read_model
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.decoder import TouchDecoder
-from decoupler.touch.touch_file import read_model
+from fem import SolverError
 from fem.contact import Contact, ContactError, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -113,7 +114,7 @@ def unknown_contacts(
             if newtons is not None:
                 low, high = newtons
                 contact = _pressed_to(contact, low * (high / low) ** generator.uniform())
-        except ContactError:  # it misses the sensor
+        except (ContactError, SolverError):  # it misses the sensor, or finds no balance
             continue
         net_n = float(contact.net_force_n[2])
         is_within = newtons is None or newtons[0] <= net_n <= newtons[1]

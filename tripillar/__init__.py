@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from common.errors import TriPillarError
     from dataset.samples import Samples
     from dataset.stored import read_samples
-    from decoupler.touch.touch_file import read_model
+    from decoupler.model_file import read_model
     from geometry.design import SensorDesign
     from geometry.design_file import read_design
     from hardware.session import live

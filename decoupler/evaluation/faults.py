@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
-from decoupler.model.decoupler import Decoupler
+from decoupler.model.decoder import BEYOND as LONGER
+from decoupler.model.decoder import Decoder
 from geometry.layout import FloatArray, Layout
 from geometry.wiring import crossings, pillar_of_crossing
 
@@ -36,7 +37,7 @@ FEWEST = 8  #: scans, below which nothing is named
 FALSE_ALARMS = 1e-5  #: of a hypothesis: a likelihood ratio passes 1/α with a probability of α at most (Markov)
 ONE_SCAN = 5.0  #: largest log-likelihood ratio of one scan that counts: loads have longer tails than normal ones
 MAX_NAMED = 3  #: faults of one window
-BEYOND = 4.0  #: ratio to the mean resistance in training, either way, at which no load arrives
+BEYOND = LONGER**2  #: ratio to the mean resistance in training, either way, at which no load arrives
 SIZES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  #: of loads over the usual ones, that are tried for a whole scan
 USUAL = 4.0  #: largest mean square of readings of usual loads, over the mean, after wires are swapped back
 CLEAR = 5.0  #: deviations by noise, by which a prediction must move before a pillar that does not is stuck
@@ -80,29 +81,23 @@ class FaultTest:
     window: ClassVar[int] = WINDOW  #: scans that are looked at together
 
     @classmethod
-    def of(cls, decoupler: Decoupler) -> "FaultTest | None":
-        """The test of a model; None if it does not know how readings move under its loads, or takes them for exact."""
-        usual = decoupler.usual
-        if usual is None or usual.log_ohm_covariance is None or decoupler.uncertainty is None:
+    def of(cls, decoder: Decoder) -> "FaultTest | None":
+        """The test of a decoder; None if it does not know how readings move under loads, or takes them for exact."""
+        usual, stated, rest_ohm = decoder.usual_readings, decoder.errors, decoder.rest_resistances()
+        if usual is None or stated is None or rest_ohm is None:
             return None
-        rest_ohm = decoupler.rest_resistances()
-        if rest_ohm is None:
-            return None
-        stated = decoupler.uncertainty.errors
         errors = ReadingError(noise=stated.noise, bits=stated.bits)
         if errors.is_exact:
             return None
-        assert usual.log_ohm is not None
-        read = decoupler.readable
-        pillars = decoupler.places[read]
+        pillars = np.flatnonzero(decoder.read)
         noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[pillars]
         return cls(
-            rows=decoupler.rows,
-            cols=decoupler.cols,
-            layout=decoupler.layout,
+            rows=decoder.rows,
+            cols=decoder.cols,
+            layout=decoder.layout,
             pillars=pillars,
-            mean=usual.log_ohm[read],
-            covariance=usual.log_ohm_covariance[np.ix_(read, read)] + np.diag(noise**2),
+            mean=usual[0][pillars],
+            covariance=usual[1][np.ix_(pillars, pillars)] + np.diag(noise**2),
             noise=noise,
         )
 

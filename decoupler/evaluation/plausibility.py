@@ -1,7 +1,8 @@
 """Checks whether readings and forces can belong together and to their sensor, and names the usual mistakes in files.
 
 The response of the sensor says how lengths follow the forces. A data set is doubted if it fits that decidedly better
-after one of `MISTAKES` is taken back, or if the readings fit the forces worse than if nothing linked them.
+after one of `MISTAKES` is taken back, or if the readings fit the forces worse than if nothing linked them. Of measured
+`Pairs`, few and each of a load that someone put on, every load has to change its readings as it should.
 """
 
 import math
@@ -16,13 +17,12 @@ from dataset.measurement import ReadingError
 from dataset.protocols import INDENT
 from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
+from decoupler.data.enough import FALSE_ALARMS
+from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
 from geometry.layout import AXES, FloatArray, untold
 
-#: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
-#: (Markov's inequality), whatever it is compared with
-FALSE_ALARMS = 1e-4
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
 CONSTANT = 1e-12  #: range over size of a column that varies by rounding alone
 UNSTATED_NOISE = 0.01  #: assumed of readings whose file states no noise: that of a poor board
@@ -31,6 +31,9 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 #: rubber, which no pad load explains, 0.3 to 0.6 with and without one
 MIN_EXPLAINED = 0.7
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
+KGF_N = 9.80665  #: weight of a kilogram
+MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
+MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
 Mend = Callable[[Samples], Samples]  #: takes a mistake back
 
@@ -66,6 +69,10 @@ _OTHER_ORDERS = [*permutations(range(3))][1:]
 MISTAKES: dict[str, Mend] = {
     "the forces seem to be in kN: multiply them by 1000": _times(1e3),
     "the forces seem to be in mN: divide them by 1000": _times(1e-3),
+    "the forces seem to be in kgf: multiply them by 9.81, unless the rubber is a tenth as stiff": _times(KGF_N),
+    "the forces seem to be taken for kgf: divide them by 9.81, unless the rubber is ten times as stiff": (
+        _times(1.0 / KGF_N)
+    ),
     f"all forces seem to have the other sign: {_SIGNS}": _times(-1.0),
     f"Fz seems to have the other sign: {_SIGNS}": _times(1.0, 1.0, -1.0),
     f"Fx seems to have the other sign: {_SIGNS}": _times(-1.0, 1.0, 1.0),
@@ -85,12 +92,13 @@ UNLINKED = (
 )
 
 
-def doubt(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
+def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | None) -> str | None:
     """Name the likely mistake in samples and how to mend it, in a line; None if there seems to be none.
 
     Parameters
     ----------
-    data : Samples
+    data : Samples or Pairs
+        Pairs need the joint sensor and its component, `all`.
     component : Component
         Whose pillars and forces are looked at.
     forward : SensorModel, optional
@@ -105,6 +113,8 @@ def doubt(data: Samples, component: Component, forward: SensorModel | None) -> s
     `FALSE_ALARMS` each is for readings that do not follow the forces and for all mistakes together. One pair, or
     readings that noise hides, say nothing and are never doubted.
     """
+    if isinstance(data, Pairs):
+        return None if forward is None else _of_loads(data, component, forward)
     if said := _of_contacts(data):
         return said
     data = _some(data, component)
@@ -178,6 +188,53 @@ def _explained(data: Samples, component: Component, forward: SensorModel, left: 
     noise = float((0.25 * relative[:, own.readable] ** 2).sum())
     signal = float((moved**2).sum()) - noise
     return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+
+
+def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str | None:
+    """Say why loads cannot have acted as stated: by the size of the readings, or what each load changed."""
+    modelled_ohm = forward.resistances(force_columns(pairs.force_n, component)).reshape(pairs.resistance_ohm.shape)
+    times = float(np.nanmedian(pairs.resistance_ohm / modelled_ohm))
+    if not 1.0 / MAX_TIMES < times < MAX_TIMES:
+        unit = "; a factor of 1000 is kΩ for Ω" if 300 < max(times, 1.0 / times) < 3000 else ""
+        return (
+            f"the sensor's resistances are {times:.3g} times those of the design: check the board's SENSE_OHM and the "
+            f"design's resistivity{unit}."
+        )
+    return _strange_changes(pairs, modelled_ohm) if (pairs.force_n != pairs.force_n[0]).any() else None
+
+
+def _strange_changes(pairs: Pairs, modelled_ohm: FloatArray) -> str | None:
+    """Say if a load did not change the resistances as it should have.
+
+    Each load's relative changes of all resistances, from those with nothing on the sensor (or the mean of all loads),
+    are fitted by a multiple of the modelled ones: 1 if all is as told, 0 if no load was put on.
+    """
+    acts = pairs.force_n.any(axis=(1, 2, 3))
+    is_reference = np.ones_like(acts) if acts.all() else ~acts
+    change, expected = (
+        (ohms / ohms[is_reference].mean(axis=0) - 1.0)[acts] for ohms in (pairs.resistance_ohm, modelled_ohm)
+    )
+    expected = np.where(np.isnan(change), 0.0, expected)
+    size = np.sqrt((expected**2).sum(axis=(1, 2, 3)))
+    is_told = math.sqrt(2.0) * pairs.noise < MAX_UNSURE * size
+    if not is_told.any():
+        times = math.sqrt(2.0) * pairs.noise / (MAX_UNSURE * float(size.max()))
+        return (
+            f"no load is large enough to be told from the noise of {100 * pairs.noise:.2g} %: take {times:.2g} times "
+            "as much, or measure longer (seconds=); loads are in newtons, weights in grams."
+        )
+    multiple = np.nansum(change * expected, axis=(1, 2, 3))[is_told] / size[is_told] ** 2
+    logs = np.log(np.maximum(multiple, 1e-9))
+    if np.abs(logs).max() < math.log(MAX_TIMES):
+        return None
+    worst = int(np.abs(logs).argmax())
+    name = pairs.names[int(np.flatnonzero(acts)[is_told][worst])]
+    is_kgf = np.abs(np.abs(logs) - math.log(KGF_N)).max() < math.log(MAX_TIMES) and np.ptp(np.sign(logs)) == 0
+    kgf = f" All loads seem to be {'too small' if logs[0] > 0 else 'too large'} by 9.8, as kgf are." if is_kgf else ""
+    return (
+        f"load '{name}' changed the resistances by {100 * max(multiple[worst], 0.0):.0f} % of what it should: is it on "
+        f"the sensor, on that pad, and in newtons (grams for a weight)?{kgf}"
+    )
 
 
 def _of_contacts(data: Samples) -> str | None:

@@ -1,7 +1,6 @@
 """The least error that readings allow, whatever the estimator, by the response.
 
-`cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do. `exact_inverse` is
-the estimator that meets the first: Newton's steps on the response itself.
+`cramer_rao` bounds estimators that do not lean on which forces are likely; `bayes` those that do.
 """
 
 from collections.abc import Iterator
@@ -10,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
-from dataset.samples import SampleError
 from decoupler.inverse.sensor_model import SensorModel
 from geometry.layout import FloatArray
 
 LEAST = 1e-12  #: of what lengths tell along a direction of forces, over the direction of which they tell most
 CHUNK = 64  #: samples whose derivatives are in memory together
-MAX_STEPS = 20  #: of Newton's; six are usual
-CONVERGED = 1e-12  #: step over the largest force
-REACHED = 1e-11  #: error of a length over the largest one, where forces were found
 
 
 def cramer_rao(
@@ -118,37 +113,3 @@ def _covariance(forward: SensorModel, deviation: FloatArray, U: FloatArray) -> F
     """Of errors of lengths, (n, P, P) [mm²], by what each has alone (n, P) and what they share (n, P, m) [mm]."""
     floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
     return np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1]) + U @ U.swapaxes(1, 2)
-
-
-def exact_inverse(forward: SensorModel, resistance_ohm: FloatArray, start_n: FloatArray) -> FloatArray:
-    """Forces that cause given resistances, (n, n_pillars) [Ω] -> (n, n_forces) [N], by Newton's steps.
-
-    `start_n` is the mean load, or one of each sample. Fewer pillars than forces, or resistances that no forces near the
-    start cause, are a `SampleError`.
-    """
-    if forward.n_pillars < forward.n_forces:
-        raise SampleError(
-            f"{forward.n_pillars} pillars do not determine {forward.n_forces} forces: invert a joint model."
-        )
-    measured = forward.lengths_of(resistance_ohm)
-    forces = np.array(np.broadcast_to(start_n, (len(measured), forward.n_forces)))
-    is_square = forward.n_pillars == forward.n_forces
-    for start in range(0, len(forces), CHUNK):
-        here, wanted = forces[start : start + CHUNK], measured[start : start + CHUNK]
-        for _ in range(MAX_STEPS):
-            lengths, J = forward.jacobian(here)
-            left = (wanted - lengths)[..., None]
-            try:
-                step = (np.linalg.solve(J, left) if is_square else np.linalg.pinv(J) @ left)[..., 0]
-            except np.linalg.LinAlgError:  # a sample that has run away: least squares let the others go on
-                step = (np.linalg.pinv(J) @ left)[..., 0]
-            here += step
-            if np.abs(step).max() <= CONVERGED * np.abs(here).max():
-                break
-    missed = np.abs(forward.lengths(forces) - measured).max(axis=1)
-    if not (reached := missed <= REACHED * measured.max()).all():
-        raise SampleError(
-            f"{(~reached).sum()} of {len(forces)} samples have resistances that no forces near the start cause, the "
-            f"first is sample {reached.argmin()}: check the calibration."
-        )
-    return forces

@@ -1,7 +1,7 @@
 """The array's response as a model of resistances under forces, and its inverse, the input feature `inverse`.
 
 The inverse is approximate: a fixed number of corrections costs little and always ends; what they leave, the network
-learns. `limits.py` has the inverse iterated to the end.
+learns.
 """
 
 from collections.abc import Callable

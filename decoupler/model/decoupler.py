@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
 from dataset.samples import SampleError
 from decoupler.data.columns import (
-    DEAD_OHM,
     Columns,
     Component,
     Resting,
@@ -28,26 +27,19 @@ from decoupler.data.columns import (
 )
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.posterior import Found, Posterior
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.decoder import MANY, Decoder
+from decoupler.model.decoder import Decoder
 from decoupler.model.ensemble import Ensemble
+from decoupler.model.left_out import LeftOut
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
-from decoupler.model.usual import Foretold, LoadTest, UsualLoads
-from decoupler.solve import descended
+from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
 CHUNK = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
-MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
-MOST = 0.5  #: change of the logarithm of a reading that is filled in, by one of them
-REFINED = 6  #: steps by the response towards readings that are left out; two are usual
-GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
-DRAWN = 200  #: loads by which those are trusted
-DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
-MIN_NOISE = 1e-5  #: relative, of readings by which those are found
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
 
@@ -125,7 +117,6 @@ class Decoupler(Decoder):
         output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
         that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
         return self.each(resistance_ohm, lambda own, ohms, _: (own._forces(own.columns(ohms)),))[0]
 
     def _forces(self, columns: FloatArray) -> FloatArray:
@@ -148,7 +139,6 @@ class Decoupler(Decoder):
 
         A model that was written without its uncertainty is a `SampleError`, too.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
         one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
@@ -166,7 +156,6 @@ class Decoupler(Decoder):
         what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
 
         def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             return by._deviations(by.columns(ohms), weights, None if own is None else own[which])
@@ -186,7 +175,8 @@ class Decoupler(Decoder):
             covariance = self.refined(columns, own_ohm).covariance_n2
             return np.sqrt(np.einsum("nii->ni", covariance)), weights.T @ covariance @ weights
         if own_ohm is not None:
-            slopes = [self.by_read(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
+            slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
+            own_ohm = own_ohm * ~self._missing
             factors = np.concatenate(slopes) * own_ohm[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
         own_n2, (scale, two) = self._own_variance(columns)
@@ -233,25 +223,7 @@ class Decoupler(Decoder):
     @cached_property
     def load_test(self) -> LoadTest | None:
         """The test whether a usual load explains a reading; None if loads, deviations or rest are unknown."""
-        if self.usual is None or self.uncertainty is None or (self.inverse is None and self.design is None):
-            return None
-        if self.inverse is None:
-            rest_ohm = self.rest_resistances()
-            assert rest_ohm is not None
-            rest = self.columns(rest_ohm[None])
-        else:
-            centre = self.output_scaling.centre
-            rest, pressed = self.inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
-        errors = self.uncertainty.errors
-        by_error = self.derivatives(rest)[0] @ np.hstack(
-            [np.diag(errors.deviation(rest)[0]), errors.shared(rest, self.rows, self.cols)[0]]
-        )
-        covariance = by_error @ by_error.T
-        deviation_n = np.maximum(self.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
-        covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
-        if self.inverse is not None:
-            deviation_n = np.maximum(deviation_n, self.half_widths_of(pressed)[0][0])
-        return LoadTest.by(self.usual, covariance, deviation_n)
+        return LoadTest.of(self)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
@@ -285,11 +257,14 @@ class Decoupler(Decoder):
         Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
         ensemble over the root of their number. Where nothing errs there is no chunk.
         """
-        if errors.is_exact and self.ensemble is None and self.left_out is None:
+        if errors.is_exact and self.ensemble is None and self.filling is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
-            slopes, columns = self.by_read(columns_ohm[chunk]), columns_ohm[chunk]
+            columns = columns_ohm[chunk]
+            whole = slopes = self.derivatives(columns)
+            if self.filling is not None:
+                slopes = self.filling.by_read(columns, whole)
             factors = slopes * errors.deviation(columns)[:, None]
             common = []
             if errors.has_drift:
@@ -298,41 +273,17 @@ class Decoupler(Decoder):
             if self.ensemble is not None:
                 assert self.inverse is not None
                 common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.forces(columns)))
-            if self.left_out is not None:
-                common.append(self._by_missing(columns))
+            if self.filling is not None:
+                common.append(self.filling.by_missing(columns, whole))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
-
-    def by_read(self, columns_ohm: FloatArray) -> FloatArray:
-        """`derivatives` by those that are read, which move what is left out as well; 0 by those."""
-        slopes, known = self.derivatives(columns_ohm), self.foretold
-        if known is None:
-            return slopes
-        by_read = np.where(self._missing, 0.0, slopes)
-        if self._agreement is not None:
-            by_missed = self._steps(columns_ohm, self._missed(columns_ohm))[0] @ self._agreement[2]
-            by_read += (slopes[:, :, known.which] * columns_ohm[:, None, known.which]) @ by_missed @ by_read
-        return by_read
 
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
 
         In their places stands what the others foretell of usual loads; where the response is known, that is moved
-        towards what it shows under the forces that come out, as far as these tell it.
-
-        Notes
-        -----
-        Of k readings, as logarithms, with the mean y₀ and the covariance V that the others leave: the most probable
-        y₀ + δ if those under the decoded forces, H δ away as they are put there, agree with them up to errors N of the
-        readings that are read. δ minimises δᵀ V⁻¹ δ + mᵀ N⁻¹ m, m what those still are away, by `REFINED` steps of
-        Gauss and Newton with the slopes A = 1 − H. One pillar of three that sense three forces has
-        H = 1, and is where usual loads have it; of six pillars the forces alone place it.
+        towards what it shows under the forces that come out, as far as these tell it (`LeftOut`).
         """
         return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.rows, self.cols
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
@@ -342,109 +293,9 @@ class Decoupler(Decoder):
         return self.left_out.reshape(-1)[self.places] & self.readable
 
     @cached_property
-    def foretold(self) -> Foretold | None:
+    def filling(self) -> LeftOut | None:
         """What stands in the places of readings that are left out; None if none is, or nobody knows them."""
-        if not self._missing.any() or self.usual is None:
-            return None
-        usual = self.usual
-        if usual.log_ohm is None:
-            return None
-        return Foretold.by(usual, self._missing, self.readable, self._relative(np.exp(usual.log_ohm)))
-
-    def _relative(self, ohm: FloatArray) -> FloatArray:
-        """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
-        errors = self.errors or ReadingError()
-        found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), errors.shared(ohm[None], *self.shape)[0]]
-        if self.ensemble is not None and self.inverse is not None:
-            found.append(self.ensemble.factors(self.inverse.forward, self.inverse.forces(ohm[None]))[0])
-        return np.concatenate(found, axis=1) / ohm[:, None]
-
-    @cached_property
-    def _agreement(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """V⁻¹ and N⁻¹, (k, k), and slopes of ln R of what is left out by forces (k, Q), at the mean load.
-
-        None if nobody knows the response, and of `MANY` readings and more: then loads are too far from the usual ones.
-        N is what m is under drawn loads, with every reading there: by errors, and as the decoder is not exact.
-        """
-        known, inverse = self.foretold, self.inverse
-        if known is None or inverse is None or self.usual is None or len(known.which) >= MANY:
-            return None
-        generator, forward = np.random.default_rng(0), inverse.forward
-        ohm = forward.resistances(self.usual.drawn(DRAWN, len(self.output_weights), generator))
-        by_error = self._relative(np.exp(known.mean))
-        ohm = ohm * np.exp(generator.standard_normal((DRAWN, by_error.shape[1])) @ by_error.T)
-        m = self._missed(np.where(self.readable, ohm, DEAD_OHM))
-        lengths, J = forward.jacobian(inverse.centre_n[None])
-        by_force = (2.0 * J / lengths[..., None])[0, known.which]
-        by_force *= 1.0 - (forward.offset_ohm / forward.resistances(inverse.centre_n[None])[0])[known.which, None]
-        least = MIN_NOISE**2 * np.eye(len(known.which))
-        usual, agree = (np.asarray(np.linalg.inv(each + least)) for each in (known.covariance, m.T @ m / DRAWN))
-        return usual, agree, by_force
-
-    def _missed(self, columns_ohm: FloatArray) -> FloatArray:
-        """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""
-        assert self.foretold is not None
-        assert self.inverse is not None
-        which = self.foretold.which
-        shown_ohm = self.inverse.forward.resistances(self.first_answers(columns_ohm))[:, which]
-        return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
-
-    def _steps(
-        self, columns_ohm: FloatArray, missed: FloatArray, damping: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Steps of δ by m and by δ itself, (n, k, k) each: (V⁻¹ + Aᵀ N⁻¹ A)⁻¹ times Aᵀ N⁻¹ and times V⁻¹."""
-        assert self.foretold is not None
-        assert self._agreement is not None
-        usual, agree, _ = self._agreement
-        which, A = self.foretold.which, np.empty((*missed.shape, missed.shape[1]))
-        for k, place in enumerate(which):
-            there = columns_ohm.copy()
-            there[:, place] *= np.exp(DIFFERENCE)
-            A[:, :, k] = (missed - self._missed(there)) / DIFFERENCE
-        told = A.swapaxes(1, 2) @ agree
-        H = usual + told @ A
-        if damping is not None:
-            H += (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(len(usual))
-        covariance = np.linalg.inv(H)
-        return covariance @ told, covariance @ usual
-
-    def _with_foretold(self, columns_ohm: FloatArray) -> FloatArray:
-        """Readings (n, n_in) [Ω] with what is left out filled in."""
-        known = self.foretold
-        if known is None:
-            return columns_ohm
-        here = known.filled(columns_ohm)
-        if self._agreement is None:
-            return here
-        usual, agree, _ = self._agreement
-        first = np.log(here[:, known.which])
-
-        def filled(delta: FloatArray, on: NDArray[np.intp]) -> FloatArray:
-            there = here[on]
-            there[:, known.which] = np.exp(first[on] + delta)
-            return there
-
-        def at(delta: FloatArray, on: NDArray[np.intp]) -> _Missed:
-            m = self._missed(filled(delta, on))
-            return _Missed((rowwise(m, agree) * m + rowwise(delta, usual) * delta).sum(axis=1), m, delta)
-
-        def step(now: _Missed, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
-            by_missed, by_delta = self._steps(filled(now.delta, on), now.m, damping)
-            found = (by_missed @ now.m[..., None] - by_delta @ now.delta[..., None])[..., 0]
-            return np.clip(found, -MOST, MOST)
-
-        every = np.arange(len(here))
-        delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
-        return filled(delta, every)
-
-    def _by_missing(self, columns_ohm: FloatArray) -> FloatArray:
-        """Changes of the forces by errors of what was filled in, (n, n_out, k) [N]."""
-        known = self.foretold
-        assert known is not None
-        slopes = self.derivatives(columns_ohm)[:, :, known.which] * columns_ohm[:, None, known.which]
-        if self._agreement is not None:
-            slopes = slopes @ self._steps(columns_ohm, self._missed(columns_ohm))[1]
-        return np.asarray(slopes @ np.linalg.cholesky(known.covariance + MIN_NOISE**2 * np.eye(len(known.which))))
+        return LeftOut.of(self, self._missing)
 
     @property
     def is_identified(self) -> bool:
@@ -489,6 +340,11 @@ class Decoupler(Decoder):
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
 
+    @property
+    def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
+        n = self.rows * self.cols * len(self.layout.pillars)
+        return None if self.usual is None else self.usual.readings(self.places, n)
+
     def read_by(self, errors: ReadingError) -> Self:
         """The model with half-widths for readings that err so."""
         return self if self.uncertainty is None else replace(self, uncertainty=replace(self.uncertainty, errors=errors))
@@ -526,7 +382,7 @@ class Decoupler(Decoder):
                 f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
                 "train a model on data of this sensor."
             )
-        return self._with_foretold(columns)
+        return columns if self.filling is None else self.filling.filled(columns)
 
     def require(self, resistance_ohm: FloatArray) -> None:
         self.columns(resistance_ohm)
@@ -560,7 +416,8 @@ class Decoupler(Decoder):
 
     def doubts(self, columns_ohm: FloatArray) -> tuple[NDArray[np.bool_], FloatArray | None]:
         """Which inputs are read, (n_in,), and what errors of others do to first answers, (n, n_out, k) [N]."""
-        return self.readable & ~self._missing, None if self.foretold is None else self._by_missing(columns_ohm)
+        slopes = None if self.filling is None else self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
+        return self.readable & ~self._missing, slopes
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
@@ -598,11 +455,3 @@ class Decoupler(Decoder):
         if self.network.net == "skip":
             network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
         return self.output_scaling.half_range[:, None] * (network @ by_ohm)
-
-
-class _Missed(NamedTuple):
-    """Readings of n scans that are filled in."""
-
-    cost: FloatArray  #: (n,)
-    m: FloatArray  #: (n, k)
-    delta: FloatArray  #: (n, k)

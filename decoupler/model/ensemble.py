@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decoupler.data.columns import namespace
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
@@ -62,14 +63,18 @@ class Ensemble:
         """U of the covariance U Uᵀ of the sensors' resistances, (n, P, m) [Ω]; arguments as of `differences`."""
         return self.differences(forward, state_n).swapaxes(1, 2) / len(self) ** 0.5
 
-    def readings(self, forward: SensorModel, force_n: FloatArray, first: int = 0) -> FloatArray:
-        """Resistances (n, P) [Ω] of the sensors in turn, one for each load (n, Q) [N], from load number `first` on.
+    def readings(self, forward: SensorModel, force_n: FloatArray, sensor: NDArray[np.int64]) -> FloatArray:
+        """Resistances (n, P) [Ω] of the sensors of these numbers (n,), one for each load (n, Q) [N]; also in torch.
 
         The model is linear.
         """
-        found = forward.resistances(force_n)
-        for offset in range(min(len(self), len(force_n))):
-            sensor, mine = (first + offset) % len(self), slice(offset, None, len(self))
-            drawn = {name: values[sensor : sensor + 1] for name, values in vars(self).items() if values is not None}
-            found[mine] += Ensemble(**drawn).differences(forward, force_n[mine])[:, 0]
-        return np.maximum(found, MIN_WHOLE_OHM)
+        vectors = forward.vectors(force_n)
+        signed = vectors if forward.sign is None else vectors * forward.sign
+        y, moved = (signed * vectors).sum(1), 0.0 * vectors[:, : self.rest_mm.shape[2]]
+        for k in set(sensor.tolist()):
+            own = sensor == k
+            by_force = self.influence[k].reshape(-1, force_n.shape[1]).T
+            off = (force_n[own] @ by_force).reshape(-1, *self.rest_mm[k].shape) + self.rest_mm[k]
+            moved[own] = off.swapaxes(1, 2)
+        squares = y * (1.0 + self.resistance[sensor]) + 2.0 * (signed[:, : moved.shape[1]] * moved).sum(1)
+        return (forward.ohm_per_mm2 * squares + forward.offset_ohm + self.offset_ohm[sensor]).clip(MIN_WHOLE_OHM)

@@ -25,8 +25,8 @@ def in_torch(part: Any, like: "Tensor") -> Any:
 
 def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
     """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
-    if decoder.foretold is not None:
-        columns_ohm = in_torch(decoder.foretold, columns_ohm).filled(columns_ohm)
+    if decoder.filling is not None:
+        columns_ohm = in_torch(decoder.filling.foretold, columns_ohm).filled(columns_ohm)
     if decoder.posterior is None:
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())

@@ -1,22 +1,24 @@
 """Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from decoupler.data.columns import Columns, namespace, rowwise
+from decoupler.data.columns import Columns
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from decoupler.model.decoupler import Decoupler
 
 RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyond `FRICTION`
 MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loads
 FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
 SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
 SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
-SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
+MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
 
 
@@ -52,6 +54,14 @@ class UsualLoads:
             log_ohm_covariance=covariance,
         )
 
+    def readings(self, places: NDArray[np.int64], n: int) -> tuple[FloatArray, FloatArray] | None:
+        """Mean (n,) and covariance (n, n) of ln R of n pillars, of which those at `places` (n_in,) are known."""
+        if self.log_ohm is None or self.log_ohm_covariance is None:
+            return None
+        mean, covariance = np.zeros(n), np.eye(n)
+        mean[places], covariance[np.ix_(places, places)] = self.log_ohm, self.log_ohm_covariance
+        return mean, covariance
+
     def nearest(self, force_n: FloatArray) -> FloatArray:
         """Forces brought into the ranges, then shears onto the cone, (n, n_forces) [N]."""
         pads = force_n.reshape(-1, len(self.low_n))
@@ -69,44 +79,6 @@ class UsualLoads:
 
 
 @dataclass(frozen=True, eq=False)
-class Foretold:
-    """What k of P readings are when they are not read, by the others: normal, as logarithms."""
-
-    missing: FloatArray  #: (P,): 1 of what is not read, 0 of the others
-    mean: FloatArray  #: (P,): of ln R under usual loads
-    weights: FloatArray  #: (P, P): of the others' distances from it, in those of the k; 0 of all else
-    covariance: FloatArray  #: (k, k): of what that leaves
-
-    @cached_property
-    def which(self) -> NDArray[np.intp]:
-        """Numbers of the k."""
-        return np.flatnonzero(self.missing)
-
-    @classmethod
-    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], errors: FloatArray) -> Self:
-        """Those `missing` (P,), by the others of those that a decoder reads; `errors` (P, m) change the logarithms.
-
-        Without a covariance, of few samples, nothing is foretold but the mean, and that it may be off by `SPREAD`.
-        """
-        mean, which = usual.log_ohm, np.flatnonzero(missing)
-        assert mean is not None
-        weights, covariance = np.zeros((len(mean), len(mean))), SPREAD**2 * np.eye(len(which))
-        others = np.flatnonzero(read & ~missing)
-        if usual.log_ohm_covariance is not None:
-            S = usual.log_ohm_covariance + errors @ errors.T
-            by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
-            weights[np.ix_(others, which)] = by_others
-            covariance = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
-        return cls(missing.astype(float), mean, weights, covariance)
-
-    def filled(self, columns_ohm: FloatArray) -> FloatArray:
-        """Readings (n, P) [Ω] with those that are foretold in their places; also tensors of torch."""
-        xp = namespace(columns_ohm)
-        found = xp.exp(rowwise(xp.log(columns_ohm) - self.mean, self.weights) + self.mean)
-        return columns_ohm * (1.0 - self.missing) + found * self.missing
-
-
-@dataclass(frozen=True, eq=False)
 class LoadTest:
     """The test whether some usual load explains forces: χ² of how far they are outside, over its degrees of freedom.
 
@@ -116,6 +88,28 @@ class LoadTest:
     usual: UsualLoads
     deviation_n: FloatArray  #: σ, (n_forces,) [N]
     limit: float  #: of χ²/n, that `FALSE_ALARMS` of readings are beyond if all errors lead out of the usual loads
+
+    @classmethod
+    def of(cls, decoder: "Decoupler") -> "LoadTest | None":
+        """That of a network; None if loads, deviations or rest are unknown."""
+        usual, known, inverse = decoder.usual, decoder.uncertainty, decoder.inverse
+        rest_ohm = decoder.rest_resistances()
+        if usual is None or known is None or (inverse is None and rest_ohm is None):
+            return None
+        if inverse is None:
+            assert rest_ohm is not None
+            rest = decoder.columns(rest_ohm[None])
+        else:
+            centre = decoder.output_scaling.centre
+            rest, pressed = inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
+        deviation, shared = known.errors.deviation(rest)[0], known.errors.shared(rest, decoder.rows, decoder.cols)[0]
+        by_error = decoder.derivatives(rest)[0] @ np.hstack([np.diag(deviation), shared])
+        covariance = by_error @ by_error.T
+        deviation_n = np.maximum(decoder.half_widths_of(rest)[0][0], MIN_DEVIATION_N)
+        covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
+        if inverse is not None:
+            deviation_n = np.maximum(deviation_n, decoder.half_widths_of(pressed)[0][0])
+        return cls.by(usual, covariance, deviation_n)
 
     @classmethod
     def by(cls, usual: UsualLoads, covariance_n2: FloatArray, deviation_n: FloatArray) -> Self:

@@ -5,7 +5,7 @@ ways explain a reading, a pillar that moves goes on as before; one that rested g
 step explains what follows: then the least large one is taken that does.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -30,14 +30,12 @@ BOUNDS = (-0.6, 0.7)  #: strains that are looked for
 class LawInverse:
     """Strains of n pillars as each of k memories reads them from their ln R, (k, n).
 
-    `strains` are the least and the largest that can be. Where a memory's direction is loading, b_lengthen is of |ε|
-    that grows; else of ε.
+    Where a memory's direction is loading, b_lengthen is of |ε| that grows; else of ε.
     """
 
-    def __init__(self, memories: Sequence[Memory], pillars: int, strains: tuple[float, float] = BOUNDS) -> None:
+    def __init__(self, memories: Sequence[Memory], pillars: int) -> None:
         shape = (len(memories), pillars)
-        self.strains, self.way = strains, np.zeros(shape)
-        self.still_s, self.missing = np.full(shape, 1e3), np.zeros(shape)
+        self.still_s, self._way = np.full(shape, 1e3), np.zeros(shape)
         lengthen, shorten = (
             _column([getattr(each, name) for each in memories]) for name in ("b_lengthen", "b_shorten")
         )
@@ -62,8 +60,7 @@ class LawInverse:
             left = self._moved(log_ratio, left, moves, rested, seconds)
         else:
             self.broken, self.still_s = rested, self.still_s + seconds
-        self.missing = left
-        return np.asarray(_within(self.strain + left / self.slopes, self.strains))
+        return np.asarray(_within(self.strain + left / self.slopes, BOUNDS))
 
     def settle(self, strain: FloatArray, broken: FloatArray) -> None:
         """Take strains (k, n) and shares of broken contacts (2, k, n) for what they are."""
@@ -98,14 +95,14 @@ class LawInverse:
 
     def _moved(self, y: FloatArray, left: FloatArray, moves: Any, rested: FloatArray, seconds: float) -> FloatArray:
         """What readings (n,) still miss (k, n) once pillars have moved that do."""
-        before, (low, high) = self.strain, self.strains
+        before, (low, high) = self.strain, BOUNDS
         whole = self._all - self._risen(rested)  # what contacts that are not broken can add
         folds = self._slope(before) < whole * self._rate(before, -1.0)  # ln R rises by strain that falls, too
         rises = left > 0.0
         way = 1.0 * (moves & rises) - (moves & ~rises & ~folds)
         if (either := moves & rises & folds & (before > low + CLOSE / 2)).any():
             home = np.where((np.abs(before) > CLOSE) ^ (before < 0), -1.0, 1.0)
-            way = np.where(either, np.where((self.still_s < STILL_S) & (self.way != 0), self.way, home), way)
+            way = np.where(either, np.where((self.still_s < STILL_S) & (self._way != 0), self._way, home), way)
         goes, strain, most = np.abs(way), before, STEEPEST
         for _ in range(ROUNDS):
             slope = way * self._slope(strain) + whole * self._rate(strain, way)
@@ -124,7 +121,7 @@ class LawInverse:
         change = strain - before
         moved = np.abs(change) > LEAST
         self.still_s = (self.still_s + seconds) * ~moved
-        self.way = np.where(moved, np.sign(change), self.way)
+        self._way = np.where(moved, np.sign(change), self._way)
         self.settle(strain, broken)
         return left
 
@@ -138,7 +135,7 @@ class LawInverse:
         some.a, some.tau_s = self.a[:, rows, 0][:, None], self.tau_s[:, rows, 0][:, None]
         some.strain, some.broken = self.strain[rows, pillars], self.broken[:, rows, pillars][:, None]
         steps = np.concatenate([STEPS, -STEPS])[:, None]
-        tried = _within(some.strain + steps, self.strains)
+        tried = _within(some.strain + steps, BOUNDS)
         missing = y[pillars] - some._unbroken(tried) - some._risen(some._after(tried, seconds))
         explains = missing * left[rows, pillars] <= 0
         chosen = np.where(explains, np.abs(steps), np.inf).argmin(axis=0)
@@ -154,12 +151,3 @@ def _column(values: Sequence[float]) -> FloatArray:
 def _within(values: Any, limits: tuple[float, float]) -> Any:
     """As `np.clip`, in half its time."""
     return np.minimum(np.maximum(values, limits[0]), limits[1])
-
-
-def along(
-    step: Callable[[FloatArray, float], tuple[FloatArray, FloatArray]], time_s: FloatArray, log_ratio: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Strains and deviations, both (time, n), of a follower that steps along readings ln R/R₀ (time, n)."""
-    steps = np.diff(time_s, prepend=time_s[:1])
-    found = [step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
-    return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])

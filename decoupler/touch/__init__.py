@@ -4,5 +4,5 @@
 from displaced electrodes to readings. On rubber, in the order of the data: `presses.py` (presses as fields of
 traction), `library.py` (their contacts solved, and put wherever they may be), `regression.py` (the fast answer, from
 the nearest of them), `morph.py` (presses moved, stretched, turned and dragged until they explain a scan), `bare.py`.
-On plates: `plates.py`. Then `touch_file.py`, `assessment.py`, and `limits.py`: the least errors, for a designer.
+On plates: `plates.py`. Then `assessment.py`, and `limits.py`: the least errors, for a designer.
 """

@@ -22,7 +22,7 @@ from fem.contact.tiles import Patch
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
 
-VERSION = 3  #: raise when the same design gives another library
+VERSION = 4  #: raise when the same design gives another library
 PRESSES = 5000  #: that are solved
 OWN = 500  #: of each shape that is one's own
 CELLS = 18  #: of a press's grid along its longer side

@@ -35,6 +35,7 @@ USUAL_N, START_N, LEAST_N = 10.0, 0.3, 0.02
 OUTSIDE = 0.975  #: of a distribution, below the upper end of what holds 95 %
 #: forces of whatever presses: compression, and shear at most as large
 PRESSED = UsualLoads(low_n=np.array([-np.inf, -np.inf, 0.0]), high_n=np.full(3, np.inf), friction=np.ones(1))
+USUAL, MOST_N, SEED = 4000, 100.0, 0  #: readings that say what is usual, under contacts of up to so many newtons
 ROUNDS, STEPS = 3, 7  #: linearisations of a reading, and steps of the sizes by each
 
 
@@ -99,6 +100,20 @@ class PlateDecoder(TouchDecoder):
         """Sizes of a wrench's six loads over its pressing force."""
         side = self.design.pad.size_mm
         return np.array([FRICTION, FRICTION, 1.0, ARM * side, ARM * side, TWIST * side])
+
+    @cached_property
+    def usual_readings(self) -> tuple[FloatArray, FloatArray]:
+        """Under one to three contacts of usual sizes, anywhere on the plates."""
+        generator, n = np.random.default_rng(SEED), self.design.n_units
+        load = np.zeros((USUAL, n, self.n_loads))
+        for own in load:
+            plates = generator.permutation(n)[: generator.integers(1, 4)]
+            shares = generator.standard_normal((len(plates), self.n_loads)) * self._scale
+            shares[:, 2] = 1.0
+            own[plates] = generator.uniform(LEAST_N, MOST_N, (len(plates), 1)) * shares
+        moved = load.reshape(USUAL, -1) @ self.library.moved_mm.reshape(load[0].size, -1)
+        log_ohm = np.log(self.sensing.ohms(self.sensing.reading(moved)))
+        return log_ohm.mean(axis=0), np.cov(log_ohm.T)
 
     def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """Loads by the reading alone.

@@ -18,9 +18,9 @@ from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_cache_key
 from decoupler.model.settings import METHODS, NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
+from decoupler.model_file import model_cache_key
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
 from decoupler.training.network import Network, TrainingSet

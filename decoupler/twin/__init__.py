@@ -1,6 +1,6 @@
 """The sensor on the table: identified from measured pairs, few or many.
 
-In: `Pairs`, and the response of the design with its derivatives, if there is a design. Out: a `Twin`: the posterior of
+In: `Pairs`, and the response of the design with its derivatives. Out: a `Twin`: the posterior of
 what manufacturing left unknown, and a `Decoupler` for this very sensor. Open `identification.py` first.
 """
 

@@ -26,7 +26,7 @@ def decoder_of(
     errors: ReadingError,
     dead: NDArray[np.bool_],
     layout: Layout,
-    design: SensorDesign | None = None,
+    design: SensorDesign,
 ) -> Decoupler:
     """The decoder of linear rubber that errs least, in the mean square, on sensors of the posterior under usual loads.
 
@@ -41,7 +41,7 @@ def decoder_of(
     generator, forward, size = np.random.default_rng(0), found.sensor, (dead.shape[0], dead.shape[1])
 
     def read(force_n: FloatArray) -> FloatArray:
-        drawn = found.ensemble.readings(forward, force_n)
+        drawn = found.ensemble.readings(forward, force_n, np.arange(len(force_n)) % len(found.ensemble))
         return np.maximum(errors.scattered(drawn, *size, generator), MIN_WHOLE_OHM)
 
     light_n = light_loads(loads_n, generator)

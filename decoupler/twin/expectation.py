@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from decoupler.data.columns import Component
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import units_around
-from decoupler.twin.start import started
 from geometry.layout import FloatArray
 from geometry.tolerances import changed, value_of
 
@@ -43,8 +42,6 @@ class Widths:
     misfit: float = 0.01  #: of a reading, over its distance from rest: what no correction explains
 
 
-#: a sensor of which nothing is known
-FLAT = Widths(resistivity=0.0, gain=1.0, offset=0.05, shared=0.0, own=1.0, misfit=1e-4)
 #: a sensor that is as designed but for the gains and offsets of its pillars; the width of corrections is negligible
 HELD = Widths(shared=0.0, own=1e-9)
 #: a sensor at finite strain: changes of the maps by parameters hold what derivatives of a linear response lack
@@ -149,34 +146,6 @@ class Expectation:
             by_rest_mm=np.zeros_like(self.by_rest_mm),
             by_log_c=np.zeros_like(self.by_log_c),
             widths=AT_STRAIN,
-        )
-
-    @classmethod
-    def of_nothing(cls, readings_ohm: FloatArray, force_n: FloatArray, n_units: int, component: Component) -> Self:
-        """A prior about readings (n, P) [Ω] and forces (n, Q) [N] themselves, of a sensor of no known design.
-
-        Lengths are in √Ω: R = g |d + B F|² + o with d along the first axis. The prior about it is as good as flat.
-        """
-        rest, influence = started(readings_ohm, force_n, n_units)
-        P, C, Q = influence.shape
-        return cls(
-            component=component,
-            forward=SensorModel(
-                influence=np.ascontiguousarray(influence.transpose(2, 1, 0).reshape(Q, -1)),
-                top=np.arange(P),
-                rest_mm=np.ascontiguousarray(rest.T),
-                ohm_per_mm2=np.ones(P),
-                offset_ohm=np.zeros(P),
-            ),
-            names=(),
-            values=np.zeros(0),
-            deviations=np.zeros(0),
-            by_influence=np.zeros((0, P, C, Q)),
-            by_rest_mm=np.zeros((0, P, C)),
-            by_log_c=np.zeros((0, P)),
-            near=np.zeros((n_units, 0), dtype=np.int64),
-            near_mm_per_n=np.zeros(0),
-            widths=FLAT,
         )
 
     @property

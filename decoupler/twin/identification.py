@@ -44,7 +44,7 @@ MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to
 class Twin:
     """One sensor as its pairs show it."""
 
-    design: SensorDesign | None  #: as it was meant; None if no design was stated
+    design: SensorDesign  #: as it was meant
     decoder: Decoupler  #: its forces from its resistances
     n_pairs: int
     posterior: Specimen
@@ -58,7 +58,7 @@ class Twin:
 
 def identify(
     pairs: Pairs,
-    response: "ArrayResponse | None" = None,
+    response: "ArrayResponse",
     sensitivities: "ResponseSensitivities | None" = None,
     component: str | None = None,
     loads_n: FloatArray | None = None,
@@ -71,13 +71,13 @@ def identify(
     ----------
     pairs : Pairs
         One is enough to begin with.
-    response : ArrayResponse, optional
-        Of the sensor as designed. Without it the pairs alone decide, and many are needed.
+    response : ArrayResponse
+        Of the sensor as designed.
     sensitivities : ResponseSensitivities, optional
         Its derivatives by the parameters that manufacturing leaves unknown. Without them the design is held: gains and
         offsets alone are found, as by `tripillar identify --as-designed`.
     component : str, optional
-        fz, fx, fy or all; default: the axes along which forces act; with a response usual loads count, too.
+        fz, fx, fy or all; default: the axes along which forces act; usual loads count, too.
     loads_n : array, shape (n, rows, cols, 3), optional
         Loads like those that the sensor will meet [N]; default: of a protocol that the pairs' look drawn from, else the
         pairs', or at finite strain those that the design has seen. Images of them fill the array.
@@ -91,23 +91,19 @@ def identify(
     SampleError
         If the pairs are of another array, none presses the sensor, or no pair has forces that finite strain knows.
     """
-    acting = [pairs.force_n, *pairs.unknown_n, *([] if response is None or loads_n is None else [loads_n])]
+    acting = [pairs.force_n, *pairs.unknown_n, *([] if loads_n is None else [loads_n])]
     parts = component_named("all" if at_strain is not None else component or acting_component(*acting))
     axes = [AXES.index(axis) for axis in parts.axes]
     n, rows, cols, _ = pairs.force_n.shape
-    design = None if response is None else response.design
-    drifts = None if design is None else design.electrics
-    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(drifts)
+    design = response.design
+    errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(design.electrics)
     readings, most = readings_of(pairs, parts, errors), LOADS if at_strain is None else DRAWS
-    if response is None or design is None:
-        expected = Expectation.of_nothing(readings.resistance_ohm, readings.force_n, rows * cols, parts)
-    else:
-        expected = Expectation.of(response, sensitivities, parts)
-        if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
-            size = f"{rows} × {cols} units with pillars {', '.join(pairs.layout.pillar_names)}"
-            raise SampleError(f"the pairs are of {size}, the design is not: give this array's design.")
-        if loads_n is None:
-            loads_n = loads_like(pairs.force_n, axes, design, most, loads_of(response))
+    expected = Expectation.of(response, sensitivities, parts)
+    if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
+        size = f"{rows} × {cols} units with pillars {', '.join(pairs.layout.pillar_names)}"
+        raise SampleError(f"the pairs are of {size}, the design is not: give this array's design.")
+    if loads_n is None:
+        loads_n = loads_like(pairs.force_n, axes, design, most, loads_of(response))
     if loads_n is None:
         loads_n = pairs.force_n if at_strain is None else at_strain.loads_n.reshape(-1, rows, cols, len(AXES))
     usual_n = loads_n[..., axes]
@@ -119,7 +115,7 @@ def identify(
     dead[..., parts.pillars(pairs.layout)] = ~readings.read.any(axis=0).reshape(rows, cols, -1)
     share = 1.0
     with one_blas_thread():  # products are too small for two threads to share
-        if at_strain is not None and response is not None and sensitivities is not None:
+        if at_strain is not None and sensitivities is not None:
             share = 0.2
             near = NearDesigns(at_strain, response, sensitivities)
             by_weights = near.by_parameters(lambda part: progress(0.5 * part))
@@ -130,16 +126,16 @@ def identify(
                 expected = expected.at_strain(near.about_pads(values, by_weights), by_weights)
             progress(0.1)
         found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
-        if at_strain is not None and design is not None:
+        if at_strain is not None:
             decoder = decoder_at_strain(found, at_strain, usual_n, errors, design)
             progress(0.2)
         else:
             decoder = decoder_of(found, usual_n, errors, dead, pairs.layout, design)
-            if n > 1 and response is not None and _contradicted(found, expected.widths):
+            if n > 1 and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
     made_from = {"identified_on": pairs.content_hash, "pairs": n}
     decoder = replace(decoder, dead=dead if dead.any() else None, made_from=made_from)
-    return Twin(design=decoder.design, decoder=decoder, n_pairs=n, posterior=found)
+    return Twin(design=design, decoder=decoder, n_pairs=n, posterior=found)
 
 
 def _contradicted(found: Specimen, stated: Widths) -> bool:

@@ -17,7 +17,7 @@ from common.storage.files import digest, write_bytes
 from common.storage.seal import BLANK, require_intact, sealed
 from common.storage.text_file import read_text, tables_of
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import read_model
+from decoupler.model_file import read_network
 from decoupler.twin.identification import Twin
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml, row_text, whole_design
@@ -37,7 +37,7 @@ class TwinFile:
 
     def read_decoder(self) -> Decoupler:
         """The decoder; `DesignError` if the file is another one than the twin was written with."""
-        decoder = read_model(self.decoder)
+        decoder = read_network(self.decoder)
         if file_hash(self.decoder) != self.decoder_hash:
             raise DesignError(f"{self.decoder} is not the decoder that the twin was written with: identify it again.")
         return decoder
@@ -49,9 +49,7 @@ def file_hash(path: Path) -> str:
 
 
 def most_probable(twin: Twin) -> SensorDesign:
-    """The design of a twin at its most probable values, resistivity included; `DesignError` if it has no design."""
-    if twin.design is None:
-        raise DesignError("the twin has no design: identify it with the design that was meant (--design).")
+    """The design of a twin at its most probable values, resistivity included."""
     values = {name: value for name, (value, _) in twin.parameters.items()}
     return nearest(twin.design, {**values, RESISTIVITY: twin.design.resistivity_ohm_mm * twin.posterior.resistivity})
 

@@ -5,6 +5,8 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from common.errors import DesignError
 from common.storage.files import digest
 from dataset.imperfections import Imperfections
@@ -63,7 +65,8 @@ def simulate_twin(
     samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
     force_n = force_columns(samples.force_n, decoder.component)
     forward = decoder.inverse.forward
-    drawn = decoder.ensemble.readings(forward, force_n, numbers.start)
+    sensors = (numbers.start + np.arange(len(force_n))) % len(decoder.ensemble)
+    drawn = decoder.ensemble.readings(forward, force_n, sensors)
     exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
     exact_ohm[..., decoder.pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
     # contacts are in the twin's own offsets

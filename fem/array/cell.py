@@ -34,6 +34,7 @@ FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
 OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))  #: of each face
 Free = tuple[int, ...]  #: numbers of the `FACES` that no neighbour shares
 CLAMPED = 0.7  #: exponent of displacements at the clamped end of a free side: 0.6 as ν → 0.5, 0.71 at 0.3
+ROUNDING = 1e-14  #: of a mode that does not move a node
 ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
 EXCHANGE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  #: of x and y
 
@@ -228,11 +229,17 @@ def _eliminated(
     I, B = (np.flatnonzero(some) for some in (~is_outer, is_outer))  # noqa: E741
     outer, inner = ((some[:, None] * block + np.arange(block)).ravel() for some in (B, I))
     E = ports.of_parity(parity)
-    modes = np.zeros((len(outer), E.shape[1]))  # Φ
-    modes[np.searchsorted(outer, follows)] = (E.T @ np.kron(ports.values(points[on_side]), np.eye(3)).T).T
+    values = ports.values(points[on_side])
+    values[np.abs(values) < ROUNDING] = 0.0  # few modes move a node
+    row, each = np.searchsorted(outer, follows), np.arange(len(follows))
+    placed = sp.csr_matrix((np.ones(len(each)), (row, each)), shape=(len(outer), len(each)))
+    modes = placed @ sp.kron(sp.csr_matrix(values), np.eye(3), format="csr") @ E  # Φ
     factor = Factor(_part(K, I, I), definite=not system.n_mixed, upper=True)
-    rhs = np.hstack([_part(K, I, B) @ modes + _part(K, B, I).T @ modes, loads[inner]])
+    across = _part(K, I, B).tocsr() + _part(K, B, I).T.tocsr()
     n = modes.shape[1]
+    rhs = np.empty((len(inner), n + loads.shape[1]), order="F")  # as PARDISO takes it, without copies
+    (across @ modes).toarray(out=rhs[:, :n])
+    rhs[:, n:] = loads[inner]
     if inside is None:
         product = schur_product(factor, rhs)
         _, residual = checked_solve(factor, rhs[:, n : n + 3])
@@ -240,10 +247,11 @@ def _eliminated(
         x, residual = checked_solve(factor, rhs)
         product = rhs.T @ x
         solution = np.zeros((K.shape[0], rhs.shape[1]))
-        solution[inner], solution[outer, :n] = x * np.repeat([-1.0, 1.0], [n, x.shape[1] - n]), modes
+        solution[inner] = x * np.repeat([-1.0, 1.0], [n, x.shape[1] - n])
+        solution[outer, :n] = modes.toarray()
         by_ports, by_forces = np.split(system.displaced(solution), [n])
         inside.append(np.concatenate([np.tensordot(E.toarray(), by_ports, (1, 0)), by_forces / copies]))
-    S = copies * (modes.T @ (whole(_part(K, B, B)) @ modes) - product[:n, :n])
+    S = copies * ((modes.T @ whole(_part(K, B, B)) @ modes).toarray() - product[:n, :n])
     L = modes.T @ loads[outer] - product[:n, n:]
     C = product[n:, n:] / copies
     return CondensedCell(

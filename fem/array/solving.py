@@ -20,7 +20,8 @@ from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
 VERSION = 8  #: raise when the same design and settings give another response, so that cached ones are not reused
-CELL_VERSION = 9  #: the same of refined cells
+CELL_VERSION = 10  #: the same of refined cells
+TWO_RUBBERS = 1  #: and of responses of pillars of another rubber, whose cells change more often
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -75,7 +76,7 @@ def array_response(
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     """Hash of all that a response depends on: what bends of the design, the settings, the version."""
     stated = asdict(settings.suited(design)) | {"element": "Q2", "far": True, "mesh": None}  # as in older files
-    return digest("response", VERSION, bent(design), stated)
+    return digest("response", VERSION, bent(design), stated, *([] if design.is_homogeneous else [TWO_RUBBERS]))
 
 
 def solve_response(

@@ -74,7 +74,8 @@ class SurfaceCompliance:
         x, y, _ = self.design.slab_mm
         fine = Patch((-x / 2, -y / 2), (x / 2, y / 2), PARTS * nx, PARTS * ny)
         whole = PatchCompliance(self, fine)
-        rest = self.on_electrodes.reshape(-1, *self.on_electrodes.shape[-3:])
+        rest = self.on_electrodes[..., *whole._own]
+        rest = rest.reshape(-1, *rest.shape[4:])
         if whole._tops is None:
             found = np.einsum(
                 "yi,ebij,xj->yxbe", _spread(whole._rows[0]), rest, _spread(whole._columns[0]), optimize=True
@@ -82,7 +83,7 @@ class SurfaceCompliance:
             layer = np.ones((ny, nx))
         else:
             spread = sp.kron(*(sp.kron(sp.eye_array(n), np.full((1, PARTS), 1 / PARTS)) for n in (ny, nx)))
-            found = (spread @ whole._tops[0]) @ rest.reshape(-1, rest.shape[-1] * rest.shape[-2]).T
+            found = (spread @ whole._tops[0]) @ rest.reshape(-1, rest.shape[-1]).T
             found = found.reshape(ny, nx, *rest.shape[:2]).swapaxes(2, 3)
             layer = (spread @ np.ravel(whole.under_electrodes)).reshape(ny, nx)
         found = found.astype(np.float32).reshape(ny, nx, 3, -1, 3)
@@ -156,8 +157,7 @@ class PatchCompliance:
     def tiles_n(self, force_n: FloatArray) -> FloatArray:
         """Forces (3, ny, nx) [N] on all tiles of the rubber, by forces on cells; plates pass moments on, too."""
         found = np.zeros(self.surface.on_tiles.shape[:3], np.float32)
-        own = found[:, *self._own]
-        own[:] = self._below(force_n).reshape(own.shape)
+        found[:, *self._own] = self._below(force_n).reshape(found[:, *self._own].shape)
         return np.asarray(found)
 
     def _below(self, force_n: FloatArray) -> FloatArray:
@@ -185,21 +185,26 @@ class PatchCompliance:
         return (self._rows[0].T @ force_n @ self._columns[0]).astype(np.float32)
 
     @cached_property
-    def _tops(self) -> tuple[sp.csr_matrix, slice, slice] | None:
+    def _tops(self) -> tuple[sp.csr_matrix, tuple[NDArray[np.int64], NDArray[np.int64]]] | None:
         """As `shares_by_rubber`; None where all is of one rubber or under plates."""
         if not self.surface.has_tops:
             return None
         return shares_by_rubber(self.patch, self.surface.design, self.degree // 2 + 1)
 
     @cached_property
-    def _own(self) -> tuple[slice, slice]:
-        """Rows and columns of the tiles that the patch's cells share in."""
-        return (self._rows[1], self._columns[1]) if self._tops is None else self._tops[1:]
+    def _own(self) -> tuple[slice, slice] | tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows and columns of the tiles that the patch's cells share in; on tops of each tile."""
+        return (self._rows[1], self._columns[1]) if self._tops is None else self._tops[1]
 
     @cached_property
     def _pillars(self) -> NDArray[np.bool_]:
         """Cells (ny, nx) on tops of pillars."""
         return on_pillars(self.surface.design, self.patch.x_mm, self.patch.y_mm)
+
+    @cached_property
+    def stiffness(self) -> FloatArray | float:
+        """How stiff the rubber under each cell (ny, nx) is, over the matrix."""
+        return 1.0 if self._tops is None else np.where(self._pillars, 1 / stiffer(self.surface.design)[1], 1.0)
 
     @property
     def under_electrodes(self) -> FloatArray | float:
@@ -247,8 +252,11 @@ class PatchCompliance:
     @cached_property
     def _near(self) -> FloatArray:
         """What is added to the layer on these tiles, (3 n, 3 n) [mm/N]."""
-        tiles = slice(None), *self._own
-        part = self.surface.on_tiles[*tiles, *tiles]
+        on_tiles, tiles = self.surface.on_tiles, (slice(None), *self._own)
+        if self._tops is not None:
+            number = np.arange(on_tiles[..., 0, 0, 0].size).reshape(on_tiles.shape[:3])[*tiles].ravel()
+            return np.asarray(on_tiles.reshape(2 * (on_tiles[..., 0, 0, 0].size,))[np.ix_(number, number)])
+        part = on_tiles[*tiles, *tiles]
         near = part.reshape(int(np.prod(part.shape[:3])), -1)
         return near if self._faces is None else (self._faces @ (self._faces @ near).T).T.astype(np.float32)
 

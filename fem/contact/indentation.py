@@ -283,6 +283,7 @@ class State:
         friction: float,
         tolerance: float,
         slack_mm: float,
+        stiffness: FloatArray | float = 1.0,
     ) -> "State":
         """Forces of contact, sought from these, with a shape that is apart (k, ny, nx) from rubber at rest.
 
@@ -295,18 +296,19 @@ class State:
         Signorini's and Coulomb's laws: f_n ≥ 0, gap ≥ 0, f_n gap = 0; |f_t| ≤ μ f_n, slip against f_t where equal, none
         where below. Both are f = P(f − α w), P the projection onto f_n ≥ 0 and then |f_t| ≤ μ f_n, for any α > 0. The
         rates α are Barzilai and Borwein's (IMA J. Numer. Anal. 8 (1988) 141), as in projected gradients; normal and
-        tangential forces couple in `give` and are solved together.
+        tangential forces couple in `give` and are solved together. α is a rate times the cell's own stiffness (ny, nx),
+        of any unit: without, forces on cells that are far stiffer than others hardly change from step to step.
         """
         force, moved, rate = self.force_n, self.moved_mm, self.rate
         if not rate:
-            overlap = np.where((apart_mm + moved)[-1] < 0, apart_mm + moved, 0.0)
+            overlap = np.where((apart_mm + moved)[-1] < 0, stiffness * (apart_mm + moved), 0.0)
             probe = overlap if overlap.any() else force
             if not probe.any():
                 return self
-            rate = float(np.vdot(probe, probe) / np.vdot(probe, give(probe)))
+            rate = float(np.vdot(probe, probe / stiffness) / np.vdot(probe, give(probe)))
         was_small = False
         for step in range(MAX_STEPS):
-            change = _projected(force - rate * (apart_mm + moved), friction) - force
+            change = _projected(force - rate * stiffness * (apart_mm + moved), friction) - force
             gave = give(change)
             force, moved = force + change, moved + gave
             most = np.abs(change).max()
@@ -316,8 +318,8 @@ class State:
             was_small = is_small
             curvature = float(np.vdot(change, gave))
             if curvature > 0:
-                square = float(np.vdot(change, change))
-                rate = curvature / float(np.vdot(gave, gave)) if step % 2 else square / curvature
+                square = float(np.vdot(change, change / stiffness))
+                rate = curvature / float(np.vdot(gave, stiffness * gave)) if step % 2 else square / curvature
         raise SolverError(f"contact with friction={friction:g} found no balance in {MAX_STEPS} steps: lower friction.")
 
 
@@ -402,7 +404,9 @@ class Touch:
         for _ in range(passes):  # again if it slipped past the rubber farther than assumed
             used, above = drag, pose.shape.heights_mm(x + drag[0], y + drag[1]) - pose.depth_mm + self.cells.below_mm
             apart = np.stack([*slip, above])
-            after = after.balanced(self.cells.pressed_mm, apart, self.friction, tolerance, slack_mm)
+            after = after.balanced(
+                self.cells.pressed_mm, apart, self.friction, tolerance, slack_mm, self.cells.stiffness
+            )
             drag = after.drag_mm
             if np.abs(drag - used).max() < SMALL_STEP * min(patch.cell_mm):
                 break

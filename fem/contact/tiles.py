@@ -249,49 +249,61 @@ def shares(places_mm: FloatArray, strips: list[Strip], degree: int) -> tuple[Flo
     return found[:, tiles], tiles
 
 
-def shares_by_rubber(patch: "Patch", design: SensorDesign, width: int) -> tuple[sp.csr_matrix, slice, slice]:
-    """Shares (ny·nx, m) of a patch's cells in the tiles of some cells of the array, and the tiles' rows and columns.
+@lru_cache(maxsize=8)
+def shares_by_rubber(
+    patch: "Patch", design: SensorDesign, width: int
+) -> tuple[sp.csr_matrix, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Shares (ny·nx, m) of a patch's cells in tiles of the array, and these tiles' rows and columns, (m,) each.
 
     Quadratic in each tile, through its mean and through values at its ends that `width` tiles on either side say; along
     x, and then along y. Tiles of the other rubber do not count. Large cells are shown by the mean over parts of them,
     which are of the rubber in their middles.
     """
-    cells = patch
+    y_lines, rows = _rows_of_tiles(design)
+    smallest_mm = min(float(np.diff(lines).min()) for lines in top_lines(design)[1] + [y_lines])
+    parts = min(MAX_PARTS, int(np.ceil(2 * max(patch.cell_mm) / smallest_mm)))
+    fine = replace(patch, nx=parts * patch.nx, ny=parts * patch.ny)
+    is_pillar = on_pillars(design, fine.x_mm, fine.y_mm).reshape(patch.ny, parts, patch.nx, parts)
+    counts = is_pillar == on_pillars(design, patch.x_mm, patch.y_mm)[:, None, :, None]
+    weight = (counts / counts.sum(axis=(1, 3), keepdims=True)).reshape(patch.ny, parts, fine.nx)
+    columns, alike = np.unique(  # by the rubbers along y
+        on_pillars(design, fine.x_mm, (y_lines[:-1] + y_lines[1:]) / 2).T, axis=0, return_inverse=True
+    )
+    by_y = np.empty((patch.ny, fine.nx, len(rows)))  # of the parts of a cell together
+    for number, kind in enumerate(columns):
+        at, found = alike.ravel() == number, _in_runs(fine.y_mm, y_lines, kind, width)
+        by_y[:, at] = weight[:, :, at].swapaxes(1, 2) @ found.reshape(patch.ny, parts, -1)
+    entries = list[tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]]()
+    for row in np.flatnonzero(by_y.any(axis=(0, 1))).tolist():
+        x_lines, kind, tiles = rows[row]
+        by_x = _in_runs(fine.x_mm, x_lines, kind, width)
+        used, cells_y = np.flatnonzero(by_x.any(axis=0)), np.flatnonzero(by_y[:, :, row].any(axis=1))
+        along_y = by_y[cells_y, :, row].reshape(-1, patch.nx, parts).swapaxes(0, 1)
+        share = (along_y @ by_x[:, used].reshape(patch.nx, parts, -1)).swapaxes(0, 1)
+        y, x, tile = np.nonzero(share)
+        entries.append((share[y, x, tile], cells_y[y] * patch.nx + x, tiles[used[tile]]))
+    values, cells, tiles = (np.concatenate(each) for each in zip(*entries, strict=True))
+    taken, own = np.unique(tiles, return_inverse=True)
+    found = sp.csr_matrix((values, (cells, own)), shape=(patch.nx * patch.ny, len(taken)))
+    return found, np.divmod(taken, design.array.cols * tiles_per_pitch(design)[0])
+
+
+@lru_cache(maxsize=8)
+def _rows_of_tiles(
+    design: SensorDesign,
+) -> tuple[FloatArray, list[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]]]:
+    """Lines between the array's rows of tiles; of each row its lines, which tiles are on tops, and their numbers."""
     (cols, rows), pitch = (design.array.cols, design.array.rows), design.array.pitch_mm
     along_y, lines = top_lines(design)
-    smallest_mm = min(float(np.diff(line).min()) for line in (along_y, *lines))
-    parts = min(MAX_PARTS, int(np.ceil(2 * max(cells.cell_mm) / smallest_mm)))
-    patch = replace(cells, nx=parts * cells.nx, ny=parts * cells.ny)
-    each, y_lines = len(lines), _all_over(along_y, rows, pitch)
-    y = (y_lines[:-1] + y_lines[1:]) / 2
-    kinds = on_pillars(design, patch.x_mm, y)  # of every row at the places along x
-    by_y = np.empty((patch.ny, patch.nx, len(y)))
-    for kind in np.unique(kinds, axis=1).T:
-        by_y[:, (kinds == kind[:, None]).all(axis=0)] = _in_runs(patch.y_mm, y_lines, kind, width)[:, None]
-    first, m = np.cumsum([0, *(len(line) - 1 for line in lines)]), tiles_per_pitch(design)[0]
-    found = sp.csr_matrix((patch.nx * patch.ny, rows * cols * m))
-    for row in np.flatnonzero(by_y.any(axis=(0, 1))).tolist():
-        x_lines, own = _all_over(lines[row % each], cols, pitch), len(lines[row % each]) - 1
-        kind = on_pillars(design, (x_lines[:-1] + x_lines[1:]) / 2, y[row : row + 1])[0]
-        by_x = _in_runs(patch.x_mm, x_lines, kind, width)
-        used = np.flatnonzero(by_x.any(axis=0))
-        at = row // each * cols * m + used // own * m + first[row % each] + used % own
-        part = sp.csr_matrix((by_y[..., row, None] * by_x[:, used]).reshape(-1, len(used)))
-        found += part @ sp.csr_matrix((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), found.shape[1]))
-    if parts > 1:
-        is_pillar = on_pillars(design, patch.x_mm, patch.y_mm)
-        of_cell = on_pillars(design, cells.x_mm, cells.y_mm).repeat(parts, axis=0).repeat(parts, axis=1)
-        number = np.arange(cells.nx * cells.ny).reshape(cells.ny, cells.nx).repeat(parts, axis=0).repeat(parts, axis=1)
-        alike = np.flatnonzero(is_pillar == of_cell)
-        of = number.ravel()[alike]
-        weight = 1 / np.bincount(of, minlength=cells.nx * cells.ny)[of]
-        found = sp.csr_matrix((weight, (of, alike)), shape=(cells.nx * cells.ny, patch.nx * patch.ny)) @ found
-    touched = np.zeros((rows, cols), dtype=bool)
-    touched.ravel()[np.unique(found.indices // m)] = True
-    low, high = span(touched)
-    tiles = np.arange(found.shape[1]).reshape(rows, -1)
-    taken = slice(int(low[1]), int(high[1])), slice(int(low[0]) * m, int(high[0]) * m)
-    return found[:, tiles[taken].ravel()], *taken
+    y_lines, m = _all_over(along_y, rows, pitch), tiles_per_pitch(design)[0]
+    first, found = np.cumsum([0, *(len(line) - 1 for line in lines)]), []
+    for row, y in enumerate((y_lines[:-1] + y_lines[1:]) / 2):
+        unit, own = divmod(row, len(lines))
+        x_lines, count = _all_over(lines[own], cols, pitch), len(lines[own]) - 1
+        kind = on_pillars(design, (x_lines[:-1] + x_lines[1:]) / 2, np.array([y]))[0]
+        numbers = unit * cols * m + np.arange(cols)[:, None] * m + first[own] + np.arange(count)
+        found.append((x_lines, kind, numbers.ravel()))
+    return y_lines, found
 
 
 def _in_runs(places_mm: FloatArray, lines: FloatArray, kind: NDArray[np.bool_], width: int) -> FloatArray:

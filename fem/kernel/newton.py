@@ -314,13 +314,13 @@ def _equilibrium_at(
             before = misfit.residual
             missing = misfit.pressures if system.body.is_mixed else misfit.pressures - state.p
             (motions,), (pressures,) = tangent.changes(misfit.unbalanced[None], missing[None])
-            state = _damped(system, state, motions, pressures)
+            state = damped(system, state, motions, pressures)
             misfit = system.misfit(state, load_factor)
     residual, least_j = misfit.residual, misfit.least_j
     return Equilibrium(state=state, residual=residual, least_j=least_j, iterations=iteration, is_stable=is_stable)
 
 
-def _damped(system: System, state: State, change: FloatArray, pressures: FloatArray) -> State:
+def damped(system: System, state: State, change: FloatArray, pressures: FloatArray) -> State:
     """A state as far along a change as volumes allow."""
     least = KEPT_VOLUME * system.body.volume_ratios(state.u)
     for damping in DAMPINGS:

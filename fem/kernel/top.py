@@ -189,6 +189,10 @@ class FollowingPressures:
         following = [load for load in loads if isinstance(load, FollowerLoad)]
         return cls([(load.pressure_mpa, top.over(load.rectangle, following=True)) for load in following], top.basis.N)
 
+    def pressing_n(self, x: FloatArray) -> float:
+        """Force down at full load on deformed positions (n_nodes, 3) [N]."""
+        return float(-self.forces(x)[:, 2].sum())
+
     @property
     def nodes(self) -> list[IntArray]:
         """Of each part, (t, k)."""

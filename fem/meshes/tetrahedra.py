@@ -181,28 +181,49 @@ def bisected(mesh: MeshTet, marked: IntArray) -> MeshTet:
     >>> bisected(MeshTet(), np.array([0])).nelements > MeshTet().nelements
     True
     """
-    points = mesh.p.T
-    n = len(points)
-    ends = points[mesh.edges]
-    squared = ((ends[0] - ends[1]) ** 2).sum(axis=1)
-    order = np.lexsort((mesh.edges[1], mesh.edges[0], squared))
-    rank = np.empty(len(order), dtype=np.int64)  # by length, equal ones by number: no two alike
-    rank[order] = np.arange(len(order))
-
-    edges_of = mesh.t2e
+    rank, edges_of = _by_length(mesh), mesh.t2e
     longest = np.take_along_axis(edges_of, rank[edges_of].argmax(axis=0)[None], axis=0)[0]
-    halved = np.zeros(len(order), dtype=bool)
+    halved = np.zeros(len(rank), dtype=bool)
     wanted = longest[marked]
     while not halved[wanted].all():
         halved[wanted] = True
         wanted = longest[halved[edges_of].any(axis=0)]
-
     chosen = np.flatnonzero(halved)
+    return _cut(mesh, chosen, mesh.p.T[mesh.edges[:, chosen]].mean(axis=0), rank)
+
+
+def graded(mesh: MeshTet, singular: NDArray[np.bool_], levels: int, ratio: float) -> MeshTet:
+    """A mesh that shrinks towards lines of which some points (n_points,) are the ends of edges, across them alone.
+
+    Each level cuts every edge with one end on a line at a ratio of its length from there. Edges with both ends on
+    lines must lie in them.
+    """
+    for _ in range(levels):
+        singular = np.append(singular, np.zeros(mesh.p.shape[1] - len(singular), dtype=bool))
+        on_line = singular[mesh.edges]
+        chosen = np.flatnonzero(on_line[0] != on_line[1])
+        ends = mesh.p.T[np.where(on_line[0], mesh.edges, mesh.edges[::-1])[:, chosen]]
+        mesh = _cut(mesh, chosen, (1 - ratio) * ends[0] + ratio * ends[1], _by_length(mesh))
+    return mesh
+
+
+def _by_length(mesh: MeshTet) -> IntArray:
+    """Rank of every edge by its length, equal ones by number: no two alike."""
+    ends = mesh.p.T[mesh.edges]
+    order = np.lexsort((mesh.edges[1], mesh.edges[0], ((ends[0] - ends[1]) ** 2).sum(axis=1)))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank
+
+
+def _cut(mesh: MeshTet, chosen: IntArray, at: FloatArray, rank: IntArray) -> MeshTet:
+    """A mesh with its `chosen` edges cut at points on them (n, 3), and the cells at them, the highest rank first."""
+    n = mesh.p.shape[1]
     low, high = np.sort(mesh.edges[:, chosen], axis=0).astype(np.int64)
     keys = low * n + high
     by_key = np.argsort(keys)
     keys, middle, rank_of = keys[by_key], n + by_key, rank[chosen][by_key]
-    points = np.vstack([points, ends[:, chosen].mean(axis=0)])
+    points = np.vstack([mesh.p.T, at])
 
     finished = []
     cells = mesh.t.T.astype(np.int64)

@@ -26,8 +26,8 @@ from fem.kernel.reference import IntArray, tabulated
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.kernel.top import Top
-from fem.levels import SAFETY, largest_contributors, shown_ratios, unit_loads
-from fem.meshes.tetrahedra import Tetrahedra, bisected, cell_sizes, coarse_edge_mm, mesh_body, prism_of_cells
+from fem.levels import largest_contributors, limits, sizes, unit_loads
+from fem.meshes.tetrahedra import Tetrahedra, bisected, cell_sizes, coarse_edge_mm, graded, mesh_body, prism_of_cells
 from fem.scene.scene import Region, Scene
 from fem.scene.solution import MeshAnswer, Stopwatch
 from geometry.layout import FloatArray
@@ -37,23 +37,16 @@ MAX_UNKNOWNS = 400_000  #: no finer mesh is tried: its factor would take some 6 
 SHARE = 0.75  #: of the indicators' sum that is refined at once: unknowns grow about 1.7 times
 LAST_SHARE = 0.65  #: the same, where little is missing
 MIN_MARKED = 0.12  #: of all elements: few hold the share where rubbers differ 100 times, and the mesh would hardly grow
-MIN_MESHES = 4  #: before an estimate is believed; with 3 it was half the error where rubbers differ 1000 times
+MIN_MESHES = 3  #: before an estimate is believed
 EDGES_ACROSS_PATCH = 1.5  #: edges across every load and probe before the first solve, at least
 MAX_PROBES, N_SUMS = 4, 12  #: probes that have unit loads of their own; of more, sums with random signs
-MIN_FALL = 0.05  #: of η from mesh to mesh: over less, changes say little
+SAFETY = 2.0  #: deviations that the error is stated as
 CUT_ORDER = 8  #: of integration on loaded faces, which loads' edges may cut
+LEVELS, RATIO = 3, 0.25  #: of the grading to edges of plates, and of neighbouring distances
+#: of regular tetrahedra: edge of the cube of six times the volume, over the inradius; root of a facet's area, over
+#: inradius² · area / volume
+OF_CELL, OF_FACET = 4.364, 4.298
 NOWHERE = np.empty((0, 4))
-
-
-def estimated_error(history: Sequence[tuple[float, FloatArray]]) -> float:
-    """Largest relative error of the probes on the last of several meshes, infinite with fewer than `MIN_MESHES`.
-
-    `history` holds, for every mesh, the sum of its indicators and its probes, shape (n_probes, 3) [mm].
-    """
-    if len(history) < MIN_MESHES:
-        return np.inf
-    eta, probes = (np.array(part) for part in zip(*history[-3:], strict=True))
-    return float(SAFETY * shown_ratios(probes, eta[:, None], MIN_FALL).max() * eta[-1])
 
 
 class AdaptedTetrahedra:
@@ -79,8 +72,11 @@ class AdaptedTetrahedra:
         self._coarse = mesh
         narrow = [scene.load_rectangles_mm, scene.plate_rectangles_mm, scene.probe_rectangles_mm, rectangles]
         self.mesh = with_edges_across(mesh, np.vstack(narrow))
+        if scene.is_linear:  # strains are so large there that boxes so thin would give way
+            self.mesh = graded_to_plates(self.mesh, scene.plate_rectangles_mm, scene.rounding_mm)
         self._body: Rubber | None = None
-        self.history: list[tuple[float, FloatArray]] = []  #: sum of indicators and probes of every mesh
+        self.history: list[tuple[FloatArray, FloatArray]] = []  #: answers of every mesh, and sums of their indicators
+        self._error = np.inf
         #: the different rubbers, the body's first
         self.materials = list(dict.fromkeys([scene.material, *(material for _, material in regions)]))
         self._material_of = np.array([0, *(self.materials.index(material) for _, material in regions)])
@@ -89,7 +85,21 @@ class AdaptedTetrahedra:
         return f"{self.mesh.nelements} tetrahedra"
 
     def error(self) -> float:
-        return estimated_error(self.history)
+        return self._error
+
+    def _towards(self, values: FloatArray, eta: FloatArray) -> FloatArray:
+        """The best answers after another mesh's (n, 3), the probes' first, and their η: of linear bodies the limits.
+
+        At finite strain it stays that mesh's, in error by what the limit is off, too.
+        """
+        self.history.append((values, eta))
+        if len(self.history) < MIN_MESHES:
+            return values
+        limit, deviation = limits(*np.array(self.history).swapaxes(0, 1))
+        found = limit if self.scene.is_linear else values
+        error = np.linalg.norm(limit - found, axis=1) + SAFETY * deviation
+        self._error = float((error[:-1] / sizes(found[:-1])).max())
+        return found
 
     def limit(self, unknowns: int) -> str | None:
         return f"{MAX_UNKNOWNS} unknowns" if unknowns >= MAX_UNKNOWNS else None
@@ -148,20 +158,22 @@ class AdaptedTetrahedra:
             for own, pressure, tractions in zip(z, y[-n:].T, shapes, strict=True)
         ]
         watch.spent("assemble")
-        indicators = np.sqrt(of_answer * of_duals).sum(axis=0)
+        indicators = np.sqrt(of_answer * of_duals)
         energy_mj, residual = 0.5 * float(forces[:, 0] @ x[:, 0]), max(residual, dual_residual)
         if not scene.is_linear:
             self.equilibrium = found = find_equilibrium(System(body, scene.loads))
             watch.spent("solve")
             u, energy_mj, residual = found.state.u, found.stored_mj, found.residual
             probes = np.asarray(rows @ u)
-        self.history.append((float(indicators.sum()), probes))
+        of_each = indicators.sum(axis=1)
+        eta = of_each.reshape(probes.shape) if len(of_each) == probes.size else np.full(probes.shape, of_each.mean())
+        limit = self._towards(np.vstack([probes, [energy_mj, 0.0, 0.0]]), np.vstack([eta, np.full(3, of_answer.sum())]))
         return MeshAnswer(
-            probes=probes,
-            energy_mj=energy_mj,
+            probes=limit[:-1],
+            energy_mj=float(limit[-1, 0]),
             residual=residual,
             unknowns=matrix.shape[0],
-            indicators=indicators,
+            indicators=indicators.sum(axis=0),
             field=lambda: Field(places=Tetrahedra(body.basis.mesh), body=body, displacement_mm=u),
         )
 
@@ -200,6 +212,22 @@ def with_edges_across(mesh: MeshTet, rectangles: FloatArray) -> MeshTet:
         mesh = bisected(mesh, np.flatnonzero(at_top)[coarse])
 
 
+def graded_to_plates(mesh: MeshTet, plates: FloatArray, slack_mm: float) -> MeshTet:
+    """A mesh that shrinks towards the edges of plates (k, 4) on its top, where stress is singular."""
+    while len(plates):
+        x, y, z = mesh.p[:, :, None]
+        low, high = plates[:, :2] - slack_mm, plates[:, 2:] + slack_mm
+        within = (z == mesh.p[2].max()) & (x > low[:, 0]) & (y > low[:, 1]) & (x < high[:, 0]) & (y < high[:, 1])
+        off = np.abs([x - plates[:, 0], x - plates[:, 2], y - plates[:, 1], y - plates[:, 3]])
+        sides = np.moveaxis(within & (off < slack_mm), 1, 2).reshape(-1, mesh.p.shape[1])  # points on each side
+        one, other = sides[:, mesh.edges[0]], sides[:, mesh.edges[1]]
+        chords = one.any(axis=0) & other.any(axis=0) & ~(one & other).any(axis=0)
+        if not chords.any():
+            return graded(mesh, sides.any(axis=0), LEVELS, RATIO)
+        mesh = bisected(mesh, np.flatnonzero(chords[mesh.t2e].any(axis=0)))
+    return mesh
+
+
 def residuals(
     body: Rubber,
     u: FloatArray,
@@ -226,15 +254,20 @@ def residuals(
 
     corners = points[cells]
     volumes = body.dx.sum(axis=1)
-    unbalanced = np.einsum("evij,evj->ei", stress[:, 1:] - stress[:, :1], body.pull[:, 0])
-    squared: FloatArray = np.cbrt(6 * volumes) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
-    squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
-
     facets, sides = mesh.facets.T, mesh.f2t
     triangles = points[facets]
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     areas = np.linalg.norm(normal, axis=1) / 2
     normal /= 2 * areas[:, None]
+    inradius = 3 * volumes / areas[mesh.t2f].sum(axis=0)
+
+    def reach(element: IntArray, facet: IntArray) -> FloatArray:
+        """Length over which an element takes up what is missing on one of its facets; sqrt(area) of a regular one."""
+        return OF_FACET * inradius[element] ** 2 * areas[facet] / volumes[element]
+
+    unbalanced = np.einsum("evij,evj->ei", stress[:, 1:] - stress[:, :1], body.pull[:, 0])
+    squared: FloatArray = (OF_CELL * inradius) ** 2 * volumes * (unbalanced**2).sum(axis=1) / mu_mpa
+    squared += mu_mpa * _integral_of_square((divergence - p / lame_mpa[:, None])[..., None], volumes)
 
     def tractions(side: int, chosen: IntArray) -> FloatArray:
         """σ·n at the corners of facets, from the elements on one side, shape (k, 3, 3)."""
@@ -243,10 +276,10 @@ def residuals(
         return np.einsum("fvij,fj->fvi", stress[element[:, None], corner], normal[chosen])
 
     inner = np.flatnonzero(sides[1] >= 0)
-    jump = _integral_of_square(tractions(0, inner) - tractions(1, inner), areas[inner]) * np.sqrt(areas[inner])
+    jump = _integral_of_square(tractions(0, inner) - tractions(1, inner), areas[inner])
     for side in (0, 1):
         element = sides[side, inner]
-        squared += np.bincount(element, 0.5 * jump / mu_mpa[element], len(cells))
+        squared += np.bincount(element, 0.5 * reach(element, inner) * jump / mu_mpa[element], len(cells))
 
     outer = np.flatnonzero((sides[1] < 0) & (triangles[..., 2] != 0.0).any(axis=1))
     element = sides[0, outer]
@@ -263,7 +296,7 @@ def residuals(
     middle = triangles[outer].mean(axis=1)
     for x0, y0, x1, y1 in plates:
         misfit[top & ((middle[:, :2] > (x0, y0)) & (middle[:, :2] < (x1, y1))).all(axis=1)] = 0.0
-    return squared + np.bincount(element, np.sqrt(areas[outer]) * misfit / mu_mpa[element], len(cells))
+    return squared + np.bincount(element, reach(element, outer) * misfit / mu_mpa[element], len(cells))
 
 
 def _tractions_at(points: FloatArray, rectangles: FloatArray, tractions_mpa: FloatArray) -> FloatArray:

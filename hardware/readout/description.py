@@ -13,7 +13,7 @@ from hardware.link.frames import Info
 from hardware.readout.wrench import SIGNS, pad_positions
 
 if TYPE_CHECKING:
-    from decoupler.touch.touch_file import AnyDecoder
+    from decoupler.model.decoder import Decoder
 
 FRAME = "tripillar"  #: name of the frame of the touched surface
 NORMAL = (0.0, 0.0, 1.0)  #: out of the sensor
@@ -89,7 +89,7 @@ def plain_numbers(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.6g}") if value == value else None for value in values.tolist()]
 
 
-def describe(model: "AnyDecoder", info: Info) -> SensorDescription:
+def describe(model: "Decoder", info: Info) -> SensorDescription:
     """The sensor on a board, as a model knows it."""
     axes, scaling, design = model.component.axes, model.output_scaling, model.design
     shape, places = (model.rows, model.cols, len(info.layout.pillars)), np.full((model.rows, model.cols, 3), np.nan)

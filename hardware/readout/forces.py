@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from decoupler.evaluation.faults import FaultTest
+    from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
-    from decoupler.touch.touch_file import AnyDecoder
 
 CHUNK = 2048  #: frames worked on together
 NAMED = 3  #: pillars left out that are named in a line
@@ -38,7 +38,7 @@ LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as 
 #: values of `Forces` by scans
 BY_SCAN = (
     *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated", "left_out"),
-    *("memory_rise", "memory_deviation", "time_s", "stamp_ns", "device_us", "sequence"),
+    *("memory_rise", "memory_deviation", "memory_tested", "time_s", "stamp_ns", "device_us", "sequence"),
 )
 
 
@@ -57,7 +57,7 @@ class Forces:
     stamp_ns: Any = None  #: (n,): the same on the Unix clock [ns], which only grows
     device_us: Any = None  #: (n,): the board's clock as sent [µs], modulo 2³²
     sequence: Any = None  #: (n,): frames sent since the board's start, modulo 2¹⁶
-    model: "AnyDecoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
+    model: "Decoder | None" = field(default=None, repr=False)  #: knows the deviations; None if there are none
     faults: Mapping[str, int] = field(default_factory=dict)  #: of pillars and wires, and in how many windows of scans
     moment_nmm: FloatArray | None = None  #: (n, rows, cols, 2 or 3): of touch, the moments of `Touched.load`
     moment_deviation_nmm: FloatArray | None = None  #: of that shape: half-widths that hold 68 % of their errors
@@ -66,6 +66,7 @@ class Forces:
     tested: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)  #: known `consistency`
     memory_rise: FloatArray | None = None  #: (n, rows, cols, P): of ln R, taken for the rubber's memory and taken away
     memory_deviation: FloatArray | None = None  #: of that shape: relative, that this leaves of the resistances
+    memory_tested: Any = None  #: (n,): whether readings had tested the rubber's law, which is not applied before
     weights: FloatArray = field(repr=False)  #: (rows·cols·k, 6): `wrench_weights` of the sensor
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
@@ -207,7 +208,7 @@ class ForceReader:
     def __init__(
         self,
         info: Info,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration | None = None,
         crosstalk: bool = True,
         causal: "SensorFilter | None" = None,
@@ -255,9 +256,8 @@ class ForceReader:
     def fault_test(self) -> "FaultTest | None":
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
-        from decoupler.model.decoupler import Decoupler
 
-        return FaultTest.of(self._uncertain) if isinstance(self._uncertain, Decoupler) else None
+        return None if self._uncertain is None else FaultTest.of(self._uncertain)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""
@@ -299,7 +299,7 @@ class LiveSensor:
     def __init__(
         self,
         scanner: Scanner,
-        model: "AnyDecoder",
+        model: "Decoder",
         calibration: SensorCalibration,
         causal: "SensorFilter | None" = None,
     ) -> None:
@@ -357,7 +357,7 @@ class LiveSensor:
 @one_blas_thread()  # `Decoupler.forces` has a thread a core of its own
 def replay(
     recording: Recording,
-    model: "AnyDecoder",
+    model: "Decoder",
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,

@@ -22,9 +22,9 @@ from dataset.resistance import conducted_lengths, exact_resistances, pillar_leng
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
-from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import read_model
+from decoupler.model.decoder import Decoder
 from decoupler.model.tensors import decoded_by, in_torch
+from decoupler.model_file import read_model
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
@@ -38,7 +38,6 @@ from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
 from hardware.virtual.steps import rounded, shares
 from hardware.virtual.strained import StrainedSensor
-from hardware.virtual.twin_sensors import TwinSensors
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -71,7 +70,7 @@ class VirtualSensor:
     ----------
     design : SensorDesign, TwinFile or path
         A design, its file, or the file of a twin: then each environment has a sensor of the twin's posterior.
-    model : Decoupler or path, optional
+    model : Decoder or path, optional
         Default: a twin's own decoder; of a design none, and nothing is decoded. A decoder of touch has no derivatives.
     environments : int
         Number e of sensors.
@@ -121,7 +120,7 @@ class VirtualSensor:
     def __init__(
         self,
         design: SensorDesign | TwinFile | Path | str,
-        model: Decoupler | Path | str | None = None,
+        model: Decoder | Path | str | None = None,
         *,
         environments: int = 1,
         noise: float = 0.0,
@@ -168,27 +167,24 @@ class VirtualSensor:
         self.dtype, self.device = self._like.dtype, self._like.device  #: of all tensors
         self._generator = torch.Generator(device=self._like.device).manual_seed(seed)
         decoder = twin.read_decoder() if twin is not None else None
-        if model is None:
-            model = decoder
-        elif isinstance(model, Path | str):
-            model = read_model(Path(model))
-        for name, other in (("model", model), ("crossbar", crossbar)):
+        used: Decoder | None = read_model(Path(model)) if isinstance(model, Path | str) else model or decoder
+        for name, other in (("model", used), ("crossbar", crossbar)):
             if other is not None and (other.rows, other.cols) != self.shape:
                 sizes = f"{other.rows} × {other.cols} units, the design {self.shape[0]} × {self.shape[1]}"
                 raise ArgumentError(f"the {name} has {sizes}: take one of this design.")
             if other is not None and other.layout != self._layout:
                 raise ArgumentError(f"the {name} is of another layout than the design: take one of this design.")
-        feels = model is not None and model.moments > 0
-        self._followers = [model.follower() for _ in range(environments)] if feels and model is not None else None
-        self._model: Any = model
-        self._decoder: Any = None if model is None or feels else in_torch(model, self._like)
+        feels = used is not None and used.moments > 0
+        self._followers = [used.follower() for _ in range(environments)] if feels and used is not None else None
+        self._model: Any = used
+        self._decoder: Any = None if used is None or feels else in_torch(used, self._like)
         self._crossbar = crossbar
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())
             self._found = Corrector(host).correct if correct else host.uncorrected
-        self._twin = None
+        self._twin: Any = None
         self._forward: Any
-        if decoder is None and (strained := getattr(model, "posterior", None)) is not None:
+        if decoder is None and (strained := getattr(used, "posterior", None)) is not None:
             self._forward = self._shape = StrainedSensor(strained.forward, self._like)
         elif decoder is None:
             solved = self._designed(response)
@@ -199,8 +195,13 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            self._twin = TwinSensors(decoder, self._like)
-            self._forward = self._shape = self._twin.forward
+            if decoder.posterior is not None:
+                raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
+            if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+                told = ", ".join(decoder.component.forces)
+                raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
+            self._forward = self._shape = in_torch(decoder.inverse.forward, self._like)
+            self._twin = in_torch(decoder.ensemble, self._like)
         self._gain = self._like.new_ones((environments, *self._pillars))
         self._offset = torch.zeros_like(self._gain)
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
@@ -248,7 +249,7 @@ class VirtualSensor:
         self._rubber.forget(chosen, self._normal)
         if self._twin is not None:
             numbers = torch.empty(len(chosen), dtype=torch.int64, device=self.device)
-            self._member[chosen] = numbers.random_(self._twin.members, generator=self._generator)
+            self._member[chosen] = numbers.random_(len(self._twin), generator=self._generator)
         at_rest = self._like.new_zeros((self.environments, *self.shape, len(AXES)))
         rest_ohm = self._gain * self.resistances(at_rest) + self._offset
         if bool((rest_ohm <= 0.0).any()):
@@ -286,7 +287,7 @@ class VirtualSensor:
         self._require(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            ohms = self._twin.resistances(columns, self._member).reshape(self._gain.shape)
+            ohms = self._twin.readings(self._forward, columns, self._member).reshape(self._gain.shape)
         else:
             ohms = self._forward.resistances(columns).reshape(self._gain.shape)
         return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(self._gain.shape), seconds)
@@ -331,13 +332,10 @@ class VirtualSensor:
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
-        pillars = self._decoder.pillars
-        columns = resistance_ohm[..., pillars]
-        if (dead := self._decoder.dead) is not None:
-            columns = torch.where(torch.as_tensor(dead[..., pillars], device=self.device), DEAD_OHM, columns)
-        columns, shown_ohm = columns.reshape(self.environments, -1), resistance_ohm.detach().cpu().double().numpy()
+        readable = torch.as_tensor(self._decoder.readable, device=self.device)
+        columns = torch.where(readable, resistance_ohm.flatten(1)[:, self._decoder.places], DEAD_OHM)
         decoded = self._like.new_empty((self.environments, len(self._decoder.output_weights)))
-        for which, decoder in self._model.sifted(shown_ohm):
+        for which, decoder in self._model.sifted(resistance_ohm.detach().cpu().double().numpy()):
             rows = torch.as_tensor(which, device=self.device)
             decoded = decoded.index_copy(0, rows, decoded_by(decoder, self._decoder, columns[rows]))
         return decoded.reshape(self.environments, *self.shape, -1)

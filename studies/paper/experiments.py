@@ -17,8 +17,8 @@ from decoupler.data.columns import Columns, component_named, force_columns
 from decoupler.evaluation.crossval import Fold, Job, fold, jobs_of, split_folds
 from decoupler.evaluation.metrics import ForceErrors, component_errors, pca_floor
 from decoupler.model.baseline import HOOKE, LINEAR, LeastSquares, hooke_forces
-from decoupler.model.model_file import METHOD
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model_file import METHOD
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 from studies.paper.printed import MEAN_OVER_WIDTHS

@@ -27,13 +27,12 @@ PICTURE, SHOWN_S = "real-rubber.png", 900.0  #: of each series
 
 def judged(read: Read, fits: Mapping[str, Fitted], pairs: Mapping[str, Iterable[str]]) -> Tables:
     """Errors of all methods on each series that was not fitted."""
-    ohms, forces = [], []
-    for name, fitted in fits.items():
-        for test in pairs[name]:
-            series, named = read(test), {"fitted to": name, "tested on": test}
-            ohms.append(named | fitted.resistance_errors(series))
-            forces += [named | row for row in fitted.force_errors(series)]
-    return {"resistance from strain [% of range]": ohms, "force from resistance [% of range]": forces}
+    rows = [
+        {"fitted to": name, "tested on": test} | fitted.errors(read(test))
+        for name, fitted in fits.items()
+        for test in pairs[name]
+    ]
+    return {"resistance from strain [% of range]": rows}
 
 
 def judge_strips(folder: Path, out: Path) -> Tables:
@@ -85,7 +84,7 @@ def judge(
     data: Annotated[Path, Parameter(help="Folder with clones of the repositories.")],
     out: Annotated[Path, Parameter(help="Folder for tables and picture.")] = Path("out/real-rubber"),
 ) -> None:
-    """Judge the law of rubber, the causal decoder and identification without a design on published measurements."""
+    """Judge the law of rubber, and training without a design, on published measurements."""
     there = [name for name in REPOSITORIES if (data / name).is_dir()]
     missing = [
         f"{data / name} is missing: git clone https://github.com/{owner}/{name} {data / name}; numbers are of {commit}."

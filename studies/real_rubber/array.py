@@ -34,6 +34,7 @@ RUBBERS = {
     "7.5 %, second fit": Memory(a=(0.257, 0.187), b_lengthen=1.39, b_shorten=11.5, tau_s=(11.8, 238.0), g1=2.25),
     "10 %": Memory(a=(0.235, 0.24), b_lengthen=1.35, b_shorten=9.84, tau_s=(17.1, 429.0), g1=1.09),
 }
+NONE = "none that remembers"
 OWN, SERIES, G2 = "7.5 %", 3, NAMES.index("g2")
 CORNERS_S, SECONDS, APART_S = (5.0, 7.0, 67.0, 69.0), 130.0, 0.1  #: rest, pressed, held, let go
 MARKS_S = {"1 s held": 8.0, "60 s held": 66.9, "10 s let go": 79.0, "60 s let go": 129.0}
@@ -155,7 +156,7 @@ def judge(
     own = [
         row | {"file of": f"series {n}"} for n, each in enumerate([rubbers[OWN], *others]) for row in by(OWN, each, OWN)
     ]
-    wrong = [row for name in RUBBERS if name != OWN for row in by(name, rubbers[OWN], OWN)]
+    wrong = [row for name in (*RUBBERS, NONE) if name != OWN for row in by(name, rubbers[OWN], OWN)]
     turned = [row for name, rubber in rubbers.items() if name != OWN for row in by(OWN, rubber, name)]
     costs: list[dict[str, Any]] = []
     y = np.repeat(pressed.log_ratio(RUBBERS[OWN])[40:640, 0], 5, axis=0)  # the press and half its hold
@@ -176,10 +177,11 @@ def _stated(rubber: Rubber, direction: str) -> Rubber:
 
 def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[dict[str, Any]]:
     """Rows of an array of one rubber, read with the file of this one or of another."""
-    y = pressed.log_ratio(RUBBERS[truth])
+    y = pressed.log_ratio(RUBBERS.get(truth, Memory()))
     named: dict[str, Any] = {"rubber": truth, "file of": file}
     ignored = pressed.errors(static_strain(y, _stated(rubber, "loading").memory))
-    rows: list[dict[str, Any]] = [named | {"by": "ignored"} | ignored]
+    rows: list[dict[str, Any]] = [named | {"by": "no contacts"} | ignored]
+    rows.append(named | {"by": "no rubber"} | pressed.errors(np.expm1(0.5 * y)))
     for direction in ("loading", "unknown"):
         ours = SensorFilter.of_rubber(_stated(rubber, direction))
         rows.append(named | {"by": f"followed, {direction}"} | pressed.row(ours, y))

@@ -11,15 +11,12 @@ import numpy as np
 
 from dataset import Samples
 from decoupler import NetworkConfig, train
-from decoupler.data.pairs import Pairs
-from decoupler.twin.identification import identify
 from geometry.layout import AXES, FloatArray
 
 FOLDER = Path("characterization/datasets")
 N_PER_G = 9.81e-3
 REST = 2e4  #: added to changes of a channel [μT], which are then resistances [Ω]; the largest is a sixth of it
 NOISE = 2.5e-4  #: of these: 5 μT, the channels' scatter at rest
-PAIRS = 600  #: of those that `identify` takes, spread over all
 HELD_OUT = 0.2  #: share of places; of a recording's end, as the paper's own split
 PAPER = {"normal_force": "0.27 N", "shear_force": "0.12 N", "spatial_resolution": "0.5 mm"}
 Pressed = tuple[FloatArray, FloatArray]  #: channels (n, c) [μT], and (n, 1) force [N], or (n, 3) place and height [mm]
@@ -45,24 +42,17 @@ def samples(channels: FloatArray, wanted: FloatArray) -> Samples:
     return Samples(resistance_ohm=channels.reshape(force.shape) + REST, force_n=force, noise=NOISE)
 
 
-def decoded(learned: Pressed, channels: FloatArray) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """By each way its name, what is wanted (n, m), and half-widths that are to hold 95 % of the errors.
+def decoded(learned: Pressed, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What is wanted (n, m), and half-widths that are to hold 95 % of the errors.
 
     Of readings at rest a tenth is learned from: error bars leave out all of a load at once, and rest is a fifth of all.
     """
     some = learned[1].any(axis=1) | (np.arange(len(learned[1])) % 10 == 0)
     known = samples(learned[0][some], learned[1][some])
-    some = np.linspace(0, len(known) - 1, min(PAIRS, len(known))).astype(int)
-    ways = {
-        "identify": lambda: identify(Pairs.of(known[some]), component="all").decoder,
-        "train": lambda: train(known, "all", NetworkConfig(feature="resistance")),
-    }
-    m = learned[1].shape[1]
+    m, model = learned[1].shape[1], train(known, "all", NetworkConfig(feature="resistance"))
     ohms = samples(channels, np.zeros((len(channels), m))).resistance_ohm
-    for name, made in ways.items():
-        model = made()
-        force, half = (of.mean(axis=(1, 2))[:, :m] for of in (model.forces(ohms), model.half_widths(ohms)[1]))
-        yield name, force, half
+    found, half = (of.mean(axis=(1, 2))[:, :m] for of in (model.forces(ohms), model.half_widths(ohms)[1]))
+    return found, half
 
 
 def trials(found: list[Pressed], kind: str) -> Iterator[tuple[str, Pressed, Pressed]]:
@@ -84,13 +74,13 @@ def trials(found: list[Pressed], kind: str) -> Iterator[tuple[str, Pressed, Pres
 
 
 def judged(folder: Path, kind: str) -> list[dict[str, Any]]:
-    """A row of errors for each trial and way, in newtons or millimetres; of places, both coordinates together."""
+    """A row of errors for each trial, in newtons or millimetres; of places, both coordinates together."""
     rows = []
     for name, learned, (channels, true) in trials(recordings(folder, kind), kind):
         m = min(true.shape[1], 2)
-        for way, got, half in decoded(learned, channels):
-            error = (got - true)[:, :m]
-            sizes = {"rmse": float(np.sqrt(np.mean(error**2))), "mean": float(np.abs(error).mean())}
-            inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m]))}
-            rows.append({"kind": kind, "tested on": name, "by": way, "paper": PAPER[kind], **sizes, **inside})
+        got, half = decoded(learned, channels)
+        error = (got - true)[:, :m]
+        sizes = {"rmse": float(np.sqrt(np.mean(error**2))), "mean": float(np.abs(error).mean())}
+        inside = {"within 95 % [%]": 100.0 * float(np.mean(np.abs(error) < half[:, :m]))}
+        rows.append({"kind": kind, "tested on": name, "paper": PAPER[kind], **sizes, **inside})
     return rows

@@ -1,7 +1,6 @@
 """What others would do with a series: fitted to one, applied to any in the same even steps.
 
-A method takes a series x (n,), what it is to give y (n,), and the step [s], and gives the function from x to y. The
-same methods make resistances of strains and forces of resistances.
+A method takes a series x (n,), what it is to give y (n,), and the step [s], and gives the function from x to y.
 """
 
 from collections.abc import Callable

@@ -1,10 +1,12 @@
 """Loads: ranges, axes, cones and how many numbers each protocol really varies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dataset.loads import FRICTION, NORMAL_MPA, TANGENTIAL_MPA, preload_of
-from dataset.protocols import PROTOCOLS, pad_protocol
+from dataset.protocols import PROTOCOLS, pad_protocol, scaled_indenters
 from geometry import Array, DesignError, SensorDesign
 
 PAPER = SensorDesign()
@@ -101,3 +103,12 @@ def test_light_loads_touch_few_pads_or_none_by_up_to_10_n(name):
         assert (np.hypot(force_n[..., X], force_n[..., Y]) <= FRICTION * force_n[..., Z] + 1e-12).all()
     with pytest.raises(DesignError, match="presses shapes"):
         pad_protocol("indent")
+
+
+def test_indenters_are_as_wide_as_pitches_say_and_hashes_tell_other_widths_than_the_papers():
+    """Scaled as a whole, an array takes the same loads."""
+    wide = replace(SensorDesign(), array=Array(pitch_mm=30.0))
+    one, other = (PROTOCOLS["contact"].draw(np.random.default_rng(3), 20, design) for design in (SensorDesign(), wide))
+    assert one == pytest.approx(other, rel=1e-12)
+    assert scaled_indenters("contact-fz", SensorDesign()) == scaled_indenters("three-axis", wide) == []
+    assert scaled_indenters("contact-fz", wide)

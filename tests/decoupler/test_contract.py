@@ -229,10 +229,7 @@ def every(request) -> tuple[str, Case]:
 
 def place_of(model: Decoder) -> tuple[int, int, int]:
     """A pillar that it reads."""
-    layout = model.layout
-    read = np.zeros((model.rows, model.cols, len(layout.pillars)), dtype=bool)
-    read[..., model.component.pillars(layout)] = True
-    return tuple(np.argwhere(read if model.dead is None else read & ~model.dead)[-1])
+    return tuple(np.argwhere(model.read)[-1])
 
 
 def off_n(case: Case, ohms: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataset.samples import joined
 from decoupler import SampleError, component_named, train
 from decoupler.data.columns import force_columns
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.model_file import require_same_sensor
+from decoupler.model_file import require_same_sensor
 from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import response, sensor
 

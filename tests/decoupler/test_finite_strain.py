@@ -18,8 +18,8 @@ from decoupler.data.pairs import Pairs
 from decoupler.inverse import posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
-from decoupler.model.model_file import read_model, write_model
 from decoupler.model.tensors import in_torch
+from decoupler.model_file import read_model, write_model
 from decoupler.training import finite_strain
 from decoupler.training.finite_strain import states_of, with_strain_maps
 from decoupler.twin import identification, identify, near_designs

@@ -120,14 +120,6 @@ def test_a_pair_whose_load_was_another_is_trusted_less():
     assert (errors_n(identified(replace(pairs, force_n=doubled)).decoder, test) < 1.5 * without).all()
 
 
-def test_without_a_design_many_pairs_decide_everything():
-    """R = g |d + B F|² + o is all that is assumed: noise-free pairs of it determine the inverse."""
-    exact = simulate(layer_response(SENSORS["made"]), DatasetSettings(protocol="three-axis", samples=400, seed=1))
-    model = identify(Pairs.of(exact[:300])).decoder
-    assert model.design is None
-    assert (errors_n(model, exact[300:]) < 5e-4 * exact.force_n.max(axis=(0, 1, 2))).all()
-
-
 def test_a_weight_on_a_plate_tells_its_sum():
     """A plate spreads a known weight over all pads in an unknown way; with it the parameters are known better."""
     pairs, plate = Pairs.of(measured("made", 3, 3)), Pairs.of(measured("made", 1, 5, "independent-fz"))

@@ -8,7 +8,6 @@ import pytest
 from dataset.resistance import conducted_lengths
 from decoupler import SampleError, component_named
 from decoupler.data.columns import COMPONENTS, Columns, force_columns
-from decoupler.inverse.limits import exact_inverse
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training.suited import explaining, suited_feature
 from fem.array.response import ArrayResponse, ConductedPillars
@@ -56,7 +55,7 @@ def test_gives_the_resistances_that_the_dataset_has(name):
 
 
 @pytest.mark.parametrize("given", [RESPONSE, conducted(0.5)], ids=["eq. 1", "conduction"])
-def test_derivatives_of_lengths_lead_back_to_the_forces(given):
+def test_derivatives_of_lengths_are_those_of_the_forces(given):
     """Central differences of a step of 1e-3 N err by its square times the third derivative: far below 1e-8."""
     forward, force = SensorModel.of(given, ALL), FORCES[:5]
     lengths, J = forward.jacobian(force)
@@ -64,8 +63,6 @@ def test_derivatives_of_lengths_lead_back_to_the_forces(given):
     along = np.random.default_rng(1).standard_normal(force.shape)
     differences = (forward.lengths(force + 1e-3 * along) - forward.lengths(force - 1e-3 * along)) / 2e-3
     np.testing.assert_allclose(np.einsum("npf,nf->np", J, along), differences, rtol=0, atol=1e-8)
-    again = exact_inverse(forward, forward.resistances(force), FORCES.mean(axis=0))
-    np.testing.assert_allclose(again, force, rtol=1e-9)
     if given.conducted is not None:
         newtons = DATA.force_n.reshape(len(DATA), -1, 3) * np.array([1.0, 1.0, -1.0])
         by_dataset = conducted_lengths(given.conducted, newtons).reshape(len(DATA), -1)

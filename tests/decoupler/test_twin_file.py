@@ -13,7 +13,7 @@ from common.storage.seal import BLANK, MARK, sealed
 from dataset import DatasetSettings, simulate
 from dataset.simulation import BLOCK
 from decoupler.data.pairs import Pairs
-from decoupler.model.model_file import require_same_sensor, write_model
+from decoupler.model_file import require_same_sensor, write_model
 from decoupler.twin import identify, read_twin, simulate_twin, write_twin
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign

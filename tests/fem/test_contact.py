@@ -23,7 +23,7 @@ from fem.contact import (
     surface_compliance,
 )
 from fem.contact.compliance import PatchCompliance
-from fem.contact.indentation import OPEN, STICK
+from fem.contact.indentation import OPEN, STICK, State
 from fem.contact.tiles import Patch, cell_rectangles, on_pillars, shares_by_rubber, tiles_per_pitch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares
@@ -151,17 +151,34 @@ def test_tiles_on_pillars_tops_keep_forces_and_tilts(pair: SurfaceCompliance):
     """Shares sum to 1 on both rubbers, and what varies linearly over a top, as it tilts, is kept."""
     design = replace(pair.design, matrix_material=Material(young_mpa=0.05))
     patch = Patch((-14.0, -7.0), (6.0, 7.0), 101, 71)
-    found, rows, columns = shares_by_rubber(patch, design, 2)
-    assert (rows, columns.start) == (slice(0, 1), 0)
+    found, (rows, columns) = shares_by_rubber(patch, design, 2)
+    assert not rows.any()
     assert found.sum(axis=1) == pytest.approx(1.0)
     squares = cell_rectangles(design)[: tiles_per_pitch(design)[0]]
     middles = squares.reshape(-1, 2, 2).mean(axis=1)
     on_tops = on_pillars(design, patch.x_mm, patch.y_mm)
     for axis in (0, 1):
         cells = [middles[:, axis] + x * (axis == 0) for x in (-7.5, 7.5)]  # two units along x
-        seen = (found @ np.concatenate(cells)[: found.shape[1]]).reshape(71, 101)
+        seen = (found @ np.concatenate(cells)[columns]).reshape(71, 101)
         expected = np.broadcast_to((patch.x_mm, patch.y_mm[:, None])[axis], seen.shape)
         assert seen[on_tops] == pytest.approx(expected[on_tops])
+
+
+def test_forces_on_stiff_tops_in_soft_rubber_are_found_by_each_cell_s_own_stiffness():
+    """Known forces, 88 times as large on two tops, balance the displacements that they make, to ten tolerances."""
+    tops = np.zeros((12, 12), dtype=bool)
+    tops[2:5, 2:5] = tops[7:10, 6:9] = True
+    own, places = np.where(tops, 1 / 88, 1.0), np.indices(tops.shape).reshape(2, -1)
+    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=0)
+    compliance = np.sqrt(np.outer(own, own)) * np.where(apart > 0, 0.3 / (1 + apart), 1.0)
+    true_n = np.random.default_rng(0).uniform(0.5, 1.5, own.shape) / own
+
+    def give(force_n: np.ndarray) -> np.ndarray:
+        return (compliance @ force_n.ravel()).reshape(force_n.shape)
+
+    nothing = State(np.zeros((1, 12, 12)), np.zeros((1, 12, 12)))
+    found = nothing.balanced(give, -give(true_n[None]), 0.0, 1e-4, np.inf, 1 / own).force_n[0]
+    assert np.linalg.norm(found - true_n) < 1e-3 * np.linalg.norm(true_n)
 
 
 def test_a_contact_is_warned_of_or_refused_by_its_estimate(pair: SurfaceCompliance):

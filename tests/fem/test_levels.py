@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from fem.levels import SAFETY, Convergence
-from fem.scene.tetrahedra import estimated_error
+from fem.levels import CHANCE, DRIFT, SAFETY, Convergence, limits
 
 LIMIT, SLOPE = np.array([0.1, 0.0, -2.0]), np.array([0.2, 0.0, 0.3])
 
@@ -25,10 +24,24 @@ def test_three_levels_show_the_rate_and_the_error_and_two_are_doubted():
     assert (converged(3, -1.0).rate, converged(3, 9.0).rate) == (1.0, 4.0)  # no rate beyond is believed
 
 
-def test_errors_that_follow_the_indicators_are_known():
-    """J = J₀ + C η in every component: the estimate is the error, relative to the last answer."""
+def test_values_whose_errors_follow_the_indicators_are_extrapolated():
+    """J = J₀ + C η in every component is J₀, whatever meshes show of it, and what does not move stays."""
     exact, slope = np.array([[0.0, 0.0, -2.0], [0.1, 0.0, -1.0]]), np.array([[0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
-    history = [(eta, exact + slope * eta) for eta in (0.4, 0.3, 0.2, 0.1)]
-    assert estimated_error(history[:2]) == np.inf
-    assert estimated_error(history) == pytest.approx(SAFETY * max(0.03 / 1.97, 0.02 / np.hypot(0.12, 1.0)))
-    assert estimated_error([(0.0, exact)] * 4) == 0.0
+    eta = np.array([0.4, 0.3, 0.1])[:, None, None] * np.ones((2, 3))
+    found, deviation = limits(exact + slope * eta, eta)
+    assert found == pytest.approx(exact, abs=1e-12)
+    assert (deviation < 0.02).all()  # of 0.03
+    unmoved, sure = limits(np.array([exact] * 3), 0.0 * eta)
+    assert (unmoved == exact).all()
+    assert (sure == 0.0).all()
+
+
+def test_limits_are_within_two_deviations_where_the_ratio_is_off_by_chance():
+    """Of 3 to 6 meshes, ratios of error and η that are random by `CHANCE` and drift by `DRIFT`: 95 % of 1000 series."""
+    generator = np.random.default_rng(0)
+    for k in (3, 6):
+        chance = CHANCE * generator.standard_normal((k, 1000, 3))
+        drift = np.cumsum(DRIFT * generator.standard_normal((k, 1000, 3)), axis=0)
+        eta = np.broadcast_to(0.5 ** np.arange(k)[:, None, None], chance.shape)
+        found, deviation = limits(1 - 0.1 * eta * (1 + chance + drift), eta)
+        assert 0.93 < (np.linalg.norm(found - 1, axis=1) < 2 * deviation).mean() < 1.0

@@ -9,6 +9,7 @@ from skfem import MeshTet
 from fem.array.design_cell import DesignCell, pad_plate, plate_on
 from fem.kernel.system import System
 from fem.meshes.tetrahedra import bisected
+from fem.scene.tetrahedra import LEVELS, RATIO, graded_to_plates
 from geometry.design import Pad, SensorDesign
 from geometry.mesh import boundary_faces, cell_volumes
 from tests.fem.scenes import box_mesh
@@ -42,6 +43,23 @@ def test_eight_refinements_keep_what_matters():
         outside = [(corners[:, :, axis] == c).all(axis=1) for axis in range(3) for c in (0.0, 3.0)]
         assert np.any(outside, axis=0).all()
     assert flatness(mesh) > 0.2 * worst
+
+
+def test_grading_to_a_plate_halves_nothing_along_its_edges():
+    """The nearest points off an edge are `RATIO` to the power of `LEVELS` as far as before; the body stays whole."""
+    mesh, plate = box_mesh((4, 4, 2), (8.0, 8.0, 4.0)), np.array([[2.0, 2.0, 6.0, 6.0]])
+    found = graded_to_plates(mesh, plate, 1e-9)
+    volumes = cell_volumes(found.p.T, found.t.T)
+    assert (np.abs(volumes) > 0).all()
+    assert np.isclose(np.abs(volumes).sum(), 256.0, rtol=1e-12)
+    corners = found.p.T[boundary_faces(found.t.T)]
+    outside = [(corners[:, :, k] == c).all(axis=1) for k, ends in enumerate((8.0, 8.0, 4.0)) for c in (0.0, ends)]
+    assert np.any(outside, axis=0).all()  # no hanging nodes
+    x, y, z = found.p
+    beside = np.abs(x[(z == 4.0) & (y == 4.0)] - 2.0)
+    assert beside[beside > 0].min() == pytest.approx(2.0 * RATIO**LEVELS)
+    assert set(y[(x == 2.0) & (z == 4.0) & (y >= 2.0) & (y <= 6.0)]) == {2.0, 4.0, 6.0}
+    assert graded_to_plates(mesh, np.empty((0, 4)), 1e-9) is mesh
 
 
 @pytest.mark.parametrize("height_mm", [8.0, 9.0])

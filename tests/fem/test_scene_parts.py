@@ -31,7 +31,10 @@ def test_fields_of_every_method_are_drawn_as_they_are(planned):
     scene = replace(BLOCK, probes=(*BLOCK.probes, point), tolerance=0.9)  # on boxes none is split
     solution = follow(planned(scene), scene, field=True)
     field = solution.field
-    assert np.allclose(field.displacement_at(np.array([point.position_mm]))[0], solution.probes["point"], atol=1e-6)
+    moved, probe = field.displacement_at(np.array([point.position_mm]))[0], solution.probes["point"]
+    is_extrapolated = planned is on_tetrahedra  # and the field is the last mesh's
+    off = solution.error_estimate * np.linalg.norm(probe) if is_extrapolated else 1e-6
+    assert np.linalg.norm(moved - probe) < off
     part = quadratic(field)
     assert np.allclose([part.points_mm.min(axis=0), part.points_mm.max(axis=0)], [[0.0] * 3, [12.0, 12.0, 6.0]])
     assert np.abs(part.displacement_mm[part.points_mm[:, 2] == 0.0]).max() < 1e-15

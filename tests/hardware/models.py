@@ -16,7 +16,7 @@ class Unknown(Decoder):
     """What a model says of itself that knows no design, no uncertainty and no loads."""
 
     component = COMPONENTS["all"]
-    design = design_hash = dead = usual_ohm = errors = None
+    design = design_hash = dead = usual_ohm = usual_readings = errors = None
     is_identified = False
     made_from: ClassVar = {}
     layout = SONG2018

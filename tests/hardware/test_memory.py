@@ -16,12 +16,13 @@ from hardware.readout.memory import MemoryReader
 from hardware.recording import parse_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.models import INFO, Unknown
+from tripillar.terminal.force_view import memory_line
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
 MEMORY = Memory(direction="loading", a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0)
 
 
-FOLLOWED = SensorFilter(memory=MEMORY)
+FOLLOWED = SensorFilter(memory=MEMORY, is_tested=True)  #: of a sensor whose design states this rubber
 
 
 class Shares(Unknown):
@@ -72,6 +73,17 @@ def test_memory_is_taken_out_of_readings_and_said(held):
     read = np.log(plain.resistance_ohm / found.resistance_ohm)
     assert found.memory_rise == pytest.approx(read, abs=1e-12)
     assert (np.abs(np.log(found.resistance_ohm / REST_OHM / (wanted + 1))) < 2 * found.memory_deviation).all()
+
+
+def test_a_files_memory_is_not_taken_out_before_it_is_tested(held):
+    """Two seconds of a hold cannot tell contacts that heal from a load that creeps where all pillars feel the same."""
+    plain, found = (replay(held.recording, Shares(), causal=each) for each in (None, SensorFilter(memory=MEMORY)))
+    assert found.force_n == pytest.approx(plain.force_n, abs=1e-12)
+    assert not found.memory_tested.any()
+    assert memory_line(found) == "memory: none taken out: no hold or rest has tested the rubber's law yet"
+    late = replace(found, memory_tested=np.arange(500) >= 400)
+    assert "none before frame 401" in memory_line(late)
+    assert memory_line(late[450]).startswith("memory: 0.0 % of the readings")
 
 
 def test_live_follows_as_a_replay_does(held):

@@ -13,7 +13,7 @@ from dataset.indentation import samples_of
 from dataset.resistance import exact_resistances, pillar_resistances
 from decoupler import NetworkConfig, TrainingConfig, train
 from decoupler.data.pairs import Pairs
-from decoupler.model.model_file import write_model
+from decoupler.model_file import write_model
 from decoupler.twin import identify, simulate_twin, write_twin
 from decoupler.twin.twin_file import read_twin
 from fem.array.closed_forms import layer_response

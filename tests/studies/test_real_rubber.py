@@ -1,18 +1,15 @@
 """The readers of published series, and their tables, on small files in the same formats with the same flaws."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
 
 from common.errors import DesignError
 from dataset.memory import broken_contacts, log_rise
-from decoupler.rubber.causal_training import Histories
 from geometry.design import Memory
 from studies.real_rubber import array, eflesh, strips, velostat
 from studies.real_rubber.__main__ import judge
-from studies.real_rubber.judging import parts_of
 
 MEMORY = Memory(a=(0.3, 0.2), b_lengthen=1.5, b_shorten=8.0, tau_s=(5.0, 60.0), g1=2.0, g2=-5.0)
 WAVE = np.interp(np.arange(0.0, 120.0, 0.08), [0, 5, 10, 40, 44, 80, 90, 94, 120], [0, 0, 0.3, 0.3, 0, 0, 0.3, 0, 0])
@@ -69,9 +66,6 @@ def test_a_strip_is_read_as_it_was_stretched(tmp_path):
     assert series.strain == pytest.approx(np.interp(series.time_s, t, WAVE), abs=0.02)
     assert series.resistance_ohm == pytest.approx(np.interp(series.time_s, t, ohm), rel=0.06)
     assert strips.contact_pct(tmp_path, "s") == pytest.approx(90.0, abs=1.5)
-    parts = parts_of(series)
-    assert series.strain[parts["held"]].min() > 0.29
-    assert {round(float(s)) for s in series.time_s[parts["released"]]} <= {*range(43, 50), *range(93, 100)}
 
 
 def test_a_pad_is_synchronised_by_the_clocks_of_both_streams(tmp_path):
@@ -93,16 +87,12 @@ def test_tables_of_all_that_is_there(tmp_path, monkeypatch, capsys):
         write_strip(data / "electromech-stretcher" / f"{name}.csv")
     monkeypatch.setattr(strips, "PAIRS", {"a": ("b",)})
     monkeypatch.setattr("studies.real_rubber.others.STEPS", 2)
-    small = partial(Histories, groups=8, pillars=4, readings=100, every=1, steps=20, hidden=4)
-    monkeypatch.setattr("decoupler.rubber.causal_training.Histories", small)
     judge(data, out)
     assert "eFlesh is missing" in capsys.readouterr().err
     tables = json.loads((out / "real-rubber.json").read_text(encoding="utf-8"))["tables"]
     (row,) = tables["resistance from strain [% of range]"]
     assert row["ours"] < 3 < row["static polynomial"]
-    forces = {row["part"]: row for row in tables["force from resistance [% of range]"]}
-    assert {*forces} == {"all", "released", "held"}
-    assert all(0 < row["ours"] < 100 for row in forces.values())
+    assert row["force, ours"] < 5  # the force is 5 N times the strain, whatever the law of the rubber
     assert {path.name for path in out.iterdir()} == {"real-rubber.json", "real-rubber.md", "real-rubber.png"}
 
 
@@ -113,7 +103,6 @@ def test_contacts_of_efleshs_are_decoded_that_were_not_learned(kind, tmp_path):
         assert wanted.shape == ((100, 1) if kind == "normal_force" else (150, 3))
         assert channels.shape == (len(wanted), 15)
     rows = eflesh.judged(tmp_path, kind)
-    assert {row["by"] for row in rows} == {"identify", "train"}
     assert max(row["rmse"] for row in rows) < 1.0
 
 

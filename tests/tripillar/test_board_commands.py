@@ -277,3 +277,16 @@ def test_the_firmware_is_simulated_where_it_can_be(house):
     assert (kind, "the firmware does not build: " in why) == ("python", True)
     done = house.tripillar("board", "--design", "small.toml", "-q", "--board", "atmega328p", "--rate", "3000")
     assert (done.returncode, "RATE: 1 to what the scan time allows" in done.stderr) == (2, True)
+
+
+def test_a_broken_pillar_is_named_in_the_first_scan_and_left_out(house):
+    """A board with an open pillar: what it carries is foretold by the others, and who watches is told which it is."""
+    with tp.board(RESPONSE, chip="python", bits=12, pressure_mpa=0.0, dead_pillars=("0,1,x",)) as broken:
+        first = json.loads(
+            house.tripillar(
+                "live", broken, "--model", "model.safetensors", "--seconds", "1", "--json"
+            ).stdout.splitlines()[0]
+        )
+    assert first["left_out"] == [[0, 1, "x"]]
+    assert not first["unreliable"]
+    assert np.abs(first["force_n"]).max() < 40.0  # at rest; read as a reading it would be thousands

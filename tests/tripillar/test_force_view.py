@@ -40,7 +40,7 @@ def test_units_are_drawn_as_they_lie_with_arrows_along_the_shear_and_what_is_wro
     assert "3.0 ←" in drawn(force_table(np.array([[[-3.0]]]), ("x",), 10.0))
     force_n = np.ones((1, 2, 3))
     wrench = net_wrench(force_n, wrench_weights(PLACES, AXES))
-    memory = {"memory_rise": np.array([0.03, -0.05]), "memory_deviation": np.array([0.02, 0.02])}
+    memory = {"memory_rise": np.array([0.03, -0.05]), "memory_deviation": np.array([0.02, 0.02]), "memory_tested": True}
     scan = SimpleNamespace(force_n=force_n, deviation_n=force_n, wrench=wrench, contacts=None, **memory)
     text = drawn(live_view(scan, AXES, 10.0, 150.0, LinkStatistics(ok=7, lost=2), ["no frames for 2 s"]))
     pressed = "centre of pressure x 10.0, y 3.0 mm"

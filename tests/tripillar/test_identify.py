@@ -11,7 +11,7 @@ from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.model_file import read_model
+from decoupler.model_file import read_model
 from geometry.design_file import design_to_toml
 from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.house import House
@@ -91,6 +91,10 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
     ):
         assert says in house.refusal(*IDENTIFY, *words, *(TO_MODEL if "--data" in words else ()))
     force_n = forces(6)
+    Samples(force_n=force_n, resistance_ohm=shown(force_n)).write(house.folder / "stateless.nc")
+    without = house.refusal("identify", "--data", "stateless.nc", *TO_MODEL)
+    assert "no design is stated" in without
+    assert "give --design, or train on these pairs" in without
     pairs = Samples(force_n=force_n, resistance_ohm=shown(force_n), design=DESIGN, made_from={"protocol": "indent"})
     pairs.write(house.folder / "indent.nc")
     table = (house.folder / "pairs.csv").read_text().splitlines()

@@ -7,7 +7,7 @@ import xarray as xr
 
 from common.errors import DesignError
 from dataset import read_samples
-from decoupler.model.model_file import read_model
+from decoupler.model_file import read_model
 from fem.array.solving import ResponseSettings
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another

@@ -1,11 +1,9 @@
 """`tripillar rubber` as it is typed: a series in, a rubber out, which designs extend and other series check."""
 
 import csv
-from functools import partial
 
 import pytest
 
-from decoupler.rubber.causal_training import Histories
 from decoupler.rubber.unknown import next_test
 from geometry.design_file import read_design
 from studies.pictures.rubber import MEMORY, bench
@@ -23,10 +21,8 @@ def house(tmp_path_factory):
     return house
 
 
-def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house, monkeypatch):
+def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house):
     folder = house.folder
-    quick = partial(Histories, groups=3, pillars=6, readings=150, every=1, steps=100)  # a filter in a second, a bad one
-    monkeypatch.setattr("decoupler.rubber.causal_training.Histories", quick)
     files = ("--out", "rubber.toml", "--picture", "rubber.png", "--next", "next.csv")
     found = house.result("rubber", "--data", "series.csv", "--section-mm2", "40", *files)
     assert found["parameters"]["b_shorten"][0] == pytest.approx(MEMORY.b_shorten, rel=0.5)
@@ -39,9 +35,9 @@ def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house, monkeypat
     assert (rows[0], rows[-1][1]) == ((0.0, 0.0), 0.0)
     assert max(strain for _, strain in rows) == pytest.approx(0.2, rel=1e-3)  # as far as the series went
     judged = house.result("rubber", "--check", "rubber.toml", "--data", "other.csv")
+    assert {*judged} == {"resistance_nrmse_pct", "force_from_strain_nrmse_pct"}
     assert judged["resistance_nrmse_pct"] < 8
-    assert 0 < judged["force_nrmse_pct"] < 100
-    assert 0 <= judged["coverage"][0] <= judged["coverage"][1] <= 100
+    assert judged["force_from_strain_nrmse_pct"] < 2  # its noise is 1 % of the range
     house.result("design", "--extend", "rubber.toml,elastosil-m4601", "--rows", "2", "--out", "sensor.toml")
     design = read_design(folder / "sensor.toml")
     assert design.pillar_material.memory == read_design(folder / "rubber.toml").pillar_material.memory

@@ -106,16 +106,20 @@ def test_a_press_that_moves_the_top_by_more_than_a_fifth_of_its_height_is_warned
         assert ("mm, over 0.2 of the slab's height of 10 mm" in said) == is_far, said
 
 
-def test_another_law_is_pressed_by_its_tangent_at_rest_which_is_said(house):
-    """The same contact as linear rubber's; the response says it, too."""
+def test_another_law_is_pressed_at_finite_strain_and_with_friction_by_its_tangent_at_rest_which_is_said(house):
+    """The tangent's contact is linear rubber's; the response says what it is, too."""
     text = (house.folder / "soft.toml").read_text().replace("young_mpa", 'model = "neo-hookean"\nyoung_mpa')
     (house.folder / "neo.toml").write_text(text)
-    ball = "press", "--shape", "sphere", "--radius", "10", "--depth", "0.5", "--json", "--design"
-    (linear, own) = (house.tripillar(*ball, f"{name}.toml") for name in ("soft", "neo"))
-    assert json.loads(own.stdout)["net_force_n"] == json.loads(linear.stdout)["net_force_n"]
-    told = "the contact of neo-hookean rubber is that of its tangent at rest; where the top moves by more than 0.2 of"
-    assert told in own.stderr
-    assert "tangent" not in linear.stderr
+    ball = "press", "--shape", "sphere", "--radius", "10", "--depth", "2", "--json", "--design"
+    for friction in ("0.5", "0"):
+        (linear, own) = (house.tripillar(*ball, f"{name}.toml", "--friction", friction) for name in ("soft", "neo"))
+        ratio = json.loads(own.stdout)["net_force_n"][2] / json.loads(linear.stdout)["net_force_n"][2]
+        assert (ratio == 1.0) == (friction == "0.5")
+        assert abs(ratio - 1.0) < 0.05
+        told = "the contact of neo-hookean rubber is that of its tangent at rest, as there is friction; where the top"
+        assert (told in own.stderr) == (friction == "0.5")
+        assert ("finite strain: " in own.stderr) == (friction == "0")
+        assert "tangent" not in linear.stderr
     assert "tangent at rest" in house.tripillar("response", "--design", "neo.toml", "--out", "neo.nc").stderr
 
 

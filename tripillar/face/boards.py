@@ -100,7 +100,8 @@ def watch(
     model : Decoupler or path
         Model file.
     rubber : path, optional
-        Rubber file (.toml) whose memory is taken out of the readings; default: that of the model's design, if any.
+        Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
+        of the model's design, if any.
     seconds : float
         Seconds after which to stop; default: on Ctrl-C.
     rate_hz : int, optional
@@ -232,8 +233,8 @@ def replay(
     calibration : path, optional
         Calibration file to use instead of the one in the recording, if any.
     rubber : path, optional
-        Rubber file (.toml) whose memory is taken out of the readings, from the first frame on; default: that of the
-        model's design, if any.
+        Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
+        of the model's design, if any, from the first frame on.
     speed : float, optional
         Times its own pace at which to show it, as `live` does; default: all at once.
     out : path, optional
@@ -305,6 +306,7 @@ def replay(
         )
     if found.memory_rise is not None:
         lines.append(stages.memory_line(found))
+        result["memory_untested_frames"] = int((~found.memory_tested).sum())
     lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
 
     def told() -> dict[str, Any]:

@@ -14,7 +14,7 @@ from tripillar.face.caller import current
 from tripillar.face.inputs import DesignLike, File, ModelLike, design_of, job, model_of, name_of, to_write
 
 if TYPE_CHECKING:
-    Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.AnyDecoder | stages.Twin
+    Written = SensorDesign | stages.ArrayResponse | stages.Samples | stages.Decoder | stages.Twin
 
 MAX_NAMED = 3  #: places of damage in one line
 
@@ -133,8 +133,6 @@ def write(thing: "Written", path: Path | str) -> None:
     ------
     ArgumentError
         If it is something else.
-    DesignError
-        If it is a twin of no design: write its decoder.
     NotWrittenError
         If the disk is full or the folder may not be written to.
 
@@ -156,14 +154,13 @@ def write(thing: "Written", path: Path | str) -> None:
     elif isinstance(thing, stages.Samples):
         thing.write(path)
     elif isinstance(thing, stages.Twin):
-        stages.most_probable(thing)  # refuses one of no design before anything is written
         decoder = path.with_suffix(".safetensors")
         if decoder == path:
             raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")
         stages.write_model(thing.decoder, decoder)
         stages.write_twin(thing, path, decoder)
     elif isinstance(thing, stages.TouchDecoder):
-        stages.write_touch(thing, path)
+        stages.write_model(thing, path)
     elif not isinstance(thing, stages.Decoupler):
         raise ArgumentError(
             f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."

@@ -73,7 +73,7 @@ def identify(
         Measured pairs: a data set (.nc), or a table of loads with readings (.csv); of more than 20,000 samples a random
         draw is taken.
     design : SensorDesign or path, optional
-        Design file (TOML); default: the one that a data set states, or none; the paper's with a table.
+        Design file (TOML); default: the one that a data set states; the paper's with a table.
     out : path, optional
         Model file to write (.safetensors); as designed a calibration file (.json).
     twin : path, optional
@@ -121,7 +121,7 @@ def identify(
     Raises
     ------
     DesignError
-        If the design is of another array, or usual loads, finite strain or next loads are asked for without a design.
+        If the design is of another array, or none is given or stated: `train` on pairs of a sensor without one.
     SampleError, FileFormatError
         If the pairs look wrong or none presses the sensor, or the list of what you have makes no sense.
 
@@ -275,24 +275,24 @@ def _identified(
     if len(few) < len(pairs):
         current().say(f"{name}: {len(few):,} of {len(pairs):,} pairs, drawn at random, identify the sensor")
     if sensor is None:
-        for is_asked, asked in ((usual, "usual loads"), (finite, "finite strain"), (next_loads or None, "next loads")):
-            if is_asked is not None:
-                raise DesignError(f"{asked} are those of a design: give design= too.")
-    else:
-        _require_size(few.force_n.shape[1:3], sensor, name)
-        if next_loads:
-            _possible(sensor, have)  # a list that makes no sense is refused before anything takes time
-        usual = usual or ("contact" if isinstance(pairs, stages.Pairs) else None)
-    response, sensitivities = (None, None) if sensor is None else with_derivatives(sensor, tolerances)
+        raise DesignError(
+            f"{name}: no design is stated, and identify finds how a sensor differs from its design: give design=, or "
+            "train on these pairs."
+        )
+    _require_size(few.force_n.shape[1:3], sensor, name)
+    if next_loads:
+        _possible(sensor, have)  # a list that makes no sense is refused before anything takes time
+    usual = usual or ("contact" if isinstance(pairs, stages.Pairs) else None)
+    response, sensitivities = with_derivatives(sensor, tolerances)
     checked, forced = _checked_pairs(few, name, response, force)
-    loads_n = None if usual is None or sensor is None else _usual_loads(sensor, usual)
-    at_strain = None if finite is None or response is None else _at_strain(finite, response)
+    loads_n = None if usual is None else _usual_loads(sensor, usual)
+    at_strain = None if finite is None else _at_strain(finite, response)
     advance = current().bars.begin("identify", total=1)
     twin = stages.identify(
         checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain,
         progress=lambda share: advance(share, f"{len(checked)} pairs"),
     )  # fmt: skip
-    if sensor is not None and next_loads:
+    if next_loads:
         proposed = _next_loads(sensor, next_loads, have, usual or "contact", tolerances, checked, twin)
         twin = replace(twin, next_loads=proposed)
     return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
@@ -308,11 +308,11 @@ def _require_size(size: tuple[int, ...], sensor: SensorDesign, name: str) -> Non
 
 
 def _checked_pairs(
-    pairs: "stages.Samples | stages.Pairs", name: str, response: "stages.ArrayResponse | None", force: bool
+    pairs: "stages.Samples | stages.Pairs", name: str, response: "stages.ArrayResponse", force: bool
 ) -> "tuple[stages.Pairs, dict[str, str]]":
     """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
     if isinstance(pairs, stages.Pairs):
-        doubted = None if response is None else stages.doubt_about(pairs, response)
+        doubted = stages.doubt(pairs, stages.component_named("all"), stages.joint_model(response))
         if doubted and not force:
             raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
         return pairs, {"forced": doubted} if doubted else {}
@@ -321,7 +321,7 @@ def _checked_pairs(
     forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
     stages.mention(pairs, name, component, judge)
     stages.mention_another_sensor(pairs, name, component, judge)
-    own = None if response is None else stages.SensorModel.of(response, component)
+    own = stages.SensorModel.of(response, component)
     columns = stages.without_stuck(stages.Columns.of(pairs, component), own)
     return stages.Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced
 

@@ -10,11 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args
 
 from common.errors import ArgumentError, DesignError, FileFormatError
 from common.quantity import quantity
 from common.storage.files import require_file, require_folder
+from dataset.imperfections import place_of
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from tripillar.face import stages
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     DesignLike = SensorDesign | File
     SamplesLike = stages.AnySamples | File
     PairsLike = stages.AnySamples | stages.Pairs | File
-    ModelLike = stages.AnyDecoder | File
+    ModelLike = stages.Decoder | File
     SceneLike = stages.Scene | File
     BodyLike = SensorDesign | stages.Scene | File
 else:
@@ -92,6 +93,21 @@ class Wires:
 
     switch_ohm: float | None = quantity(None, "resistance of a closed switch [Ω]; default: 25")
     line_ohm: float | None = quantity(None, "resistance of a wire to the pillars [Ω]; default: 0")
+
+
+#: of `dataset.Imperfections`: what is broken, as the command line takes it
+BROKEN = {
+    "dead_pillars": Annotated[Sequence[str], Flag(name=("--dead-pillar",))],
+    "dead_rows": Annotated[Sequence[int], Flag(name=("--dead-row",))],
+    "dead_cols": Annotated[Sequence[int], Flag(name=("--dead-col",))],
+}
+
+
+def imperfections(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of `dataset.Imperfections`, with those of what is broken as it takes them."""
+    found = {name: tuple(value) if name in BROKEN else value for name, value in given.items()}
+    places = tuple(place_of(at) if isinstance(at, str) else at for at in found.get("dead_pillars", ()))
+    return found | ({"dead_pillars": places} if places else {})
 
 
 BOARD, WIRES = Options(Board), Options(Wires)
@@ -210,7 +226,7 @@ def samples_of(source: "SamplesLike", labels_only: bool = True) -> "stages.AnySa
     return stages.in_memory(found).at_moments()
 
 
-def model_of(source: "ModelLike") -> "stages.AnyDecoder":
+def model_of(source: "ModelLike") -> "stages.Decoder":
     """A model, or that of a file."""
     return stages.read_model(Path(source)) if isinstance(source, Path | str) else source
 

@@ -89,7 +89,7 @@ def train(
         Forces that the network tells, along one axis or all; default: those that act.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, 4 minutes, once, or 15 where pillars are of another rubber; on stiff pads from forces and moments of the
+        solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
         plates, 10 seconds.
     shape : list of path, optional
         STL files of tools that press: a decoder of touches knows them as well.
@@ -261,6 +261,7 @@ def evaluate(
         caller.say(told_by_tilt(sensor.unit, decoupler.component.axes))
     if isinstance(decoupler, stages.TouchDecoder):
         return _assessed_touch(decoupler, data)
+    assert isinstance(decoupler, stages.Decoupler)
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
@@ -317,16 +318,18 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
     if is_plated:
         advance = caller.bars.begin("plates", total=1)
         plates, _, reused = stages.plate_response(design, lambda step: advance(0, step))
+        made_from["library"] = plates.cache_key
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
         advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
         library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+        made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)
         result = {"presses": len(library.presses.size), "rows": len(library.source)}
         text = f"{result['presses']} presses in {result['rows']} places{', reused' if reused else ''}"
     if out is not None:
-        stages.write_touch(decoder, out)
+        stages.write_model(decoder, out)
     made = {"file": str(out)} | result | {"reused": reused, "seconds": caller.bars.seconds()}
     caller.answer(lambda: made, text, out)
     return decoder

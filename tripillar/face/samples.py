@@ -1,6 +1,5 @@
 """Make labelled samples: of pads or of contacts, by linear or by finite strain, in one file or in a zarr directory."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -8,11 +7,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from common.errors import DesignError, require_type
-from dataset.imperfections import Imperfections, place_of
+from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Options, Protocol, design_of, job
+from tripillar.face.inputs import (
+    BROKEN,
+    WIRES,
+    Circuit,
+    DesignLike,
+    File,
+    Flag,
+    Options,
+    Protocol,
+    design_of,
+    imperfections,
+    job,
+)
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
@@ -29,9 +40,7 @@ SPECIMEN = Options(
     Imperfections,
     offset_ohm=Annotated[float, Flag(name=("--offset",))],
     drift_offset_ohm=Annotated[float, Flag(name=("--drift-offset",))],
-    dead_pillars=Annotated[Sequence[str], Flag(name=("--dead-pillar",))],
-    dead_rows=Annotated[Sequence[int], Flag(name=("--dead-row",))],
-    dead_cols=Annotated[Sequence[int], Flag(name=("--dead-col",))],
+    **BROKEN,
 )
 
 
@@ -134,11 +143,7 @@ def dataset(
     sensor, twin, solved = _sensor(design)
     stages.require_pool(workers, scheduler)
     names = None if only is None else _variables(only)
-    read: dict[str, Any] = {
-        name: tuple(value) if name.startswith("dead_") else value for name, value in SPECIMEN.of(more).items()
-    }
-    if "dead_pillars" in read:
-        read["dead_pillars"] = tuple(place_of(at) if isinstance(at, str) else at for at in read["dead_pillars"])
+    read = imperfections(SPECIMEN.of(more))
     if rate is not None and history is None:
         raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
     asked = {"history_s": history, "rate_hz": rate, "pressure_mpa": pressure_mpa, "shear_mpa": shear_mpa}

@@ -12,7 +12,7 @@ from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import WIRES, Circuit, DesignLike, File, Flag, Options, design_of, job
+from tripillar.face.inputs import BROKEN, WIRES, Circuit, DesignLike, File, Flag, Options, design_of, imperfections, job
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse
@@ -21,7 +21,7 @@ else:
 
 OFFSET = Annotated[float, Flag(name=("--offset",))]
 KNOWN = ("gain_spread", "offset_ohm", "specimen", "memory_spread", "temperature_rise")  #: of a specimen
-SPECIMEN = Options(Imperfections, *KNOWN, offset_ohm=OFFSET)
+SPECIMEN = Options(Imperfections, *KNOWN, *BROKEN, offset_ohm=OFFSET, **BROKEN)
 
 
 @job(link=None, truth=".nc")
@@ -74,8 +74,8 @@ def board(
     truth : path, optional
         NetCDF file to write: the true forces of one period.
     **more
-        The fields gain_spread, offset_ohm, specimen, memory_spread and temperature_rise of `dataset.Imperfections`,
-        and those of `inputs.Wires`.
+        The fields gain_spread, offset_ohm, specimen, memory_spread, temperature_rise, dead_pillars, dead_rows and
+        dead_cols of `dataset.Imperfections`, and those of `inputs.Wires`.
 
     Yields
     ------
@@ -105,7 +105,7 @@ def board(
     told = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, serial=serial, **asked)
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
-    own = Imperfections(**SPECIMEN.of(more))
+    own = Imperfections(**imperfections(SPECIMEN.of(more)))
     asked_mpa = {} if pressure_mpa is None else {"peak_mpa": pressure_mpa}
     script = stages.PressAndSlide(seconds=period_s, **asked_mpa)
     if design is None or isinstance(design, SensorDesign | Path | str):

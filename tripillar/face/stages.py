@@ -31,11 +31,9 @@ if TYPE_CHECKING:
     from decoupler.inverse.posterior import Posterior
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
-    from decoupler.model.model_file import require_same_sensor, write_model
+    from decoupler.model_file import read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import (
-        RubberCheck, checked as check_rubber, forces_from_resistance, of_range, resistance_from_strain,
-    )  # fmt: skip
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
@@ -49,18 +47,20 @@ if TYPE_CHECKING:
     from decoupler.touch.library import OWN, PRESSES, touch_library
     from decoupler.touch.plates import PlateDecoder, plate_response
     from decoupler.touch.sensing import Pillars
-    from decoupler.touch.touch_file import AnyDecoder, read_model, write_touch
+    from decoupler.model.decoder import Decoder
     from decoupler.training.finite_strain import posterior_of
     from decoupler.training.suited import suited_feature, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
-    from decoupler.twin.twin_file import TwinFile, most_probable, read_twin, write_twin
+    from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
-    from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, about_z, judge, press, read_solid
+    from fem.contact import (
+        Contact, Cylinder, Flat, Shape, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
+    )  # fmt: skip
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.kernel.newton import Stopped
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     from hardware.readout.crossbar_readout import CrossbarReadout, seen_by, shunts_of
     from hardware.readout.description import SensorDescription
     from hardware.readout.forces import Forces, LiveSensor, replay
-    from hardware.readout.known_loads import calibrated, doubt_about
+    from hardware.readout.known_loads import calibrated
     from hardware.recording import Recording, read_recording
     from hardware.session import RECORDING_QUEUE, connect, counts_within, ended_by_signal, follows, hashes_of, live
     from hardware.session import measure_link, record_scans

@@ -251,7 +251,7 @@ def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served) 
         leave_at_once()
 
 
-def _require_model(model: "stages.AnyDecoder", name: str, design: SensorDesign) -> None:
+def _require_model(model: "stages.Decoder", name: str, design: SensorDesign) -> None:
     """Refuse a model of an array of another size; warn of one of another design."""
     rows, cols = design.array.rows, design.array.cols
     if (model.rows, model.cols) != (rows, cols):

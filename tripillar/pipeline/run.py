@@ -20,8 +20,8 @@ from dataset.simulation import dataset_cache_key, simulate
 from dataset.stored import in_memory, is_current, read_samples
 from decoupler.data.columns import component_named
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.model_file import model_cache_key, read_model, write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model_file import model_cache_key, read_network, write_model
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import check_unit
@@ -177,7 +177,7 @@ def trained(
     """Train and write a network unless `path` holds it already; returns it and whether it did."""
     cache_key = model_cache_key(data, component_named(component).name, network, training, response)
     try:
-        model = read_model(path)
+        model = read_network(path)
         if model.made_from.get("recipe") == cache_key:
             return model, True
     except FileFormatError:

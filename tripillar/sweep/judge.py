@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from common.errors import DesignError
-from dataset.loads import displacements, largest_pressures
+from dataset.loads import bearable_mpa, displacements, largest_pressures
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS, forces
 from dataset.resistance import largest_factors
@@ -81,7 +81,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     own, pillars = self_sensitivities(G, design), design.unit.layout.pillar_names
     talk = crosstalk(G, design)
     one, everywhere = largest_pressures(response, cap)
-    range_n = min(one, everywhere) * design.pad.size_mm**2
+    range_n = bearable_mpa(response, cap) * design.pad.size_mm**2
     return {
         **known(ERRORS, lambda: errors_of(response, forward, noise, bits, cap, range_n)),
         "range_n": range_n,

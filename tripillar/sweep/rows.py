@@ -24,7 +24,7 @@ METRICS = {
     ),
     "error_pct": ("error of pad forces", "%", "the same in % of range_n"),
     **{f"error_{axis}_n": (f"error of F{axis}", "N", f"the same of F{axis} alone") for axis in AXES},
-    "range_n": ("range", "N", "force along z that every pad can carry, alone or all together, below the strain cap"),
+    "range_n": ("range", "N", "force along z that every pad bears, alone or all together: strain, sinking below cap"),
     "pressure_one_mpa": (
         "pressure on one pad", "MPa", "largest pressure on one pad alone below the strain cap, of the weakest pad"
     ),

@@ -13,7 +13,7 @@ from geometry.design_file import design_from_dict
 from tripillar.sweep.sweep_file import Judging, Sweep
 from tripillar.sweep.variables import table_of, value_of, with_values
 
-VERSION = 3  #: raise when the same design and settings give other metrics, so that kept rows are not reused
+VERSION = 4  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 
 
 @dataclass(frozen=True, kw_only=True)

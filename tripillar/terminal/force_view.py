@@ -107,12 +107,16 @@ def contact_lines(scan: Forces) -> list[str]:
 
 
 def memory_line(scan: Forces) -> str:
-    """How much of the readings is taken for the rubber's memory, of one scan or of many."""
+    """How much of the readings is taken for the rubber's memory, of one scan or of many, and since when."""
     assert scan.memory_rise is not None
     assert scan.memory_deviation is not None
+    if not np.any(scan.memory_tested):
+        return "memory: none taken out: no hold or rest has tested the rubber's law yet"
     size, unsure = (float(np.sqrt(np.mean(each**2))) for each in (scan.memory_rise, scan.memory_deviation))
     largest = float(np.abs(scan.memory_rise).max())
-    return f"memory: {100 * size:.1f} % of the readings (at most {100 * largest:.0f} %), known to {100 * unsure:.1f} %"
+    said = f"memory: {100 * size:.1f} % of the readings (at most {100 * largest:.0f} %), known to {100 * unsure:.1f} %"
+    n_untested = int(np.sum(np.logical_not(scan.memory_tested)))
+    return f"{said}; none before frame {n_untested + 1}, which tested the law" if n_untested else said
 
 
 def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = ()) -> None:
@@ -210,6 +214,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 line["contacts"] = [each.plain() for each in frame.contacts]
             if frame.memory_rise is not None:
                 line["memory_rise"] = frame.memory_rise.round(5).tolist()
+                line["memory_tested"] = bool(frame.memory_tested)
             # put in as text, which is as long again as all the rest
             print(json.dumps(line)[:-1] + f', "deviation_n": {deviation}' + "}", flush=True)
     except BrokenPipeError:

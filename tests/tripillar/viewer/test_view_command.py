@@ -14,8 +14,8 @@ from dataset import DatasetSettings, measured_again, simulate
 from dataset.imperfections import Imperfections
 from dataset.resistance import pillar_lengths, pillar_strains
 from decoupler import train
-from decoupler.model.model_file import write_model
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from decoupler.model_file import write_model
 from fem.pictures.deformation import DeformedPicture
 from geometry.layout import upper_electrodes
 from hardware.boards.python_board import PythonBoard

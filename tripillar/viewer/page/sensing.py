@@ -23,7 +23,7 @@ from dataset.resistance import (
 )
 from decoupler.data.columns import component_named, force_columns
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
-from decoupler.touch.touch_file import AnyDecoder
+from decoupler.model.decoder import Decoder
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
@@ -91,7 +91,7 @@ class PressedSensor:
         return by_unit(pillar_strains(moved_mm, pillar_lengths(moved_mm, unit), unit), self.response.design)
 
 
-def net_forces(model: AnyDecoder) -> Decouple:
+def net_forces(model: Decoder) -> Decouple:
     """The forces of a trained model."""
     return lambda resistance_ohm: on_all_axes(model.forces(resistance_ohm[None])[0], model.component.axes)
 
@@ -137,7 +137,7 @@ class SensorFeed:
     Parameters and errors are those of `hardware.session.live`.
     """
 
-    def __init__(self, port: str, model: AnyDecoder, calibration: Path | str | None = None, **settings: Any) -> None:
+    def __init__(self, port: str, model: Decoder, calibration: Path | str | None = None, **settings: Any) -> None:
         self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come

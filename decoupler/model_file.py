@@ -17,6 +17,7 @@ from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
+from decoupler.model.decoder import Decoder
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
@@ -27,7 +28,8 @@ from geometry.tolerances import uncertain_keys
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-FORMAT = "tripillar-model-2"  #: 1 stated no hash of its content
+FORMAT = "tripillar-model-2"  #: of a network; 1 stated no hash of its content
+TOUCH = "tripillar-touch-2"  #: of a decoder of touch
 METHOD = 9  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"
@@ -48,44 +50,53 @@ def model_cache_key(
     return digest(*parts, *later, *([data.errors] if data.errors.has_drift else []))
 
 
-def write_model(decoupler: Decoupler, path: Path) -> None:
-    """Write a model file with the hash of its content, whole or not at all."""
-    header = {
-        "format": FORMAT,
-        "component": decoupler.component.name,
-        "rows": decoupler.rows,
-        "cols": decoupler.cols,
-        "network": asdict(decoupler.network),
-        "design": None if decoupler.design is None else design_to_toml(decoupler.design),
-        "design_hash": decoupler.design_hash,
-        "made_from": decoupler.made_from,
+def write_model(decoder: Decoder, path: Path) -> None:
+    """Write a decoder's file with the hash of its content, whole or not at all."""
+    header: dict[str, Any] = {
+        "design": None if decoder.design is None else design_to_toml(decoder.design),
+        "design_hash": decoder.design_hash,
+        "made_from": decoder.made_from,
     }
-    if decoupler.design is None and decoupler.layout != PAPERS:
-        header["layout"] = layout_text(decoupler.layout)
-    if decoupler.posterior is not None:
-        header["misfit"] = decoupler.posterior.misfit
-    if decoupler.uncertainty is not None:
-        header |= stated(decoupler.uncertainty.errors)
-    save_file(header, decoupler, path)
+    if decoder.errors is not None:
+        header |= stated(decoder.errors)
+    if not isinstance(decoder, Decoupler):
+        save_file(header | {"format": TOUCH}, decoder, path)
+        return
+    header |= {"format": FORMAT, "component": decoder.component.name, "network": asdict(decoder.network)}
+    header |= {"rows": decoder.rows, "cols": decoder.cols}
+    if decoder.design is None and decoder.layout != PAPERS:
+        header["layout"] = layout_text(decoder.layout)
+    if decoder.posterior is not None:
+        header["misfit"] = decoder.posterior.misfit
+    save_file(header, decoder, path)
 
 
-def read_model(path: Path) -> Decoupler:
-    """Read a model file; it gives the same bits as the model that was written.
+def read_network(path: Path) -> Decoupler:
+    """Read the file of a network; that of a decoder of touch is a `FileFormatError`, too."""
+    decoder = read_model(path)
+    if not isinstance(decoder, Decoupler):
+        raise FileFormatError(f"{path} holds a decoder of touch, no network: give a file made by 'tripillar train'.")
+    return decoder
+
+
+def read_model(path: Path) -> Decoder:
+    """Read the file of any decoder; it gives the same bits as the one that was written.
 
     One that is missing, damaged, foreign, of an earlier version, or holds what makes no sense is a `FileFormatError`.
     """
     header, arrays = opened_file(path)
     try:
-        decoupler = _assembled(header, arrays)
+        is_touch = str(header["format"]).startswith(TOUCH[:-1])
+        decoder = _touch_of(header, arrays) if is_touch else _network_of(header, arrays)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     try:
         with np.errstate(all="ignore"):  # what comes of it is looked at
-            _try_out(decoupler)
+            _try_out(decoder)
     except (ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
         said = " ".join(str(error).split())
         raise FileFormatError(f"{path}: its arrays do not belong together ({said}): {_MEND}.") from None
-    return decoupler
+    return decoder
 
 
 def opened_file(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -133,7 +144,8 @@ def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: 
         if ours != theirs
     ]
     if not differences and decoupler.design is not None and data.design is not None:
-        of_twin = decoupler.ensemble is not None or "twin" in {**decoupler.made_from, **data.made_from}
+        made_from = {**decoupler.made_from, **data.made_from}
+        of_twin = "twin" in made_from or getattr(decoupler, "ensemble", None) is not None
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
@@ -175,30 +187,52 @@ def arrays_of(part: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
             yield from arrays_of(value, f"{name}.")
 
 
-def _try_out(decoupler: Decoupler) -> None:
-    """Decode two scans, so that no model is given out that cannot."""
-    for name, array in arrays_of(decoupler):
+def _try_out(decoder: Decoder) -> None:
+    """Decode two scans, so that no decoder is given out that cannot."""
+    for name, array in arrays_of(decoder):
         if array.dtype.kind not in "fib" or not np.isfinite(array).all():
             raise ValueError(f"{name} is not finite")
-    rest_ohm = decoupler.rest_resistances()
+    rest_ohm = decoder.rest_resistances()
     if rest_ohm is None:
-        rest_ohm = np.full((decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), 1e4)
+        rest_ohm = np.full((decoder.rows, decoder.cols, len(decoder.layout.pillars)), 1e4)
     scans = np.stack([rest_ohm, 0.9 * rest_ohm])
-    answers = {"force": decoupler.forces(scans)}
-    if decoupler.knows_uncertainty:
-        answers["half-width"] = decoupler.half_widths(scans)[1]
-        if (test := decoupler.load_test) is not None:
-            answers["test of loads"] = test.chi2(answers["force"].reshape(len(scans), -1))
+    answers: dict[str, Any] = {"force": decoder.forces(scans)}
+    if decoder.knows_uncertainty:
+        answers |= {"half-width": decoder.half_widths(scans)[1], "test of loads": decoder.consistency(scans) or 0.0}
     for name, values in answers.items():
         if not np.isfinite(values).all():
             raise ValueError(f"the {name} of a scan is not finite")
 
 
-def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
-    if header["format"] != FORMAT:
-        raise ValueError(f"format is {header['format']}, not {FORMAT}: of another version, train it again")
+def _touch_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoder:
+    from decoupler.touch.bare import BareDecoder  # of few files
+    from decoupler.touch.plates import PlateDecoder
+
+    _require_format(header, TOUCH)
+    design = design_from_toml(header["design"])
+    said = {
+        "design": design,
+        "errors": _errors_of(header),
+        "made_from": dict(header["made_from"]),
+    }
+    found: Decoder = built_of(PlateDecoder if design.pad.kind == "stiff" else BareDecoder, arrays, said)
+    return found
+
+
+def _require_format(header: dict[str, Any], wanted: str) -> None:
+    if header["format"] != wanted:
+        raise ValueError(f"format is {header['format']}, not {wanted}: of another version, train it again")
     if not str(header[KEY]).startswith(MARK.decode()):
         raise ValueError(f"{KEY} is {header[KEY]!r}, no hash")
+
+
+def _errors_of(header: dict[str, Any]) -> ReadingError:
+    """Of readings; a drift that is not stated is none."""
+    return ReadingError(**{each.name: header[each.name] for each in fields(ReadingError) if each.name in header})
+
+
+def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
+    _require_format(header, FORMAT)
     for name in ("rows", "cols"):
         if type(header[name]) is not int or header[name] < 1:
             raise ValueError(f"{name} is {header[name]!r}, must be a whole number from 1 on")
@@ -210,7 +244,6 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
     component, dead = component_named(header["component"]), arrays.get("dead")
     design = None if header["design"] is None else design_from_toml(header["design"])
     layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
-    errors = {spec.name: header[spec.name] for spec in fields(ReadingError) if spec.name in header}
     said = {
         "component": component,
         "rows": header["rows"],
@@ -220,7 +253,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupl
         "layout": layout,
         "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
-        "uncertainty.errors": ReadingError(**errors),  # a drift that is not stated is none
+        "uncertainty.errors": _errors_of(header),
         "least_squares.component": component,
         "least_squares.dead": dead,
         "least_squares.layout": layout,

@@ -1,0 +1,208 @@
+"""What stands in the places of readings that are left out of a scan (`Decoder.without`), and how sure it is."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.measurement import ReadingError
+from decoupler.data.columns import DEAD_OHM, namespace, rowwise
+from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.model.decoder import MANY
+from decoupler.model.usual import UsualLoads
+from decoupler.solve import descended
+from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from decoupler.model.decoupler import Decoupler
+
+SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
+REFINED = 6  #: steps by the response towards readings that are left out; two are usual
+MOST = 0.5  #: change of the logarithm of a reading by one of them
+GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
+DRAWN = 200  #: loads that say how far the response and the decoder agree
+DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
+MIN_NOISE = 1e-5  #: relative, of a reading
+
+
+@dataclass(frozen=True, eq=False)
+class Foretold:
+    """What k of P readings are when they are not read, by the others: normal, as logarithms."""
+
+    missing: FloatArray  #: (P,): 1 of what is not read, 0 of the others
+    mean: FloatArray  #: (P,): of ln R under usual loads
+    weights: FloatArray  #: (P, P): of the others' distances from it, in those of the k; 0 of all else
+    covariance: FloatArray  #: (k, k): of what that leaves
+
+    @cached_property
+    def which(self) -> NDArray[np.intp]:
+        """Numbers of the k."""
+        return np.flatnonzero(self.missing)
+
+    @classmethod
+    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], errors: FloatArray) -> Self:
+        """Those `missing` (P,), by the others of those that a decoder reads; `errors` (P, m) change the logarithms.
+
+        Without a covariance, of few samples, nothing is foretold but the mean, and that it may be off by `SPREAD`.
+        """
+        mean, which = usual.log_ohm, np.flatnonzero(missing)
+        assert mean is not None
+        weights, covariance = np.zeros((len(mean), len(mean))), SPREAD**2 * np.eye(len(which))
+        others = np.flatnonzero(read & ~missing)
+        if usual.log_ohm_covariance is not None:
+            S = usual.log_ohm_covariance + errors @ errors.T
+            by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
+            weights[np.ix_(others, which)] = by_others
+            covariance = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
+        return cls(missing.astype(float), mean, weights, covariance)
+
+    def filled(self, columns_ohm: FloatArray) -> FloatArray:
+        """Readings (n, P) [Ω] with those that are foretold in their places; also tensors of torch."""
+        xp = namespace(columns_ohm)
+        found = xp.exp(rowwise(xp.log(columns_ohm) - self.mean, self.weights) + self.mean)
+        return columns_ohm * (1.0 - self.missing) + found * self.missing
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Readings that a network does without.
+
+    Notes
+    -----
+    Of k readings, as logarithms, with the mean y₀ and the covariance V that the others leave: the most probable y₀ + δ
+    if those under the decoded forces, H δ away as they are put there, agree with them up to errors N of the readings
+    that are read. δ minimises δᵀ V⁻¹ δ + mᵀ N⁻¹ m, m what those still are away, by steps of Gauss and Newton with the
+    slopes A = 1 − H. One pillar of three that sense three forces has H = 1, and is where usual loads have it; of six
+    pillars the forces alone place it.
+    """
+
+    decoder: "Decoupler"
+    foretold: Foretold
+    usual: UsualLoads
+
+    @classmethod
+    def of(cls, decoder: "Decoupler", missing: NDArray[np.bool_]) -> Self | None:
+        """Those `missing` (n_in,); None if none is, or nobody knows usual readings."""
+        usual = decoder.usual
+        if not missing.any() or usual is None or usual.log_ohm is None:
+            return None
+        errors = _relative_errors(decoder, np.exp(usual.log_ohm))
+        return cls(decoder, Foretold.by(usual, missing, decoder.readable, errors), usual)
+
+    def filled(self, columns_ohm: FloatArray) -> FloatArray:
+        """Readings (n, n_in) [Ω] with what is left out filled in."""
+        here, which = self.foretold.filled(columns_ohm), self.foretold.which
+        if self._agreement is None:
+            return here
+        known, first = self._agreement, np.log(here[:, which])
+
+        def with_delta(delta: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            there = here[on]
+            there[:, which] = np.exp(first[on] + delta)
+            return there
+
+        def at(delta: FloatArray, on: NDArray[np.intp]) -> _Missed:
+            m = self._missed(with_delta(delta, on))
+            return _Missed((rowwise(m, known.agree) * m + rowwise(delta, known.usual) * delta).sum(axis=1), m, delta)
+
+        def step(now: _Missed, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            by_missed, by_delta = self._steps(with_delta(now.delta, on), now.m, damping)
+            found = (by_missed @ now.m[..., None] - by_delta @ now.delta[..., None])[..., 0]
+            return np.clip(found, -MOST, MOST)
+
+        delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
+        return with_delta(delta, np.arange(len(here)))
+
+    def by_read(self, columns_ohm: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Derivatives of the forces (n, n_out, n_in) [N/Ω], which move what is left out as well; 0 by that."""
+        which, by_read = self.foretold.which, slopes * (1.0 - self.foretold.missing)
+        if self._agreement is not None:
+            by_missed = self._steps(columns_ohm, self._missed(columns_ohm))[0] @ self._agreement.by_force
+            by_read += (slopes[:, :, which] * columns_ohm[:, None, which]) @ by_missed @ by_read
+        return by_read
+
+    def by_missing(self, columns_ohm: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Changes of the forces by independent errors of what was filled in, (n, n_out, k) [N]."""
+        which = self.foretold.which
+        slopes = slopes[:, :, which] * columns_ohm[:, None, which]
+        if self._agreement is not None:
+            slopes = slopes @ self._steps(columns_ohm, self._missed(columns_ohm))[1]
+        return np.asarray(slopes @ np.linalg.cholesky(self.foretold.covariance + MIN_NOISE**2 * np.eye(len(which))))
+
+    @cached_property
+    def _agreement(self) -> "_Agreement | None":
+        """None if nobody knows the response, and of `MANY` readings and more: then loads are too far from usual ones.
+
+        N is what m is under drawn loads, with every reading there: by errors, and as the decoder is not exact.
+        """
+        known, inverse, readable = self.foretold, self.decoder.inverse, self.decoder.readable
+        if inverse is None or len(known.which) >= MANY:
+            return None
+        generator, forward = np.random.default_rng(0), inverse.forward
+        ohm = forward.resistances(self.usual.drawn(DRAWN, forward.n_forces, generator))
+        by_error = _relative_errors(self.decoder, np.exp(known.mean))
+        ohm = ohm * np.exp(generator.standard_normal((DRAWN, by_error.shape[1])) @ by_error.T)
+        m = self._missed(np.where(readable, ohm, DEAD_OHM))
+        least = MIN_NOISE**2 * np.eye(len(known.which))
+        usual, agree = (np.asarray(np.linalg.inv(each + least)) for each in (known.covariance, m.T @ m / DRAWN))
+        lengths, J = forward.jacobian(inverse.centre_n[None])
+        by_force = (2.0 * J / lengths[..., None])[0, known.which]
+        by_force *= 1.0 - (forward.offset_ohm / forward.resistances(inverse.centre_n[None])[0])[known.which, None]
+        return _Agreement(usual, agree, by_force)
+
+    @property
+    def _inverse(self) -> ModelInverse:
+        assert self.decoder.inverse is not None
+        return self.decoder.inverse
+
+    def _missed(self, columns_ohm: FloatArray) -> FloatArray:
+        """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""
+        which = self.foretold.which
+        shown_ohm = self._inverse.forward.resistances(self.decoder.first_answers(columns_ohm))[:, which]
+        return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
+
+    def _steps(
+        self, columns_ohm: FloatArray, missed: FloatArray, damping: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steps of δ by m and by δ itself, (n, k, k) each: (V⁻¹ + Aᵀ N⁻¹ A)⁻¹ times Aᵀ N⁻¹ and times V⁻¹."""
+        assert self._agreement is not None
+        usual, agree, _ = self._agreement
+        A = np.empty((*missed.shape, missed.shape[1]))
+        for k, place in enumerate(self.foretold.which):
+            there = columns_ohm.copy()
+            there[:, place] *= np.exp(DIFFERENCE)
+            A[:, :, k] = (missed - self._missed(there)) / DIFFERENCE
+        told = A.swapaxes(1, 2) @ agree
+        H = usual + told @ A
+        if damping is not None:
+            H += (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(len(usual))
+        covariance = np.linalg.inv(H)
+        return covariance @ told, covariance @ usual
+
+
+def _relative_errors(decoder: "Decoupler", ohm: FloatArray) -> FloatArray:
+    """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
+    errors, inverse = decoder.errors or ReadingError(), decoder.inverse
+    shared = errors.shared(ohm[None], decoder.rows, decoder.cols)[0]
+    found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), shared]
+    if decoder.ensemble is not None and inverse is not None:
+        found.append(decoder.ensemble.factors(inverse.forward, inverse.forces(ohm[None]))[0])
+    return np.concatenate(found, axis=1) / ohm[:, None]
+
+
+class _Agreement(NamedTuple):
+    """What is known of δ and of m before a scan is seen."""
+
+    usual: FloatArray  #: V⁻¹, (k, k)
+    agree: FloatArray  #: N⁻¹, (k, k)
+    by_force: FloatArray  #: slopes of ln R of what is left out at the mean load, (k, Q) [1/N]
+
+
+class _Missed(NamedTuple):
+    """Readings of n scans that are filled in."""
+
+    cost: FloatArray  #: (n,)
+    m: FloatArray  #: (n, k)
+    delta: FloatArray  #: (n, k)
