@@ -118,8 +118,8 @@ class Decoder(ABC):
         return None
 
     @abstractmethod
-    def require(self, resistance_ohm: FloatArray) -> None:
-        """Refuse what are no resistances (n, rows, cols, n_pillars) [Ω] of its sensor by a `SampleError`."""
+    def columns(self, resistance_ohm: FloatArray) -> FloatArray:
+        """What is decoded of resistances (n, rows, cols, n_pillars) [Ω], (n, n_in); no such are a `SampleError`."""
 
     @abstractmethod
     def without(self, pillars: NDArray[np.bool_]) -> Self:
@@ -186,7 +186,7 @@ class Decoder(ABC):
         if not lost.any():
             yield np.arange(len(lost)), self
             return
-        self.require(resistance_ohm)  # which numbers scans, before they are parted
+        self.columns(resistance_ohm)  # refuses what are no resistances by the scan's number, before they are parted
         patterns, which = np.unique(lost.reshape(len(lost), -1), axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             yield np.flatnonzero(which == number), self.doing_without(pattern.reshape(lost.shape[1:]))

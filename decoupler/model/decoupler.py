@@ -384,9 +384,6 @@ class Decoupler(Decoder):
             )
         return columns if self.filling is None else self.filling.filled(columns)
 
-    def require(self, resistance_ohm: FloatArray) -> None:
-        self.columns(resistance_ohm)
-
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
@@ -397,10 +394,7 @@ class Decoupler(Decoder):
         own_ohm: FloatArray | None = None,
         left_out: tuple[NDArray[np.bool_], FloatArray | None] | None = None,
     ) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them.
-
-        `own_ohm` (n, n_in) are deviations that the readings have besides; `left_out` is of `doubts`, default: its own.
-        """
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω]; deviations `own_ohm` are theirs besides."""
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
