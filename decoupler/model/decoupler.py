@@ -201,7 +201,6 @@ class Decoupler(Decoder):
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
-        """Of forces, of as many samples as there are."""
         return -1, self.rows, self.cols, len(self.component.axes)
 
     def consistency(
@@ -394,7 +393,7 @@ class Decoupler(Decoder):
         own_ohm: FloatArray | None = None,
         left_out: tuple[NDArray[np.bool_], FloatArray | None] | None = None,
     ) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω]; deviations `own_ohm` are theirs besides."""
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] with deviations `own_ohm` besides."""
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
