@@ -182,7 +182,7 @@ class Decoder(ABC):
 
     def sifted(self, resistance_ohm: FloatArray) -> "Iterator[tuple[NDArray[np.intp], Self]]":
         """Numbers of scans (n, rows, cols, n_pillars) [Ω] that one decoder takes, and that decoder."""
-        lost = self.lost(np.asarray(resistance_ohm))
+        lost = self.lost(resistance_ohm)
         if not lost.any():
             yield np.arange(len(lost)), self
             return
@@ -207,9 +207,10 @@ class Decoder(ABC):
         self, resistance_ohm: FloatArray, ask: Callable[[Self, FloatArray, Any], tuple[FloatArray, ...]]
     ) -> tuple[FloatArray, ...]:
         """What decoders of scans (n, rows, cols, n_pillars) [Ω] answer, each asked for those that it takes."""
+        resistance_ohm = np.asarray(resistance_ohm)
+        if not self.lost(resistance_ohm).any():  # as usual, without a copy
+            return ask(self, resistance_ohm, slice(None))
         parts = [(which, ask(decoder, resistance_ohm[which], which)) for which, decoder in self.sifted(resistance_ohm)]
-        if len(parts) == 1:
-            return parts[0][1]
         found = tuple(np.empty((len(resistance_ohm), *values.shape[1:])) for values in parts[0][1])
         for which, answers in parts:
             for whole, values in zip(found, answers, strict=True):

@@ -211,9 +211,9 @@ class Decoupler(Decoder):
             return None
         told_n = self.forces(resistance_ohm) if force_n is None else force_n
 
-        def ask(by: Self, _: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+        def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             assert by.load_test is not None
-            found = by.load_test.chi2(told_n[which].reshape(len(which), -1))
+            found = by.load_test.chi2(told_n[which].reshape(len(ohms), -1))
             return found, np.full_like(found, by.load_test.limit)
 
         chi2, limit = self.each(resistance_ohm, ask)
