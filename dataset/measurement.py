@@ -74,7 +74,7 @@ class ReadingError(Drifts):
         if self.bits is not None:
             step = (resistance_ohm + SENSE_OHM) ** 2 / (SENSE_OHM * (2**self.bits - 1))
             variance = variance + step**2 / 12.0
-        return np.sqrt(variance)
+        return variance**0.5
 
     @property
     def own_relative(self) -> float:
@@ -88,9 +88,10 @@ class ReadingError(Drifts):
         """
         unit = self._patterns(rows, cols)
         pillar = np.repeat(unit, resistance_ohm.shape[1] // len(unit), axis=0)
-        relative = resistance_ohm[:, :, None] * pillar[:, pillar.any(axis=0)]
-        offset = np.full((*resistance_ohm.shape, int(self.drift_offset_ohm > 0)), self.drift_offset_ohm)
-        return np.concatenate([relative, offset], axis=2)
+        relative = np.pad(pillar[:, pillar.any(axis=0)], [(0, 0), (0, int(self.drift_offset_ohm > 0))])
+        offset_ohm = np.where(relative.any(axis=0), 0.0, self.drift_offset_ohm)
+        like = getattr(resistance_ohm, "new_tensor", np.asarray)  # of torch
+        return resistance_ohm[:, :, None] * like(relative) + like(offset_ohm)
 
     def total(self, resistance_ohm: FloatArray, rows: int, cols: int) -> FloatArray:
         """Standard deviation of readings, of what they share as well, (n, P) [Ω] -> (n, P) [Ω]."""

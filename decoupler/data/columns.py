@@ -190,6 +190,11 @@ def namespace(values: Any) -> Any:
     return np if isinstance(values, np.ndarray) else sys.modules["torch"]
 
 
+def eye(n: int, like: Any) -> Any:
+    """The unit matrix (n, n), of the type of these values."""
+    return namespace(like).eye(n, dtype=like.dtype, device=like.device)
+
+
 def in_blocks(samples: FloatArray) -> FloatArray:
     """Samples (n, k) with the last one repeated until they fill whole blocks."""
     missing = -len(samples) % ROWS_AT_ONCE

@@ -48,7 +48,10 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     if precision not in get_args(Precision):
         raise DesignError(f"precision={precision!r} is unknown; choose one of {', '.join(get_args(Precision))}.")
     if decoupler.posterior is not None:
-        raise ExportError("models that learned finite strain are not exported yet: train one on linear samples alone.")
+        raise ExportError(
+            "models of finite strain are not exported: each scan solves for all forces at once. Decode in Python or "
+            "torch, or train on linear samples alone."
+        )
     dtype = _TYPES[precision]
     columns = decoupler.columns(likely_resistances(decoupler, SAMPLES))
     expected = decoupler.first_answers(columns)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import MIN_NOISE, Columns, Component, namespace, rowwise
+from decoupler.data.columns import MIN_NOISE, Columns, Component, eye, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
 from geometry.layout import AXES, FloatArray, pillar_vectors, pillar_volumes
 
@@ -138,8 +138,8 @@ class SensorModel:
         vectors = self.linear.vectors(state_n)
         signed = vectors if self.sign is None else vectors * self.sign
         squares = (signed * vectors).sum(axis=1)
-        by_state = 2.0 * (signed.transpose(0, 2, 1)[:, :, None] @ self.by_component)[:, :, 0]
-        force_n, by_force = state_n, np.tile(np.eye(Q), (n, 1, 1))
+        by_state = 2.0 * (signed.swapaxes(1, 2)[:, :, None] @ self.by_component)[:, :, 0]
+        force_n, by_force = state_n, namespace(state_n).tile(eye(Q, state_n), (n, 1, 1))
         if self.maps is not None:
             values, slopes = self.maps.slopes(state_n)
             squares = squares + values[..., N_AXES:].reshape(n, -1)
@@ -152,7 +152,7 @@ class SensorModel:
     def by_component(self) -> FloatArray:
         """Derivatives of each pillar's vector by the forces, (n_pillars, n_components, n_forces) [mm/N]."""
         B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
-        return np.ascontiguousarray(B.transpose(2, 1, 0))
+        return B.swapaxes(0, 2).reshape(-1).reshape(self.n_pillars, -1, self.n_forces)
 
     def vectors(self, force_n: FloatArray) -> FloatArray:
         """Of the linear array, lower electrode to upper one: (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""

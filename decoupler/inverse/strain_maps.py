@@ -8,13 +8,14 @@ readings are turned around for it: where conduction is far from linear these may
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset.samples import SampleError
-from decoupler.data.columns import rowwise
+from decoupler.data.columns import eye, namespace, rowwise
 from decoupler.solve import descended
 from geometry.layout import FloatArray
 
@@ -29,11 +30,11 @@ _PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
 N_PAIRS = len(_PAIRS[0])
 #: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do
 _PRESSING = np.flatnonzero(np.isin(_PAIRS[0], [2, 3, 4, 5, 8]) & np.isin(_PAIRS[1], [2, 3, 4, 5, 8]))
-_SLOPES = np.zeros((N_PAIRS, OWN, OWN))  #: derivatives of the pairs by o, as matrices that are multiplied by o
-_SLOPES[np.arange(N_PAIRS), _PAIRS[0], _PAIRS[1]] += 1.0
-_SLOPES[np.arange(N_PAIRS), _PAIRS[1], _PAIRS[0]] += 1.0
 _SIDES = np.array([1, 3, 4, 6])  #: neighbours that share a side
 _FOURS = np.triu_indices(N_PAIRS)  #: numbers of each two pairs
+_PAIR_OF, _FOUR_OF = np.empty((OWN, OWN), dtype=int), np.empty((N_PAIRS, N_PAIRS), dtype=int)  #: and of those by two
+for _numbers, _two in ((_PAIR_OF, _PAIRS), (_FOUR_OF, _FOURS)):
+    _numbers[_two] = _numbers.T[_two] = np.arange(len(_two[0]))
 #: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
 WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + 5 * N_PAIRS, 8 * OWN, 8 * N_PAIRS
 _ENDS = np.cumsum([OWN * WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE, len(_FOURS[0])])
@@ -116,19 +117,15 @@ class StrainMaps:
         """o, state and linear displacements of each pad over their sizes, (n, 3 k) [N] -> (n, k, 9)."""
         n, k = len(state_n), len(self.near)
         moved = rowwise(state_n, self.influence).reshape(n, N_AXES, k, -1)
-        o = np.empty((n, k, OWN))
-        o[..., :3] = state_n.reshape(n, k, N_AXES)
-        o[..., 3:6], o[..., 6:] = moved[..., 0].swapaxes(1, 2), moved[..., -1].swapaxes(1, 2)
-        o /= self.sizes
-        return o
+        parts = [state_n.reshape(n, k, N_AXES), moved[..., 0].swapaxes(1, 2), moved[..., -1].swapaxes(1, 2)]
+        return namespace(state_n).concat(parts, axis=2) / self.sizes
 
     def _parts(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """o of each pad, o of its neighbours, pairs of its own and of each neighbour: (n, k, 9, 72, 45 and 360)."""
-        n, k = len(state_n), len(self.near)
-        both = np.zeros((n, k + 1, OWN + N_PAIRS))
-        o = both[:, :k, :OWN] = self.own(state_n)
-        pairs = both[:, :k, OWN:] = o[..., _PAIRS[0]] * o[..., _PAIRS[1]]
-        near = both[:, self.near]
+        xp, o = namespace(state_n), self.own(state_n)
+        (n, k, _), pairs = o.shape, o[..., _PAIRS[0]] * o[..., _PAIRS[1]]
+        both = xp.concat([o, pairs], axis=2)
+        near = xp.concat([both, xp.zeros_like(both[:, :1])], axis=1)[:, self.near]
         return o, near[..., :OWN].reshape(n, k, -1), pairs, near[..., OWN:].reshape(n, k, -1)
 
     def slopes(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,16 +143,16 @@ class StrainMaps:
         by_pairs = (pairs @ with_pairs).reshape(n, k, N_PAIRS, m).swapaxes(2, 3)
         values += 0.5 * (by_pairs @ pairs[..., None])[..., 0]
         by_z = (o @ self._of_own).reshape(n, k, m, -1)
-        by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
-        slopes = (o @ _SLOPES.transpose(2, 0, 1).reshape(OWN, -1)).reshape(n, k, N_PAIRS, OWN)  # of the pairs by o
         by_pairs = by_pairs + by_z[..., 9 * OWN : 9 * OWN + N_PAIRS]
         by_pairs[..., _PRESSING] += by_pressing.swapaxes(2, 3)
-        by_own = by_factor.swapaxes(2, 3) + by_z[..., :OWN] + by_pairs @ slopes
-        around_slopes = np.concatenate([slopes, np.zeros((n, 1, N_PAIRS, OWN))], axis=1)[:, self.near]
-        by_neighbours = np.tile(alone.reshape(8, N_PAIRS, m).swapaxes(1, 2), (n, k, 1, 1, 1))
-        by_neighbours[:, :, _SIDES] += by_z[..., 9 * OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS).swapaxes(2, 3)
-        by_around = by_around + (by_neighbours @ around_slopes).transpose(0, 1, 3, 2, 4).reshape(by_around.shape)
-        by_o = np.concatenate([by_own, by_around], axis=3) + first[1:].T  # (n, k, m, 81)
+        by_own = by_factor.swapaxes(2, 3) + by_z[..., :OWN] + _by_o(by_pairs, o[:, :, None])
+        near = around.reshape(n, k, 8, OWN)
+        by_alone = self._by_alone @ near[..., None]
+        by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
+        by_around = by_around.reshape(n, k, m, 8, OWN) + by_alone.reshape(n, k, 8, m, OWN).swapaxes(2, 3)
+        beside = by_z[..., 9 * OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS)
+        by_around[..., _SIDES, :] += _by_o(beside, near[:, :, None, _SIDES])
+        by_o = namespace(o).concat([by_own, by_around.reshape(n, k, m, -1)], axis=3) + first[1:].T  # (n, k, m, 81)
         return values, by_o @ self._by_force
 
     def states(self, force_n: FloatArray) -> FloatArray:
@@ -206,36 +203,44 @@ class StrainMaps:
 
         The last is of the first order, (82, m). That of own pairs gives derivatives, and so twice the values.
         """
-        own, pressing, alone, fours, first = np.split(self.weights, _ENDS)
-        m = self.weights.shape[1]
+        own, pressing, alone, fours, first = self._by_kind
+        m = first.shape[1]
         with_own, with_pressing = (
-            np.ascontiguousarray(part.reshape(-1, size, m).swapaxes(0, 1).reshape(size, -1))
+            part.reshape(-1, size, m).swapaxes(0, 1).reshape(size, -1)
             for part, size in ((own, WITH_OWN), (pressing, _WITH_PRESSING))
         )
-        both = np.zeros((N_PAIRS, N_PAIRS, m))
-        both[_FOURS] = fours
-        with_pairs = (both + both.swapaxes(0, 1)).reshape(N_PAIRS, -1)
+        with_pairs = _doubled(fours.T, _FOUR_OF).swapaxes(0, 1).swapaxes(1, 2).reshape(N_PAIRS, -1)
         return with_own, with_pressing, alone, with_pairs, first
+
+    @property
+    def _by_kind(self) -> list[FloatArray]:
+        """Weights of what o is multiplied by, of pressing pairs, neighbours' pairs, own pairs and the first order."""
+        return [self.weights[start:end] for start, end in pairwise([0, *_ENDS, N_FEATURES])]
+
+    @cached_property
+    def _by_alone(self) -> FloatArray:
+        """From a neighbour's o to the derivatives of what its pairs add, by it, (8, 9 m, 9)."""
+        by_pairs = self._by_kind[2].reshape(8, N_PAIRS, -1).swapaxes(1, 2)
+        return _doubled(by_pairs, _PAIR_OF).reshape(8, -1, OWN)
 
     @cached_property
     def _of_own(self) -> FloatArray:
         """From o to the derivatives by z, (9, m · 306)."""
-        own = self.weights[: _ENDS[0]].reshape(OWN, WITH_OWN, -1)
-        return np.ascontiguousarray(own.swapaxes(1, 2).reshape(OWN, -1))
+        return self._by_kind[0].reshape(OWN, WITH_OWN, -1).swapaxes(1, 2).reshape(OWN, -1)
 
     @cached_property
     def _of_pressing(self) -> FloatArray:
         """From pressing pairs to the derivatives by neighbours' o, (15, m · 72)."""
-        pressing = self.weights[_ENDS[0] : _ENDS[1]].reshape(len(_PRESSING), _WITH_PRESSING, -1)
-        return np.ascontiguousarray(pressing.swapaxes(1, 2).reshape(len(_PRESSING), -1))
+        pressing = self._by_kind[1].reshape(len(_PRESSING), _WITH_PRESSING, -1)
+        return pressing.swapaxes(1, 2).reshape(len(_PRESSING), -1)
 
     @cached_property
     def _by_force(self) -> FloatArray:
         """Derivatives of o of a pad and of its neighbours by the state, (k, 81, 3 k)."""
-        k = len(self.near)
-        own = self.own(np.eye(N_AXES * k)).transpose(1, 2, 0)
-        around = np.concatenate([own, np.zeros((1, *own.shape[1:]))])[self.near].reshape(k, 8 * OWN, -1)
-        return np.ascontiguousarray(np.concatenate([own, around], axis=1))
+        xp, k = namespace(self.influence), len(self.near)
+        own = self.own(eye(N_AXES * k, self.influence))
+        by_state = xp.concat([own, xp.zeros_like(own[:, :1])], axis=1)[:, np.column_stack([np.arange(k), self.near])]
+        return by_state.reshape(N_AXES * k, k, -1).swapaxes(0, 1).swapaxes(1, 2).reshape(-1).reshape(k, 9 * OWN, -1)
 
 
 class _Off(NamedTuple):
@@ -246,11 +251,22 @@ class _Off(NamedTuple):
     J: FloatArray  #: of those that act by the states, (n, 3 k, 3 k)
 
 
+def _doubled(values: FloatArray, numbers: NDArray[np.int64]) -> FloatArray:
+    """Second derivatives of sums of products of pairs by their factors q, from weights (..., pairs), (..., q, q)."""
+    spread = values[..., numbers]
+    return spread + spread * eye(len(numbers), values)
+
+
+def _by_o(by_pairs: FloatArray, o: FloatArray) -> FloatArray:
+    """Derivatives by o (..., 9) of sums of its pairs with weights (..., 45)."""
+    return (_doubled(by_pairs, _PAIR_OF) @ o[..., None])[..., 0]
+
+
 def _with_own(o: FloatArray, around: FloatArray, pairs: FloatArray, pairs_around: FloatArray) -> FloatArray:
     """z, what o is multiplied by: o, neighbours' o, pairs of its own and of neighbours at its sides, (n, k, 306)."""
     n, k, _ = o.shape
     beside = pairs_around.reshape(n, k, 8, N_PAIRS)[:, :, _SIDES].reshape(n, k, -1)
-    return np.concatenate([o, around, pairs, beside], axis=2)
+    return namespace(o).concat([o, around, pairs, beside], axis=2)
 
 
 def neighbours(rows: int, cols: int) -> NDArray[np.int64]:

@@ -118,8 +118,8 @@ class Decoder(ABC):
         return None
 
     @abstractmethod
-    def require(self, resistance_ohm: FloatArray) -> None:
-        """Refuse what are no resistances (n, rows, cols, n_pillars) [Ω] of its sensor by a `SampleError`."""
+    def columns(self, resistance_ohm: FloatArray) -> FloatArray:
+        """What is decoded of resistances (n, rows, cols, n_pillars) [Ω], (n, n_in); no such are a `SampleError`."""
 
     @abstractmethod
     def without(self, pillars: NDArray[np.bool_]) -> Self:
@@ -182,11 +182,11 @@ class Decoder(ABC):
 
     def sifted(self, resistance_ohm: FloatArray) -> "Iterator[tuple[NDArray[np.intp], Self]]":
         """Numbers of scans (n, rows, cols, n_pillars) [Ω] that one decoder takes, and that decoder."""
-        lost = self.lost(np.asarray(resistance_ohm))
+        lost = self.lost(resistance_ohm)
         if not lost.any():
             yield np.arange(len(lost)), self
             return
-        self.require(resistance_ohm)  # which numbers scans, before they are parted
+        self.columns(resistance_ohm)  # refuses what are no resistances by the scan's number, before they are parted
         patterns, which = np.unique(lost.reshape(len(lost), -1), axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             yield np.flatnonzero(which == number), self.doing_without(pattern.reshape(lost.shape[1:]))
@@ -207,9 +207,10 @@ class Decoder(ABC):
         self, resistance_ohm: FloatArray, ask: Callable[[Self, FloatArray, Any], tuple[FloatArray, ...]]
     ) -> tuple[FloatArray, ...]:
         """What decoders of scans (n, rows, cols, n_pillars) [Ω] answer, each asked for those that it takes."""
+        resistance_ohm = np.asarray(resistance_ohm)
+        if not self.lost(resistance_ohm).any():  # as usual, without a copy
+            return ask(self, resistance_ohm, slice(None))
         parts = [(which, ask(decoder, resistance_ohm[which], which)) for which, decoder in self.sifted(resistance_ohm)]
-        if len(parts) == 1:
-            return parts[0][1]
         found = tuple(np.empty((len(resistance_ohm), *values.shape[1:])) for values in parts[0][1])
         for which, answers in parts:
             for whole, values in zip(found, answers, strict=True):

@@ -201,7 +201,6 @@ class Decoupler(Decoder):
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
-        """Of forces, of as many samples as there are."""
         return -1, self.rows, self.cols, len(self.component.axes)
 
     def consistency(
@@ -212,9 +211,9 @@ class Decoupler(Decoder):
             return None
         told_n = self.forces(resistance_ohm) if force_n is None else force_n
 
-        def ask(by: Self, _: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+        def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             assert by.load_test is not None
-            found = by.load_test.chi2(told_n[which].reshape(len(which), -1))
+            found = by.load_test.chi2(told_n[which].reshape(len(ohms), -1))
             return found, np.full_like(found, by.load_test.limit)
 
         chi2, limit = self.each(resistance_ohm, ask)
@@ -384,33 +383,34 @@ class Decoupler(Decoder):
             )
         return columns if self.filling is None else self.filling.filled(columns)
 
-    def require(self, resistance_ohm: FloatArray) -> None:
-        self.columns(resistance_ohm)
-
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
         return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
 
-    def refined(self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] and the network's answers to them.
-
-        `own_ohm` (n, n_in) are deviations that the readings have besides.
-        """
+    def refined(
+        self,
+        columns_ohm: FloatArray,
+        own_ohm: FloatArray | None = None,
+        left_out: tuple[NDArray[np.bool_], FloatArray | None] | None = None,
+    ) -> Found:
+        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] with deviations `own_ohm` besides."""
         assert self.posterior is not None
         settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
         first_n, errors = self.first_answers(columns_ohm), self._known.errors
         shared_ohm = errors.shared(settled, self.rows, self.cols)
         if self.ensemble is not None:
             unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
-            shared_ohm = np.concatenate([shared_ohm, unsure_ohm], axis=2)
+            shared_ohm = namespace(columns_ohm).concat([shared_ohm, unsure_ohm], axis=2)
         deviation_ohm = errors.deviation(settled)
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
-        unsure_n = None
-        if self.filling is not None:
-            unsure_n = self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
-        read = self.readable & ~self._missing
-        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, read, unsure_n)
+        doubts = self.doubts(columns_ohm) if left_out is None else left_out
+        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, *doubts)
+
+    def doubts(self, columns_ohm: FloatArray) -> tuple[NDArray[np.bool_], FloatArray | None]:
+        """Which inputs are read, (n_in,), and what errors of others do to first answers, (n, n_out, k) [N]."""
+        slopes = None if self.filling is None else self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
+        return self.readable & ~self._missing, slopes
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decoupler.data.columns import namespace
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
@@ -31,18 +32,20 @@ class Ensemble:
 
         `state_n` (n, Q) [N] are the model's states, without maps of finite strain the forces.
         """
-        m, P, components, Q = self.influence.shape
+        (m, P, components, Q), xp = self.influence.shape, namespace(state_n)
         vectors = forward.linear.vectors(state_n)
         signed = vectors if forward.sign is None else forward.sign * vectors
-        y = np.einsum("ncp,ncp->np", signed, vectors)
-        moved = (state_n.astype(self.influence.dtype) @ self.influence.reshape(-1, Q).T).reshape(-1, m, P, components)
-        squares = 2.0 * np.einsum("nmpi,nip->nmp", moved + self.rest_mm, signed[:, :components])
+        y = xp.einsum("ncp,ncp->np", signed, vectors)
+        single = state_n.astype(self.influence.dtype) if isinstance(state_n, np.ndarray) else state_n
+        moved = (single @ self.influence.reshape(-1, Q).T).reshape(-1, m, P, components)
+        squares = 2.0 * xp.einsum("nmpi,nip->nmp", moved + self.rest_mm, signed[:, :components])
         if forward.maps is not None and self.parameters is not None:
             y += forward.maps.values(state_n)[..., N_AXES:].reshape(y.shape)
             parts = [state_n[start : start + CHUNK] for start in range(0, len(state_n), CHUNK)]
-            by_parameters = np.concatenate([self._by_parameters(forward, part) for part in parts])
+            by_parameters = xp.concat([self._by_parameters(forward, part) for part in parts])
             squares += (by_parameters @ self.parameters.T).swapaxes(1, 2)
-        return np.asarray(forward.ohm_per_mm2 * (squares + self.resistance * y[:, None]) + self.offset_ohm)
+        ohms: FloatArray = forward.ohm_per_mm2 * (squares + self.resistance * y[:, None]) + self.offset_ohm
+        return ohms
 
     def _by_parameters(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """Change of the squares of lengths under the same forces by parameters' change of the maps, (n, P, k) [mm²]."""
@@ -51,13 +54,14 @@ class Ensemble:
         (n, Q), k = state_n.shape, self.by_weights.shape[1]
         _, by_state, _, by_force = forward.at_states(state_n)
         changed = replace(forward.maps, weights=self.by_weights.reshape(len(self.by_weights), -1))
-        values = changed.values(state_n).reshape(n, Q // N_AXES, k, -1).transpose(0, 1, 3, 2)
-        forces = values[:, :, :N_AXES].reshape(n, Q, k)
-        return np.asarray(values[:, :, N_AXES:].reshape(n, -1, k) - by_state @ np.linalg.solve(by_force, forces))
+        values = changed.values(state_n).reshape(n, Q // N_AXES, k, -1).swapaxes(2, 3)
+        by_forces = namespace(state_n).linalg.solve(by_force, values[:, :, :N_AXES].reshape(n, Q, k))
+        squares: FloatArray = values[:, :, N_AXES:].reshape(n, -1, k) - by_state @ by_forces
+        return squares
 
     def factors(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """U of the covariance U Uᵀ of the sensors' resistances, (n, P, m) [Ω]; arguments as of `differences`."""
-        return self.differences(forward, state_n).swapaxes(1, 2) / np.sqrt(len(self))
+        return self.differences(forward, state_n).swapaxes(1, 2) / len(self) ** 0.5
 
     def readings(self, forward: SensorModel, force_n: FloatArray, sensor: NDArray[np.int64]) -> FloatArray:
         """Resistances (n, P) [Ω] of the sensors of these numbers (n,), one for each load (n, Q) [N]; also in torch.

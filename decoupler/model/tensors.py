@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.errors import DesignError
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
@@ -19,22 +18,30 @@ if TYPE_CHECKING:
 def in_torch(part: Any, like: "Tensor") -> Any:
     """A decoupler, its forward model or another part with tensors of the type and device of `like`.
 
-    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked. A model that
-    learned from samples at finite strain is a `DesignError`.
+    What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked.
     """
-    if isinstance(part, Decoupler) and part.posterior is not None:
-        raise DesignError(
-            "a model of finite strain is not known in torch yet: give one that was trained on linear samples."
-        )
     return converted(part, like.new_tensor)
 
 
+def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
+    """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
+    if decoder.filling is not None:
+        columns_ohm = in_torch(decoder.filling.foretold, columns_ohm).filled(columns_ohm)
+    if decoder.posterior is None:
+        return tensors.first_answers(columns_ohm)
+    read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
+    unsure = None if unsure_n is None else columns_ohm.new_tensor(unsure_n)
+    return tensors.refined(columns_ohm, left_out=(read, unsure)).force_n
+
+
 def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
-    """A decoupler without what says how sure it is, or another part, with each real array converted."""
+    """A decoupler that need not say how sure it is, or another part, with each real array converted."""
     if isinstance(part, SensorModel):
         part = part.with_own_influences()
     if isinstance(part, Decoupler):
-        part = replace(part, uncertainty=None, usual=None, ensemble=None, least_squares=None)
+        part = replace(part, usual=None, least_squares=None)
+        if part.posterior is None:  # which weighs errors of readings and of the sensor
+            part = replace(part, uncertainty=None, ensemble=None)
     changed: dict[str, Any] = {}
     for spec in fields(part):
         value = getattr(part, spec.name)

@@ -42,7 +42,7 @@ def assess_touch(
     Raises
     ------
     SampleError
-        As `TouchDecoder.reading` does.
+        As `TouchDecoder.columns` does.
     """
     reader = decoder if data.errors.is_exact else replace(decoder, errors=data.errors)
     touches = []

@@ -174,10 +174,7 @@ class TouchDecoder(Decoder):
         """The same decoder for scans that come one after another."""
         return Follower(self)
 
-    def require(self, resistance_ohm: FloatArray) -> None:
-        self.reading(resistance_ohm)
-
-    def reading(self, resistance_ohm: FloatArray) -> FloatArray:
+    def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show.
 
         Raises
@@ -246,7 +243,7 @@ class TouchDecoder(Decoder):
         return told_by(self.touches(resistance_ohm, own), (self.rows, self.cols), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
-        """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `reading`.
+        """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `columns`.
 
         `own` are relative deviations that each resistance has besides, of their shape. Readings that no strain explains
         are left out (`Decoder.lost`).
@@ -257,7 +254,7 @@ class TouchDecoder(Decoder):
         self, resistance_ohm: FloatArray, own: FloatArray | None = None
     ) -> "Iterator[tuple[TouchDecoder, FloatArray, FloatArray | None]]":
         """Of each scan the decoder that takes it, its reading (m,) and what this errs by besides (m,) [mm²]."""
-        readings, lost = self.reading(resistance_ohm), self.lost(resistance_ohm)
+        readings, lost = self.columns(resistance_ohm), self.lost(resistance_ohm)
         for k, reading in enumerate(readings):
             more = None
             if own is not None:

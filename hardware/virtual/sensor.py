@@ -23,7 +23,7 @@ from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
 from decoupler.model.decoder import Decoder
-from decoupler.model.tensors import in_torch
+from decoupler.model.tensors import decoded_by, in_torch
 from decoupler.model_file import read_model
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
@@ -36,6 +36,8 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
+from hardware.virtual.steps import rounded, shares
+from hardware.virtual.strained import StrainedSensor
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -60,8 +62,9 @@ class VirtualSensor:
 
     Contact forces at points go to the pads, by the array's response and eq. 1 (or conduction) into resistances; each
     specimen's gains, offsets and dead pillars, noise, crosstalk and converter make readings of these, and a trained
-    model forces. Loads are quasi-static and the rubber linear; what its resistance remembers (`Memory`) is kept from
-    reading to reading. Forces are those that act: they do not relax.
+    model forces. Loads are quasi-static and the rubber linear, or, with a model of finite strain, as that has learned
+    it; bodies press linear rubber. What its resistance remembers (`Memory`) is kept from reading to reading. Forces are
+    those that act: they do not relax.
 
     Parameters
     ----------
@@ -179,8 +182,11 @@ class VirtualSensor:
         if crossbar is not None:  # the host knows of no shunts
             host = replace(crossbar, shunt_siemens=())
             self._found = Corrector(host).correct if correct else host.uncorrected
-        if decoder is None:
-            self._twin: Any = None
+        self._twin: Any = None
+        self._forward: Any
+        if decoder is None and (strained := getattr(used, "posterior", None)) is not None:
+            self._forward = self._shape = StrainedSensor(strained.forward, self._like)
+        elif decoder is None:
             solved = self._designed(response)
             self._forward = in_torch(SensorModel.of(solved, COMPONENTS["all"]), self._like)
             self._shape = self._forward  # whose lengths are the pillars' own
@@ -189,6 +195,8 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
+            if decoder.posterior is not None:
+                raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
             if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
                 told = ", ".join(decoder.component.forces)
                 raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
@@ -267,7 +275,7 @@ class VirtualSensor:
         (rows, cols), pitch_mm = self.shape, self.design.array.pitch_mm
         x, y = points_mm[..., 0], points_mm[..., 1]
         on_slab = (x.abs() <= cols * pitch_mm / 2) & (y.abs() <= rows * pitch_mm / 2)
-        by_col, by_row = (_shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
+        by_col, by_row = (shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
         return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
 
     def resistances(self, force_n: Tensor, seconds: float | None = None) -> Tensor:
@@ -311,9 +319,9 @@ class VirtualSensor:
             readings = crossbar.readings(torch.where(self.dead, OPEN_OHM, ohms))
             if crossbar.noise:
                 readings = readings + crossbar.noise * self._normal(readings.shape)
-            ohms = self._found(readings if crossbar.bits is None else _rounded(readings, crossbar.bits))
+            ohms = self._found(readings if crossbar.bits is None else rounded(readings, crossbar.bits))
         elif settings.bits is not None:
-            ohms = SENSE_OHM * (1.0 / _rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
+            ohms = SENSE_OHM * (1.0 / rounded(SENSE_OHM / (ohms + SENSE_OHM), settings.bits) - 1.0)
         return torch.where(self.dead, OPEN_OHM, ohms)
 
     def forces(self, resistance_ohm: Tensor) -> Tensor:
@@ -326,11 +334,11 @@ class VirtualSensor:
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
         readable = torch.as_tensor(self._decoder.readable, device=self.device)
         columns = torch.where(readable, resistance_ohm.flatten(1)[:, self._decoder.places], DEAD_OHM)
+        decoded = self._like.new_empty((self.environments, len(self._decoder.output_weights)))
         for which, decoder in self._model.sifted(resistance_ohm.detach().cpu().double().numpy()):
-            if decoder.filling is not None:
-                rows, by = torch.as_tensor(which, device=self.device), in_torch(decoder.filling.foretold, self._like)
-                columns = columns.index_copy(0, rows, by.filled(columns[rows]))
-        return self._decoder.first_answers(columns).reshape(self.environments, *self.shape, -1)
+            rows = torch.as_tensor(which, device=self.device)
+            decoded = decoded.index_copy(0, rows, decoded_by(decoder, self._decoder, columns[rows]))
+        return decoded.reshape(self.environments, *self.shape, -1)
 
     def touch(self, points_mm: Tensor, force_n: Tensor, seconds: float | None = None) -> Reading:
         """All of it: forces at points (e, k, 2 or 3) and (e, k, 3) to one reading; arguments as of `pad_loads`.
@@ -433,18 +441,3 @@ class VirtualSensor:
         expected = (self.environments, *self.shape, last)
         if values.shape != expected:
             raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
-
-
-def _rounded(readings: Tensor, bits: int) -> Tensor:
-    """Shares of full scale as a converter's counts hold them, the nearest inside its range; the derivative stays."""
-    full = 2.0**bits - 1.0
-    counts = (full * readings).clamp(1.0, full - 1.0)
-    return (counts + (counts.round() - counts).detach()) / full
-
-
-def _shares(place_mm: Tensor, centres_mm: Tensor) -> Tensor:
-    """Shares of the pads at these centres (n,) in forces at places (e, k), (e, k, n); they sum to 1."""
-    if len(centres_mm) == 1:
-        return torch.ones_like(place_mm)[..., None]
-    within = torch.minimum(torch.maximum(place_mm, centres_mm[0]), centres_mm[-1])
-    return (1.0 - (within[..., None] - centres_mm).abs() / (centres_mm[1] - centres_mm[0])).clamp(min=0.0)

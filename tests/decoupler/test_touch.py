@@ -134,7 +134,7 @@ def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
     one, two = found.loaded_coverage
     assert 0.6 < one < 0.97
     assert two > 0.9
-    readings, fast = decoder.reading(contacts.resistance_ohm), decoder.regression
+    readings, fast = decoder.columns(contacts.resistance_ohm), decoder.regression
     quick = np.stack([fast.answer(each, fast.nearest(each, NEAREST))[0][:, 2] for each in readings])
     missed = np.sqrt(((quick - contacts.force_n[..., 2].reshape(N, -1)) ** 2).mean())
     assert found.by_force["fz"].errors.rmse_n < missed < none

@@ -33,8 +33,8 @@ class Unknown(Decoder):
     def deviations(self, resistance_ohm, weights, own=None):
         raise NotImplementedError
 
-    def require(self, resistance_ohm):
-        pass
+    def columns(self, resistance_ohm):
+        return resistance_ohm.reshape(len(resistance_ohm), -1)
 
     def consistency(self, resistance_ohm, force_n=None):
         return None

@@ -25,6 +25,7 @@ from hardware.link.frames import ScanMode
 from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.virtual import VirtualSensor
 from tests.dataset.conftest import made_up_response
+from tests.decoupler.test_finite_strain import learned
 from tests.fem.coarse_plates import coarse_surface
 
 DESIGN = SensorDesign(array=Array(rows=2, cols=3))
@@ -231,3 +232,28 @@ def test_broken_pillars_are_left_out_as_by_the_model_itself(response, samples, m
     found.sum().backward()
     assert (read.grad.reshape(40, -1)[np.arange(40), np.arange(40) % 18] == 0).all()
     assert (read.grad != 0).any()
+
+
+def test_a_model_of_finite_strain_reads_decodes_and_has_derivatives():
+    """Readings are its maps' under the very forces, decoded as by itself, broken pillars too; slopes are slopes."""
+    model, test = learned()
+    assert model.posterior is not None
+    virtual = VirtualSensor(model.design, model, environments=20)
+    force_n = torch.from_numpy(test.force_n[:20]).requires_grad_()
+    shown = virtual.resistances(force_n)
+    exact = model.posterior.forward.resistances(test.force_n[:20].reshape(20, -1)).reshape(shown.shape)
+    np.testing.assert_allclose(shown.detach().numpy(), exact, rtol=1e-9)
+    read = shown.detach().numpy().copy()
+    read.reshape(20, -1)[np.arange(10), np.arange(10) % 6] = OPEN_OHM
+    expected = model.forces(read)
+    decoded = virtual.forces(torch.from_numpy(read)).numpy()
+    np.testing.assert_allclose(decoded, expected, atol=1e-9 * np.abs(expected).max())
+    weight = torch.randn((*shown.shape[:3], 3), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+    def score(force_n: torch.Tensor) -> torch.Tensor:
+        return (virtual.forces(virtual.resistances(force_n)) * weight).sum()
+
+    slopes = torch.autograd.grad(score(force_n), force_n)[0]
+    step = 1e-4 * torch.randn(force_n.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    found = (score(force_n + step) - score(force_n - step)) / 2
+    assert float((slopes * step).sum()) == pytest.approx(float(found.detach()), rel=1e-5)

@@ -83,7 +83,7 @@ def test_the_traction_that_is_drawn_carries_the_decoded_force(house):
     model = read_touch(house.folder / "touch.safetensors")
     images = draw_ball(model, surface_compliance(model.design)[0], frames=2)
     assert len({image.tobytes() for image in images}) == 2
-    reading = model.reading(read_samples(house.folder / "indent.nc").resistance_ohm)[0]
+    reading = model.columns(read_samples(house.folder / "indent.nc").resistance_ohm)[0]
     whole = model.touched(reading)
     followed = model.touched(reading, whole)  # no nearest presses in it, which have no traction
     assert traction_of(followed)[1][2].sum() == pytest.approx(followed.force_n[:, 2].sum(), rel=0.01)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, g
 from common.errors import ArgumentError, DesignError, FileFormatError
 from common.quantity import quantity
 from common.storage.files import require_file, require_folder
-from dataset.imperfections import place_of
 from geometry.design import SensorDesign
 from geometry.design_file import read_design
 from tripillar.face import stages
@@ -105,6 +104,8 @@ BROKEN = {
 
 def imperfections(given: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of `dataset.Imperfections`, with those of what is broken as it takes them."""
+    from dataset.imperfections import place_of  # of a job that needs no samples nothing of them is loaded
+
     found = {name: tuple(value) if name in BROKEN else value for name, value in given.items()}
     places = tuple(place_of(at) if isinstance(at, str) else at for at in found.get("dead_pillars", ()))
     return found | ({"dead_pillars": places} if places else {})
