@@ -167,6 +167,7 @@ class Forces:
         variables = {
             "force_n": Named(over_units, self.force_n, {"units": "N"}),
             "saturated": Named(("frame", "row", "col", "pillar"), self.saturated.astype(np.int8)),
+            "left_out": Named(("frame", "row", "col", "pillar"), self.left_out.astype(np.int8)),
         }
         if self.deviation_n is not None:
             meaning = "half-width that holds 68 % of errors"
