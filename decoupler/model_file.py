@@ -17,8 +17,12 @@ from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
+from decoupler.inverse.sensor_model import ModelInverse
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoder import Decoder
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.front import FEATURES
+from decoupler.model.network import form_named
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml
@@ -28,7 +32,7 @@ from geometry.tolerances import uncertain_keys
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-FORMAT = "tripillar-model-2"  #: of a network; 1 stated no hash of its content
+FORMAT = "tripillar-model-3"  #: of a network; 2 had parts that may be missing
 TOUCH = "tripillar-touch-2"  #: of a decoder of touch
 METHOD = 9  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
@@ -57,16 +61,15 @@ def write_model(decoder: Decoder, path: Path) -> None:
         "design_hash": decoder.design_hash,
         "made_from": decoder.made_from,
     }
-    if decoder.errors is not None:
-        header |= stated(decoder.errors)
+    header |= stated(decoder.errors)
     if not isinstance(decoder, Decoupler):
         save_file(header | {"format": TOUCH}, decoder, path)
         return
-    header |= {"format": FORMAT, "component": decoder.component.name, "network": asdict(decoder.network)}
+    header |= {"format": FORMAT, "component": decoder.component.name, "network": asdict(decoder.form)}
     header |= {"rows": decoder.rows, "cols": decoder.cols}
     if decoder.design is None and decoder.layout != PAPERS:
         header["layout"] = layout_text(decoder.layout)
-    if decoder.posterior is not None:
+    if isinstance(decoder, DecouplerAtStrain):
         header["misfit"] = decoder.posterior.misfit
     save_file(header, decoder, path)
 
@@ -145,7 +148,7 @@ def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: 
     ]
     if not differences and decoupler.design is not None and data.design is not None:
         made_from = {**decoupler.made_from, **data.made_from}
-        of_twin = "twin" in made_from or getattr(decoupler, "ensemble", None) is not None
+        of_twin = "twin" in made_from or len(getattr(decoupler, "ensemble", ())) > 0
         differences = _design_differences(decoupler.design, data.design, of_twin)
     if differences:
         raise FileFormatError(
@@ -196,9 +199,8 @@ def _try_out(decoder: Decoder) -> None:
     if rest_ohm is None:
         rest_ohm = np.full((decoder.rows, decoder.cols, len(decoder.layout.pillars)), 1e4)
     scans = np.stack([rest_ohm, 0.9 * rest_ohm])
-    answers: dict[str, Any] = {"force": decoder.forces(scans)}
-    if decoder.knows_uncertainty:
-        answers |= {"half-width": decoder.half_widths(scans)[1], "test of loads": decoder.consistency(scans) or 0.0}
+    answers: dict[str, Any] = {"force": decoder.forces(scans), "half-width": decoder.half_widths(scans)[1]}
+    answers["test of loads"] = decoder.consistency(scans) or 0.0
     for name, values in answers.items():
         if not np.isfinite(values).all():
             raise ValueError(f"the {name} of a scan is not finite")
@@ -239,7 +241,7 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
-    network = NetworkConfig(**header["network"])
+    form = NetworkConfig(**header["network"])
 
     component, dead = component_named(header["component"]), arrays.get("dead")
     design = None if header["design"] is None else design_from_toml(header["design"])
@@ -248,7 +250,7 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
         "component": component,
         "rows": header["rows"],
         "cols": header["cols"],
-        "network": network,
+        "form": form,
         "design": design,
         "layout": layout,
         "made_from": dict(header["made_from"]),
@@ -258,17 +260,29 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
         "least_squares.dead": dead,
         "least_squares.layout": layout,
     }
-    found: Decoupler = built_of(Decoupler, arrays, said)
+    feature = FEATURES[form.feature]
+    kinds: dict[str, Any] = {"network": form_named(form.net)}
+    if feature is ModelInverse:
+        kinds["front.feature"] = feature
+    else:
+        said["front.feature"] = feature()
+    found: Decoupler = built_of(DecouplerAtStrain if "misfit" in header else Decoupler, arrays, said, kinds)
     return found
 
 
-def built_of(kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], path: str = "") -> Any:
-    """A part of a model from the arrays below its path and what the header says; parts without arrays are left out."""
-    values = {}
+def built_of(
+    kind: Any, arrays: dict[str, np.ndarray], said: dict[str, Any], kinds: dict[str, Any] | None = None, path: str = ""
+) -> Any:
+    """A part of a model from the arrays below its path and what the header says; parts without arrays are left out.
+
+    `kinds` are classes of parts, by their paths, whose hint names but what they have in common.
+    """
+    values, kinds = {}, kinds or {}
     for name, hint in get_type_hints(kind).items():
         whole, (inner, *_) = f"{path}{name}", get_args(hint) or (hint,)
+        inner = kinds.get(whole, inner)
         if whole in arrays or whole in said:
             values[name] = said[whole] if whole in said else arrays[whole]
         elif is_dataclass(inner) and any(one.startswith(f"{whole}.") for one in arrays):
-            values[name] = built_of(inner, arrays, said, f"{whole}.")
+            values[name] = built_of(inner, arrays, said, kinds, f"{whole}.")
     return kind(**values)

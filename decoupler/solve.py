@@ -1,4 +1,4 @@
-"""Levenberg's method on many small problems at once: the one that turns forward models of a sensor around."""
+"""Least squares: by a ridge where they are linear, by Levenberg's method on many small problems where not."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import FloatArray
+
+RIDGES = np.logspace(-10, 3, 27)  #: per sample, of features and targets scaled to [-1, 1]
 
 
 def descended(
@@ -56,3 +58,25 @@ def descended(
         ended = (better & (gain < gained)) | (own[on] > damping[1]) | (here[0][on] <= enough)
         on = on[~ended]
     return x, here
+
+
+def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> float:
+    """The λ of min ‖A W − T‖² + λ‖W‖² that promises the least error on new samples, A (n, n_features), T (n, n_out).
+
+    `readings` is the mean number of samples a load: they share their misfit, so all of a load count as left out
+    together.
+
+    Notes
+    -----
+    Generalised cross-validation (Golub, Heath & Wahba, Technometrics 21, 1979): the λ with the least
+    ‖residual‖²/(n − readings · effective number of weights)², from one eigendecomposition of AᵀA.
+    """
+    n = len(A)
+    energies, directions = np.linalg.eigh(A.T @ A)
+    energies = np.maximum(energies, 1e-15 * energies[-1])
+    fitted = ((directions.T @ (A.T @ targets)) ** 2).sum(axis=1) / energies  # explained by each direction
+    unfitted = max(float((targets**2).sum() - fitted.sum()), 0.0)
+    kept = energies / (energies + RIDGES[:, None] * n)  # (n_ridges, n_features)
+    residual = unfitted + ((1.0 - kept) ** 2 * fitted).sum(axis=1)
+    score = residual / np.maximum(n - readings * kept.sum(axis=1), 0.5) ** 2
+    return float(RIDGES[score.argmin()] * n)

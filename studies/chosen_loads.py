@@ -54,7 +54,7 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     columns = resistance_ohm.reshape(len(force_n), -1)
     acting = force_columns(force_n, EVERYTHING)
     inverse = ModelInverse.about(found.sensor, acting, np.ones(columns.shape[1], dtype=bool), noise=0.0)
-    missed = (inverse.forces(columns) - acting).reshape(len(force_n), -1, 3)
+    missed = (inverse.values(columns) - acting).reshape(len(force_n), -1, 3)
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))
 
 

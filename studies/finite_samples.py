@@ -11,6 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from dataset.stored import read_samples
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model_file import read_network
 from studies.program import run_alone
 
@@ -21,6 +22,8 @@ def decoded(
 ) -> None:
     """Print errors fx / fy / fz in % of full scale: rms, median and worst sample; and shares within half-widths."""
     decoder, samples = read_network(model), read_samples(data)[:]
+    if not isinstance(decoder, DecouplerAtStrain):
+        raise SystemExit(f"{model} knows no finite strain: give a model of samples at finite strain.")
     true = samples.force_n
     full = np.abs(true).max(axis=(0, 1, 2)) / 100
     columns = decoder.columns(samples.resistance_ohm)

@@ -225,15 +225,22 @@ class Resting:
     """
 
     rest_ohm: FloatArray  #: (n_in,)
-    full_counts: FloatArray  #: (1,): of the converter, 2^bits − 1
+    full_counts: FloatArray  #: (1,): of the converter, 2^bits − 1; 0 without one
 
     @classmethod
-    def read_with(cls, rest_ohm: FloatArray, bits: int | None) -> Self | None:
-        """Rest of pillars (n_in,) [Ω] behind a converter; None without a converter."""
-        return None if bits is None else cls(rest_ohm=rest_ohm, full_counts=np.array([2.0**bits - 1.0]))
+    def read_with(cls, rest_ohm: FloatArray, bits: int | None) -> Self:
+        """Rest of pillars (n_in,) [Ω] behind a converter, if there is one."""
+        return cls(rest_ohm=rest_ohm, full_counts=np.array([2.0 ** (bits or 0) - 1.0]))
+
+    @property
+    def knows_steps(self) -> bool:
+        """There is a converter."""
+        return bool(self.full_counts[0] > 0)
 
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with those that may be at rest there, where most of a sample's may."""
+        if not self.knows_steps:
+            return columns_ohm
         shares = SENSE_OHM / (columns_ohm + SENSE_OHM)
         alike = abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
         resting = alike.sum(axis=1) > MIN_RESTING * columns_ohm.shape[1]

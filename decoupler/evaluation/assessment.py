@@ -53,10 +53,9 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     """
     component, dead = decoupler.component, decoupler.dead
     baselines: dict[str, Callable[[FloatArray], FloatArray]] = {}
-    if data.design is not None and dead is None:
+    if data.design is not None and not dead.any():
         baselines[HOOKE] = partial(hooke_forces, design=data.design, component=component)
-    if decoupler.least_squares is not None:
-        baselines[LINEAR] = decoupler.least_squares.forces
+    baselines[LINEAR] = decoupler.least_squares.forces
     errors = evaluate(decoupler, data)
     compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
     data = drawn(data)
@@ -99,11 +98,9 @@ def _by_axis(errors_n: FloatArray, component: Component) -> FloatArray:
     return np.sqrt((errors_n**2).reshape(-1, len(component.axes)).mean(axis=0))
 
 
-def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArray) -> list[tuple[float, float] | None]:
-    """Shares of errors (n, n_forces) [N] within the 68 % and the 95 % half-width by axis; None if none are known."""
+def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArray) -> list[tuple[float, float]]:
+    """Shares of errors (n, n_forces) [N] within the 68 % and the 95 % half-width by axis."""
     n_axes = len(decoupler.component.axes)
-    if decoupler.uncertainty is None:
-        return [None] * n_axes
     within = [(missed_n <= width).reshape(-1, n_axes) for width in decoupler.half_widths_of(columns_ohm)]
     return [(float(one), float(two)) for one, two in zip(*(w.mean(axis=0) for w in within), strict=True)]
 

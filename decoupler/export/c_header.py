@@ -21,34 +21,34 @@ def header_text(decoupler: Decoupler, dtype: type[np.floating]) -> str:
     C99, also C++; the function ``tripillar_forces(resistance_ohm, force_n)`` takes one scan (rows, cols, n_pillars) [Ω]
     and gives (rows, cols, n_axes) [N].
     """
-    network, inverse, resting = decoupler.network, decoupler.inverse, decoupler.resting
+    form, inverse, resting = decoupler.form, decoupler.inverse, decoupler.front.resting
     place, dead, output = decoupler.places, ~decoupler.readable, output_weights_n(decoupler)
     indices = {"place": np.where(dead, -1, place)}
     resistances = decoupler.rows * decoupler.cols * len(decoupler.layout.pillars)
-    inputs = len(decoupler.input_scaling.centre)
+    inputs = len(decoupler.front.scaling.centre)
     numbers = {
-        "input_centre": decoupler.input_scaling.centre,
-        "input_factor": decoupler.input_scaling.factor,
+        "input_centre": decoupler.front.scaling.centre,
+        "input_factor": decoupler.front.scaling.factor,
         "output": output,
     }
-    if network.hidden:  # C has no empty tables
-        numbers["hidden"] = decoupler.hidden_weights
+    if form.hidden:  # C has no empty tables
+        numbers["hidden"] = decoupler.network.hidden
     macros: dict[str, object] = {
         "MATH(name)": "name##f" if dtype is np.float32 else "name",
         "RESISTANCES": resistances,
         "READ_PILLARS": len(place),
         "INPUTS": inputs,
-        "HIDDEN": network.hidden,
+        "HIDDEN": form.hidden,
         "SEEN": output.shape[1] - 1,
         "FORCES": len(output),
-        "ROOT": int(network.feature == "root"),
+        "ROOT": int(form.feature == "root"),
         "ANY_DEAD": int(dead.any()),
         "DEAD_OHM": DEAD_OHM,
-        "CONVERTER": int(resting is not None),
+        "CONVERTER": int(resting.knows_steps),
         "STEPS": 0 if inverse is None else len(inverse.correctors),
     }
-    working = inputs + network.hidden
-    if resting is not None:
+    working = inputs + form.hidden
+    if resting.knows_steps:
         numbers["rest_ohm"] = resting.rest_ohm
         macros |= {"SENSE_OHM": SENSE_OHM, "FULL_COUNTS": float(resting.full_counts[0])}
         macros |= {"MAX_COUNTS_FROM_REST": MAX_COUNTS_FROM_REST, "MIN_RESTING": MIN_RESTING}

@@ -10,6 +10,7 @@ from common.errors import DesignError, needing
 from common.storage.files import write_bytes
 from decoupler.export.c_header import header_text
 from decoupler.export.portable import ExportError
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.tensors import converted
 from geometry.layout import FloatArray
@@ -47,7 +48,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     precision = USUAL[path.suffix] if precision is None else precision
     if precision not in get_args(Precision):
         raise DesignError(f"precision={precision!r} is unknown; choose one of {', '.join(get_args(Precision))}.")
-    if decoupler.posterior is not None:
+    if isinstance(decoupler, DecouplerAtStrain):
         raise ExportError(
             "models of finite strain are not exported: each scan solves for all forces at once. Decode in Python or "
             "torch, or train on linear samples alone."
@@ -74,12 +75,9 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
 
 def likely_resistances(decoupler: Decoupler, n_samples: int) -> FloatArray:
     """Resistances within the training set's ranges, (n_samples, rows, cols, n_pillars) [Ω]; NaN: not looked at."""
-    scaling = decoupler.input_scaling  # of forces with the feature inverse
-    columns = scaling.unscale(np.random.default_rng(0).uniform(-1.0, 1.0, (n_samples, len(scaling.centre))))
-    if decoupler.inverse is not None:
-        columns = decoupler.inverse.forward.resistances(columns)
-    elif decoupler.network.feature == "root":
-        columns = columns**2
+    front = decoupler.front
+    inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (n_samples, len(front.scaling.centre)))
+    columns = front.feature.resistances(front.scaling.unscale(inputs)).copy()
     columns[:, ~decoupler.readable] = np.nan
     resistance_ohm = np.full((n_samples, decoupler.rows, decoupler.cols, len(decoupler.layout.pillars)), np.nan)
     resistance_ohm.reshape(n_samples, -1)[:, decoupler.places] = columns

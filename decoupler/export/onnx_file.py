@@ -30,15 +30,15 @@ def onnx_model(decoupler: Decoupler, dtype: type[np.floating]) -> onnx.ModelProt
     x = graph.add("Gather", x, decoupler.places, axis=1)
     if dead.any():
         x = graph.add("Where", dead, np.array(DEAD_OHM), x)
-    if decoupler.resting is not None:
-        x = _settled(graph, x, decoupler.resting)
+    if decoupler.front.resting.knows_steps:
+        x = _settled(graph, x, decoupler.front.resting)
     if decoupler.inverse is not None:
         x = _inverse(graph, x, decoupler.inverse)
-    elif decoupler.network.feature == "root":
+    elif decoupler.form.feature == "root":
         x = graph.add("Sqrt", x)
-    x = graph.add("Mul", graph.add("Sub", x, decoupler.input_scaling.centre), decoupler.input_scaling.factor)
-    seen = graph.add("Tanh", graph.affine(x, decoupler.hidden_weights))
-    if decoupler.network.net == "skip":
+    x = graph.add("Mul", graph.add("Sub", x, decoupler.front.scaling.centre), decoupler.front.scaling.factor)
+    seen = graph.add("Tanh", graph.affine(x, decoupler.network.hidden))
+    if decoupler.form.net == "skip":
         seen = graph.add("Concat", seen, x, axis=1)
     outputs = graph.affine(seen, output_weights_n(decoupler))
     graph.add("Reshape", outputs, np.array([0, rows, cols, n_axes]), to="force_n")

@@ -13,14 +13,14 @@ class ExportError(TriPillarError, RuntimeError):
 
 def output_weights_n(decoupler: Decoupler) -> FloatArray:
     """Output weights that give newtons without unscaling, (n_out, n_hidden [+ n_in] + 1) [N], bias last."""
-    weights = decoupler.output_weights * decoupler.output_scaling.half_range[:, None]
+    weights = decoupler.network.output * decoupler.output_scaling.half_range[:, None]
     weights[:, -1] += decoupler.output_scaling.centre
     return weights
 
 
 def facts(decoupler: Decoupler) -> dict[str, str]:
     """Facts about the model for a reader of the exported file, by name."""
-    made_from, network, pillars = decoupler.made_from, decoupler.network, ", ".join(decoupler.layout.pillar_names)
+    made_from, network, pillars = decoupler.made_from, decoupler.form, ", ".join(decoupler.layout.pillar_names)
     try:
         program = version("tripillar")
     except PackageNotFoundError:

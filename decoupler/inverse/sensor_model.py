@@ -256,7 +256,11 @@ class ModelInverse:
         centre_mm = forward.lengths(centre[None])[0]
         return cls(forward=forward, centre_n=centre, centre_mm=centre_mm, correctors=np.stack(correctors or [tangent]))
 
-    def forces(self, resistance_ohm: FloatArray) -> FloatArray:
+    def resistances(self, force_n: FloatArray) -> FloatArray:
+        """Resistances (n, n_pillars) [Ω] under forces (n, n_forces) [N]."""
+        return self.forward.resistances(force_n)
+
+    def values(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces after all corrections, (n, n_pillars) [Ω] -> (n, n_forces) [N]."""
         lengths = self.forward.lengths_of(resistance_ohm)
         forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
@@ -265,7 +269,7 @@ class ModelInverse:
         return forces
 
     def derivatives(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Derivatives of `forces` by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
+        """Derivatives of these forces by the resistances, (n, n_pillars) [Ω] -> (n, n_forces, n_pillars) [N/Ω]."""
         lengths = self.forward.lengths_of(resistance_ohm)
         forces = rowwise(lengths - self.centre_mm, self.correctors[0]) + self.centre_n
         by_length = np.broadcast_to(self.correctors[0], (len(lengths), *self.correctors[0].shape))

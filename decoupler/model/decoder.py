@@ -40,11 +40,14 @@ class Decoded:
 class Decoder(ABC):
     """From resistances (n, rows, cols, n_pillars) [Ω] to forces on units; never changed, only used."""
 
-    dead: NDArray[np.bool_] | None  #: (rows, cols, n_pillars): pillars that are never looked at
     made_from: dict[str, Any]
     moments: ClassVar[int] = 0  #: of a unit, beside its forces: see `TouchDecoder`
 
     if TYPE_CHECKING:  # fields of some, properties of others
+
+        @property
+        def dead(self) -> NDArray[np.bool_]:
+            """Pillars (rows, cols, n_pillars) that are never looked at."""
 
         @property
         def component(self) -> Component: ...
@@ -61,17 +64,12 @@ class Decoder(ABC):
             """Of forces, over those that it knows."""
 
         @property
-        def errors(self) -> ReadingError | None:
-            """Of the readings that its deviations are for; None if it knows none."""
+        def errors(self) -> ReadingError:
+            """Of the readings that its deviations are for."""
 
         @property
         def is_identified(self) -> bool:
             """It is of one sensor, whose gains it knows."""
-
-    @property
-    def knows_uncertainty(self) -> bool:
-        """`half_widths` can be asked for."""
-        return self.errors is not None
 
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
@@ -156,7 +154,7 @@ class Decoder(ABC):
         """Which pillars it looks at, (rows, cols, n_pillars)."""
         found = np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
         found[..., self.component.pillars(self.layout)] = True
-        return found if self.dead is None else found & ~self.dead
+        return found & ~self.dead
 
     def unreliable(self, lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which scans have lost so many readings (n, rows, cols, n_pillars) that their forces are not relied on, (n,).

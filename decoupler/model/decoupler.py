@@ -17,21 +17,19 @@ from dataset.samples import SampleError
 from decoupler.data.columns import (
     Columns,
     Component,
-    Resting,
     Scaling,
     in_blocks,
-    namespace,
     pillar_columns,
     readable_columns,
-    rowwise,
 )
 from decoupler.inverse.limits import cramer_rao
-from decoupler.inverse.posterior import Found, Posterior
-from decoupler.inverse.sensor_model import ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoder import Decoder
 from decoupler.model.ensemble import Ensemble
+from decoupler.model.front import Front
 from decoupler.model.left_out import LeftOut
+from decoupler.model.network import Network
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.uncertainty import Uncertainty
 from decoupler.model.usual import LoadTest, UsualLoads
@@ -50,22 +48,18 @@ class Decoupler(Decoder):
     component: Component
     rows: int
     cols: int
-    network: NetworkConfig
-    input_scaling: Scaling
+    form: NetworkConfig
+    front: Front
+    network: Network
     output_scaling: Scaling
-    hidden_weights: FloatArray  #: (n_hidden, n_in + 1), bias last
-    output_weights: FloatArray  #: (n_out, n_hidden + n_in + 1); without skip (n_out, n_hidden + 1); bias last
+    usual: UsualLoads  #: loads that it knows
+    uncertainty: Uncertainty  #: how far its forces can be trusted
+    ensemble: Ensemble  #: draws of the sensor that it was identified as; none if it was trained on one sensor
+    least_squares: LeastSquares  #: the baseline to beat, fitted to the same data
+    dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
+    left_out: NDArray[np.bool_]  #: the same shape: pillars that say nothing; see `Decoder.without`
     design: SensorDesign | None  #: the sensor of the training data; None if they did not say
     layout: Layout = PAPERS  #: the design's, if it is known
-    inverse: ModelInverse | None = None  #: the response turned around; with the feature `inverse`
-    posterior: Posterior | None = None  #: of a sensor at finite strain: the network's answer is its start and prior
-    resting: Resting | None = None  #: readings at rest; None without a converter
-    dead: np.ndarray | None = None  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
-    uncertainty: Uncertainty | None = None  #: how far its forces can be trusted
-    usual: UsualLoads | None = None  #: loads that it knows; None in files of before
-    ensemble: Ensemble | None = None  #: draws of the sensor that it was identified as; None if trained on one sensor
-    least_squares: LeastSquares | None = None  #: the baseline to beat, fitted to the same data
-    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
     made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
 
     def __post_init__(self) -> None:
@@ -73,36 +67,28 @@ class Decoupler(Decoder):
             object.__setattr__(self, "layout", self.design.unit.layout)
 
     @classmethod
-    def untrained(
-        cls, data: Columns, network: NetworkConfig, design: SensorDesign | None, inverse: ModelInverse | None = None
-    ) -> Self:
-        """A decoupler with scaling and features for samples like these; a hidden layer of no nodes, outputs its inputs.
-
-        Its weights are for the inputs of the inverse, where there is one; else they have no shape yet.
-        """
+    def of(
+        cls, data: Columns, form: NetworkConfig, front: Front, network: Network, design: SensorDesign | None
+    ) -> "Decoupler":
+        """A network that was trained on samples, as unsure of forces as before."""
+        dead = np.zeros((*data.shape, len(data.layout.pillars)), dtype=bool)
         output_scaling = Scaling.fitted(data.force_n)
-        if inverse is not None:
-            n_in, input_scaling = data.force_n.shape[1], output_scaling
-            resting = Resting.read_with(inverse.forward.at_rest_ohm(), data.errors.bits)
-        else:
-            n_in, resting = data.resistance_ohm.shape[1], None
-            root = network.feature == "root"
-            input_scaling = Scaling.fitted(np.sqrt(data.resistance_ohm) if root else data.resistance_ohm)
-        return cls(
+        return Decoupler(
             component=data.component,
             rows=data.shape[0],
             cols=data.shape[1],
+            form=form,
+            front=front,
             network=network,
-            input_scaling=input_scaling,
             output_scaling=output_scaling,
-            hidden_weights=np.empty((0, n_in + 1)),
-            output_weights=np.eye(data.force_n.shape[1], n_in + 1),
+            usual=UsualLoads.of(data),
+            uncertainty=Uncertainty.untold(data.errors, output_scaling.half_range, network.output, data.component),
+            ensemble=Ensemble.of_none(*(data.resistance_ohm.shape[1], data.force_n.shape[1])),
+            least_squares=LeastSquares.fitted(data),
+            dead=dead if data.dead is None else data.dead,
+            left_out=dead,
             design=design,
             layout=data.layout,
-            inverse=inverse,
-            resting=resting,
-            dead=data.dead if data.dead is not None and data.dead.any() else None,
-            usual=UsualLoads.of(data),
         )
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -114,14 +100,13 @@ class Decoupler(Decoder):
 
         Notes
         -----
-        output = linear(input) + W₂ tanh(W₁ input) with skip, constant + W₂ tanh(W₁ input) without. At finite strain
-        that is the first answer, which the posterior refines. A sample gives the same bits alone and in any batch.
+        A sample gives the same bits alone and in any batch.
         """
         return self.each(resistance_ohm, lambda own, ohms, _: (own._forces(own.columns(ohms)),))[0]
 
     def _forces(self, columns: FloatArray) -> FloatArray:
         n = len(columns)
-        outputs = np.empty((n, len(self.output_weights)))
+        outputs = np.empty((n, len(self.output_scaling.centre)))
 
         def fill(start: int) -> None:
             chunk = columns[start : start + CHUNK]
@@ -135,10 +120,7 @@ class Decoupler(Decoder):
         return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N].
-
-        A model that was written without its uncertainty is a `SampleError`, too.
-        """
+        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
         one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
@@ -166,18 +148,11 @@ class Decoupler(Decoder):
     def _deviations(
         self, columns: FloatArray, weights: FloatArray, own: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        found = self._known
+        found = self.uncertainty
         more_n2: Any = 0.0
-        own_ohm = None
         if own is not None:
-            own_ohm = columns * pillar_columns(own, self.component, self.layout, self.dead)
-        if self.posterior is not None:
-            covariance = self.refined(columns, own_ohm).covariance_n2
-            return np.sqrt(np.einsum("nii->ni", covariance)), weights.T @ covariance @ weights
-        if own_ohm is not None:
             slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
-            own_ohm = own_ohm * ~self._missing
-            factors = np.concatenate(slopes) * own_ohm[:, None]
+            factors = np.concatenate(slopes) * (self._own_ohm(columns, own) * ~self._missing)[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
         own_n2, (scale, two) = self._own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
@@ -193,11 +168,9 @@ class Decoupler(Decoder):
             covariance += weights.T @ more_n2 @ weights
         return np.sqrt(variance) * scale, covariance
 
-    @property
-    def _known(self) -> Uncertainty:
-        if self.uncertainty is None:
-            raise SampleError("this model knows no uncertainty: train it again.")
-        return self.uncertainty
+    def _own_ohm(self, columns: FloatArray, own: FloatArray) -> FloatArray:
+        """Deviations (n, n_in) [Ω] of readings that err by relative ones (n, rows, cols, n_pillars) besides."""
+        return columns * pillar_columns(own, self.component, self.layout, self._dead)
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
@@ -221,29 +194,26 @@ class Decoupler(Decoder):
 
     @cached_property
     def load_test(self) -> LoadTest | None:
-        """The test whether a usual load explains a reading; None if loads, deviations or rest are unknown."""
+        """The test whether a usual load explains a reading; None if nobody knows rest."""
         return LoadTest.of(self)
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
-        found = self._known
-        if self.posterior is not None:
-            deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm).covariance_n2))
-            return deviation_n, 2.0 * deviation_n
+        found = self.uncertainty
         own_n2, (one, two) = self._own_variance(columns_ohm)
         deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors, found.drift_factor))
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
         A = self.activations(columns_ohm)
-        force_n = self.output_scaling.unscale(A @ self.output_weights.T)
-        return self._known.own_variance(A, force_n, self.output_scaling.half_range)
+        force_n = self.output_scaling.unscale(A @ self.network.output.T)
+        return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
     def noise_variance(
         self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
     ) -> FloatArray:
         """Variance of forces (n, n_out) [N²] that errors of readings (n, n_in) [Ω] and of the sensor's model cause."""
-        found = np.zeros((len(columns_ohm), len(self.output_weights)))
+        found = np.zeros((len(columns_ohm), len(self.output_scaling.centre)))
         for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
             found[chunk] = (factors**2).sum(axis=2)
         return found
@@ -256,7 +226,7 @@ class Decoupler(Decoder):
         Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
         ensemble over the root of their number. Where nothing errs there is no chunk.
         """
-        if errors.is_exact and self.ensemble is None and self.filling is None:
+        if errors.is_exact and not len(self.ensemble) and self.filling is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
@@ -269,9 +239,8 @@ class Decoupler(Decoder):
             if errors.has_drift:
                 shared = slopes @ errors.shared(columns, self.rows, self.cols)
                 common.append(shared if drift_factor is None else shared @ drift_factor)
-            if self.ensemble is not None:
-                assert self.inverse is not None
-                common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.forces(columns)))
+            if self.inverse is not None and len(self.ensemble):
+                common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.values(columns)))
             if self.filling is not None:
                 common.append(self.filling.by_missing(columns, whole))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
@@ -282,19 +251,27 @@ class Decoupler(Decoder):
         In their places stands what the others foretell of usual loads; where the response is known, that is moved
         towards what it shows under the forces that come out, as far as these tell it (`LeftOut`).
         """
-        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
+        return replace(self, left_out=pillars | self.left_out)
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
         """Which inputs are left out, (n_in,)."""
-        if self.left_out is None:
-            return np.zeros(len(self.places), dtype=bool)
         return self.left_out.reshape(-1)[self.places] & self.readable
 
     @cached_property
     def filling(self) -> LeftOut | None:
         """What stands in the places of readings that are left out; None if none is, or nobody knows them."""
         return LeftOut.of(self, self._missing)
+
+    @property
+    def inverse(self) -> ModelInverse | None:
+        """The response turned around, where that is the feature."""
+        return self.front.feature if isinstance(self.front.feature, ModelInverse) else None
+
+    @property
+    def forward(self) -> SensorModel | None:
+        """The response that it knows; None if none."""
+        return None if self.inverse is None else self.inverse.forward
 
     @property
     def is_identified(self) -> bool:
@@ -323,18 +300,22 @@ class Decoupler(Decoder):
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
         """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
-        return readable_columns(self.component, self.layout, self.dead, len(self.places))
+        return readable_columns(self.component, self.layout, self._dead, len(self.places))
+
+    @cached_property
+    def _dead(self) -> NDArray[np.bool_] | None:
+        return self.dead if self.dead.any() else None
 
     @property
-    def errors(self) -> ReadingError | None:
-        """Of the readings that its deviations are for; None if it knows none."""
-        return None if self.uncertainty is None else self.uncertainty.errors
+    def errors(self) -> ReadingError:
+        """Of the readings that its deviations are for."""
+        return self.uncertainty.errors
 
     @cached_property
     def usual_ohm(self) -> FloatArray | None:
         """Those of the mean load of training, else at rest."""
         ohms = self.rest_resistances()
-        if self.usual is not None and self.usual.log_ohm is not None:
+        if self.usual.log_ohm is not None:
             ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
@@ -342,28 +323,25 @@ class Decoupler(Decoder):
     @property
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
         n = self.rows * self.cols * len(self.layout.pillars)
-        return None if self.usual is None else self.usual.readings(self.places, n)
+        return self.usual.readings(self.places, n)
 
     def read_by(self, errors: ReadingError) -> Self:
         """The model with half-widths for readings that err so."""
-        return self if self.uncertainty is None else replace(self, uncertainty=replace(self.uncertainty, errors=errors))
+        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
 
     def rest_resistances(self) -> FloatArray | None:
         """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
         if self.design is None:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
-        known = self.inverse or self.posterior
-        if known is not None:
-            rest_ohm[..., self.pillars] = known.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
+        if self.forward is not None:
+            rest_ohm[..., self.pillars] = self.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
         return rest_ohm
 
     def untrusted(self) -> list[tuple[int, int, str]]:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
-        if self.uncertainty is None:
-            return []
         limit_n = None
-        if self.inverse is not None and self.dead is not None:
+        if self.inverse is not None and self._dead is not None:
             errors = ReadingError(noise=self.uncertainty.errors.noise, bits=self.uncertainty.errors.bits)
             shape = self.rows, self.cols
             limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
@@ -374,7 +352,7 @@ class Decoupler(Decoder):
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """The resistances that are taken, (n, rows, cols, n_pillars) -> (n, n_in) [Ω]; refuses what `forces` does."""
         resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
+        columns = pillar_columns(resistance_ohm, self.component, self.layout, self._dead)
         if resistance_ohm.shape[1:3] != (self.rows, self.cols):
             given = " × ".join(map(str, resistance_ohm.shape[1:3]))
             raise SampleError(
@@ -385,66 +363,17 @@ class Decoupler(Decoder):
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
         """Forces of resistances, (n, n_in) [Ω] -> (n, n_out) [N]."""
-        return self.first_answers(columns_ohm) if self.posterior is None else self.refined(columns_ohm).force_n
-
-    def refined(
-        self,
-        columns_ohm: FloatArray,
-        own_ohm: FloatArray | None = None,
-        left_out: tuple[NDArray[np.bool_], FloatArray | None] | None = None,
-    ) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] with deviations `own_ohm` besides."""
-        assert self.posterior is not None
-        settled = columns_ohm if self.resting is None else self.resting.settled(columns_ohm)
-        first_n, errors = self.first_answers(columns_ohm), self._known.errors
-        shared_ohm = errors.shared(settled, self.rows, self.cols)
-        if self.ensemble is not None:
-            unsure_ohm = self.ensemble.factors(self.posterior.forward, self.posterior.first_states(first_n))
-            shared_ohm = namespace(columns_ohm).concat([shared_ohm, unsure_ohm], axis=2)
-        deviation_ohm = errors.deviation(settled)
-        if own_ohm is not None:
-            deviation_ohm = np.hypot(deviation_ohm, own_ohm)
-        doubts = self.doubts(columns_ohm) if left_out is None else left_out
-        return self.posterior.found(settled, first_n, deviation_ohm, shared_ohm, *doubts)
-
-    def doubts(self, columns_ohm: FloatArray) -> tuple[NDArray[np.bool_], FloatArray | None]:
-        """Which inputs are read, (n_in,), and what errors of others do to first answers, (n, n_out, k) [N]."""
-        slopes = None if self.filling is None else self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
-        return self.readable & ~self._missing, slopes
+        return self.first_answers(columns_ohm)
 
     def first_answers(self, columns_ohm: FloatArray) -> FloatArray:
-        """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]."""
-        return self.output_scaling.unscale(rowwise(self.activations(columns_ohm), self.output_weights.T))
+        """Forces by the network alone, (n, n_in) [Ω] -> (n, n_out) [N]; also of tensors of torch."""
+        return self.output_scaling.unscale(self.network.outputs(self.front.inputs(columns_ohm)))
 
     def activations(self, columns_ohm: FloatArray) -> FloatArray:
-        """Inputs of the output layer for resistances (n, n_in) [Ω], shape (n, n_hidden + n_linear)."""
-        xp, inputs = namespace(columns_ohm), self.inputs(columns_ohm)
-        X = xp.concat([inputs, xp.ones_like(inputs[:, :1])], axis=1)
-        if not self.network.hidden:
-            return X
-        hidden = xp.tanh(rowwise(X, self.hidden_weights.T))
-        return xp.concat([hidden, X if self.network.net == "skip" else X[:, -1:]], axis=1)
-
-    def inputs(self, columns_ohm: FloatArray) -> FloatArray:
-        """Inputs of the hidden layer for resistances, each (n, n_in): the feature, scaled."""
-        if self.resting is not None:
-            columns_ohm = self.resting.settled(columns_ohm)
-        if self.inverse is not None:
-            return self.input_scaling.scale(self.inverse.forces(columns_ohm))
-        root = self.network.feature == "root"
-        return self.input_scaling.scale(namespace(columns_ohm).sqrt(columns_ohm) if root else columns_ohm)
+        """Inputs of the last layer for resistances (n, n_in) [Ω], (n, n_activations)."""
+        return self.network.activations(self.front.inputs(columns_ohm))
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the forces by the resistances, (n, n_in) [Ω] -> (n, n_out, n_in) [N/Ω]."""
-        if self.inverse is not None:
-            by_ohm = self.inverse.derivatives(columns_ohm)  # (n, n_forces, n_in)
-        else:
-            slope = 0.5 / np.sqrt(columns_ohm) if self.network.feature == "root" else np.ones_like(columns_ohm)
-            by_ohm = slope[:, None, :] * np.eye(slope.shape[1])
-        by_ohm = self.input_scaling.scale_differences(by_ohm.swapaxes(1, 2)).swapaxes(1, 2)
-        n_hidden, n_in = self.network.hidden, by_ohm.shape[1]
-        s = 1.0 - self.activations(columns_ohm)[:, :n_hidden] ** 2
-        network = (self.output_weights[:, :n_hidden] * s[:, None, :]) @ self.hidden_weights[:, :-1]
-        if self.network.net == "skip":
-            network = network + self.output_weights[:, n_hidden : n_hidden + n_in]
-        return self.output_scaling.half_range[:, None] * (network @ by_ohm)
+        by_ohm, slopes = self.front.derivatives(columns_ohm), self.network.slopes(self.front.inputs(columns_ohm))
+        return self.output_scaling.half_range[:, None] * (slopes @ by_ohm)

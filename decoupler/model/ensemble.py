@@ -1,6 +1,7 @@
 """Draws from the posterior of one sensor: how far its resistances may be from those of its model."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,16 @@ class Ensemble:
     resistance: FloatArray  #: (m, P): of a pillar's resistance at a given length, relative
     offset_ohm: FloatArray  #: (m, P): of its offset [Ω]
     rest_mm: FloatArray  #: (m, P, 3): of its vector's first three components at rest [mm]
-    influence: FloatArray  #: (m, P, 3, Q): of these by each force, or state [mm/N]; of single precision
+    influence: NDArray[Any]  #: (m, P, 3, Q): of these by each force, or state [mm/N]; of single precision
     parameters: FloatArray | None = None  #: (m, k): of the design's, which change the maps of finite strain
     by_weights: FloatArray | None = None  #: (N_FEATURES, k, values): of the maps' weights by these
+
+    @classmethod
+    def of_none(cls, n_pillars: int, n_forces: int) -> "Ensemble":
+        """Of a sensor that is as its model has it."""
+        each = np.zeros((0, n_pillars))
+        influence = np.zeros((0, n_pillars, 3, n_forces), np.float32)
+        return cls(resistance=each, offset_ohm=each, rest_mm=np.zeros((0, n_pillars, 3)), influence=influence)
 
     def __len__(self) -> int:
         return len(self.resistance)

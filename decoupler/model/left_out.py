@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import ReadingError
 from decoupler.data.columns import DEAD_OHM, namespace, rowwise
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoder import MANY
@@ -86,7 +85,7 @@ class LeftOut:
     def of(cls, decoder: "Decoupler", missing: NDArray[np.bool_]) -> Self | None:
         """Those `missing` (n_in,); None if none is, or nobody knows usual readings."""
         usual = decoder.usual
-        if not missing.any() or usual is None or usual.log_ohm is None:
+        if not missing.any() or usual.log_ohm is None:
             return None
         errors = _relative_errors(decoder, np.exp(usual.log_ohm))
         return cls(decoder, Foretold.by(usual, missing, decoder.readable, errors), usual)
@@ -184,11 +183,11 @@ class LeftOut:
 
 def _relative_errors(decoder: "Decoupler", ohm: FloatArray) -> FloatArray:
     """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
-    errors, inverse = decoder.errors or ReadingError(), decoder.inverse
+    errors, inverse = decoder.errors, decoder.inverse
     shared = errors.shared(ohm[None], decoder.rows, decoder.cols)[0]
     found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), shared]
-    if decoder.ensemble is not None and inverse is not None:
-        found.append(decoder.ensemble.factors(inverse.forward, inverse.forces(ohm[None]))[0])
+    if inverse is not None and len(decoder.ensemble):
+        found.append(decoder.ensemble.factors(inverse.forward, inverse.values(ohm[None]))[0])
     return np.concatenate(found, axis=1) / ohm[:, None]
 
 

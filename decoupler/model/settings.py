@@ -8,15 +8,24 @@ from typing import Literal, get_args
 from common.errors import DesignError, TriPillarError
 from common.quantity import Sound, quantity
 
-Net = Literal["plain", "skip"]
+Net = Literal["plain", "skip", "convolution"]
 Feature = Literal["resistance", "root", "inverse"]
 MAX_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then takes 11 GB
 Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Trainer = Literal["varpro", "lm", "momentum"]
 
-#: functions of `decoupler.training` that train all weights at once
-METHODS = {"lm": "levenberg_marquardt:train_lm", "momentum": "momentum:train_momentum"}
-_TRAINERS_OWN = {
+#: classes of networks by their form, and functions that train the weights of one with a hidden layer
+NETWORKS: dict[Net, str] = {
+    "plain": "decoupler.training.one_layer:Plain",
+    "skip": "decoupler.training.one_layer:Skip",
+    "convolution": "decoupler.training.convolution:Convolution",
+}
+METHODS: dict[Trainer, str] = {
+    "varpro": "decoupler.training.varpro:train_varpro",
+    "lm": "decoupler.training.levenberg_marquardt:train_lm",
+    "momentum": "decoupler.training.momentum:train_momentum",
+}
+_TRAINERS_OWN: dict[Trainer, dict[str, float]] = {
     "varpro": {"goal_mse": 1e-7, "max_iterations": 200, "patience": 10},
     "lm": {"goal_mse": 1e-5, "max_iterations": 200, "patience": 10},  # the paper's goal
     # first order: many cheap steps, each gaining little

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
 from geometry.layout import Layout
@@ -27,21 +28,17 @@ def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
     """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
     if decoder.filling is not None:
         columns_ohm = in_torch(decoder.filling.foretold, columns_ohm).filled(columns_ohm)
-    if decoder.posterior is None:
+    if not isinstance(decoder, DecouplerAtStrain):
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
     unsure = None if unsure_n is None else columns_ohm.new_tensor(unsure_n)
-    return tensors.refined(columns_ohm, left_out=(read, unsure)).force_n
+    return tensors.refined(columns_ohm, doubts=(read, unsure)).force_n
 
 
 def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
-    """A decoupler that need not say how sure it is, or another part, with each real array converted."""
+    """A decoupler, or a part of one, with each real array converted."""
     if isinstance(part, SensorModel):
         part = part.with_own_influences()
-    if isinstance(part, Decoupler):
-        part = replace(part, usual=None, least_squares=None)
-        if part.posterior is None:  # which weighs errors of readings and of the sensor
-            part = replace(part, uncertainty=None, ensemble=None)
     changed: dict[str, Any] = {}
     for spec in fields(part):
         value = getattr(part, spec.name)

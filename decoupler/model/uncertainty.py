@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
+from decoupler.data.columns import Component
 from geometry.layout import FloatArray
 
 WITHIN = (0.6827, 0.9545)  #: shares of errors that one and two standard deviations of a normal distribution hold
@@ -35,6 +36,23 @@ class Uncertainty:
     #: (m, m): how far forces err along what m shared drifts do, a Cholesky factor in deviations of each; above 1, as
     #: load that is taken for drift counts, too. None without shared drifts
     drift_factor: FloatArray | None = None
+
+    @classmethod
+    def untold(
+        cls, errors: ReadingError, half_range_n: FloatArray, output: FloatArray, component: Component
+    ) -> "Uncertainty":
+        """That of a network (output weights (n_out, n_features)) before anything has judged it: half of each range."""
+        unknown_n2, widths = half_range_n**2, np.ones((2, len(component.axes)))
+        return cls(
+            errors=errors,
+            inverse_matrix=np.zeros([output.shape[1]] * 2),
+            misfit_n2=unknown_n2,
+            unexplained_n2=unknown_n2,
+            widths=widths,
+            misfit_at_rest_n2=unknown_n2,
+            widths_at_rest=widths,
+            light_n2=np.zeros(1),
+        )
 
     def own_variance(
         self, A: FloatArray, force_n: FloatArray, half_range_n: FloatArray

@@ -91,13 +91,11 @@ class LoadTest:
 
     @classmethod
     def of(cls, decoder: "Decoupler") -> "LoadTest | None":
-        """That of a network; None if loads, deviations or rest are unknown."""
+        """That of a network; None if nobody knows rest."""
         usual, known, inverse = decoder.usual, decoder.uncertainty, decoder.inverse
-        rest_ohm = decoder.rest_resistances()
-        if usual is None or known is None or (inverse is None and rest_ohm is None):
-            return None
         if inverse is None:
-            assert rest_ohm is not None
+            if (rest_ohm := decoder.rest_resistances()) is None:
+                return None
             rest = decoder.columns(rest_ohm[None])
         else:
             centre = decoder.output_scaling.centre

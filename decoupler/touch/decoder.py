@@ -102,7 +102,6 @@ class TouchDecoder(Decoder):
     left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
     made_from: dict[str, Any] = field(default_factory=dict)
 
-    dead = None
     n_loads: ClassVar[int]  #: of a unit: see `Touched.load`
     of_model: ClassVar[float]  #: of the largest reading: what the model of a press has not
 
@@ -123,6 +122,11 @@ class TouchDecoder(Decoder):
     @cached_property
     def sensing(self) -> Sensing:
         return Sensing(design=self.design, pillars=self.pillars)
+
+    @cached_property
+    def dead(self) -> NDArray[np.bool_]:
+        """None."""
+        return np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
 
     @property
     def is_identified(self) -> bool:

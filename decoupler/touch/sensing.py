@@ -31,7 +31,7 @@ class Pillars:
     @classmethod
     def identified(cls, decoder: Decoupler) -> Self:
         """Of an identified sensor, by the decoder that `identify` made of it; `DesignError` if of some forces alone."""
-        if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+        if decoder.component.axes != AXES or decoder.inverse is None or not len(decoder.ensemble):
             raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
         forward = decoder.inverse.forward
         at_rest = decoder.ensemble.differences(forward, np.zeros((1, forward.n_forces)))[0]

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 from torch import Tensor
 
+from decoupler.model.network import Outcome, Reason
 from decoupler.model.settings import Progress, TrainingConfig
-
-Reason = Literal["goal", "iterations", "stagnation", "validation"]  #: why a training stopped
 
 FIRST_DAMPING = 1e-3  #: over the largest diagonal entry of JᵀJ
 MAX_DAMPING = 1e12  #: in the same unit; no step is found by damping more
@@ -34,15 +33,6 @@ class Model(Protocol):
 
     def step(self, damping: float) -> tuple[Point, float] | None:
         """The point after a damped step and the fall in cost the quadratic promises; None if singular."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The end of a training: iterations, error and reason."""
-
-    iterations: int
-    mse: float
-    reason: Reason
 
 
 class Stop:

@@ -1,7 +1,4 @@
-"""Errors that a model will make on new samples: the ridge that promises the least, and the uncertainty of its forces.
-
-Both come from the errors on its training set, or on measured pairs, had each sample been left out. Loads no torch.
-"""
+"""Errors that a model will make on new samples: those on its training set, had each sample been left out."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,33 +8,10 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN, Uncertainty, leverage
 from geometry.layout import FloatArray
 
-RIDGES = np.logspace(-10, 3, 27)  #: per sample, of inputs and targets scaled to [-1, 1]
 ENOUGH_SAMPLES = 500  #: number of samples for the effect of noise and for the widths
 MIN_FREEDOM = 0.05  #: 1 − leverage below which a training sample's own error says nothing
 LIGHT = 0.05  #: share of the training samples, the lightest, that do not count as loaded
 MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
-
-
-def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> float:
-    """The λ of min ‖A W − T‖² + λ‖W‖² that promises the least error on new samples, A (n, n_features), T (n, n_out).
-
-    `readings` is the mean number of samples a load: they share their misfit, so all of a load count as left out
-    together.
-
-    Notes
-    -----
-    Generalised cross-validation (Golub, Heath & Wahba, Technometrics 21, 1979): the λ with the least
-    ‖residual‖²/(n − readings · effective number of weights)², from one eigendecomposition of AᵀA.
-    """
-    n = len(A)
-    energies, directions = np.linalg.eigh(A.T @ A)
-    energies = np.maximum(energies, 1e-15 * energies[-1])
-    fitted = ((directions.T @ (A.T @ targets)) ** 2).sum(axis=1) / energies  # explained by each direction
-    unfitted = max(float((targets**2).sum() - fitted.sum()), 0.0)
-    kept = energies / (energies + RIDGES[:, None] * n)  # (n_ridges, n_features)
-    residual = unfitted + ((1.0 - kept) ** 2 * fitted).sum(axis=1)
-    score = residual / np.maximum(n - readings * kept.sum(axis=1), 0.5) ** 2
-    return float(RIDGES[score.argmin()] * n)
 
 
 def fitted_uncertainty(
@@ -62,7 +36,7 @@ def fitted_uncertainty(
     M.flat[:: len(M) + 1] += ridge
     G = np.linalg.inv(M).astype(np.float64)
     of_weights = leverage(A, G).clip(0.0, 1.0)
-    shared = np.count_nonzero(decoupler.hidden_weights) / force_n.size
+    shared = decoupler.network.below / force_n.size
     freedom = 1.0 - np.bincount(data.load, of_weights + shared)[data.load]
     errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
     errors = np.where((freedom > MIN_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))

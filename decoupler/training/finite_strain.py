@@ -1,6 +1,6 @@
 """Learns the two maps of finite strain from few samples whose displacements are known."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from decoupler.data.usual_loads import images_of, usual_loads
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
-from decoupler.model.decoupler import Decoupler
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from geometry.design import SensorDesign
@@ -259,7 +259,7 @@ def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> Flo
 
 def trained_at_strain(
     data: Samples, response: "ArrayResponse", training: TrainingConfig, progress: Progress
-) -> Decoupler:
+) -> DecouplerAtStrain:
     """The decoupler of an array at finite strain, from samples of it as designed, which hold displacements.
 
     It is trained for loads of the protocol that drew the samples', or for images of theirs.
@@ -280,13 +280,15 @@ def refined(
     design: SensorDesign,
     training: TrainingConfig | None = None,
     progress: Progress = lambda *_: None,
-) -> Decoupler:
+) -> DecouplerAtStrain:
     """A network that is trained on draws, and the posterior that takes its answers as start and prior. Loads torch."""
     from decoupler.training.trainer import fitted_network
 
-    network = NetworkConfig(hidden=HIDDEN, feature="root")
-    net = fitted_network(drawn, network, training or TrainingConfig(), design, progress=progress)
+    form = NetworkConfig(hidden=HIDDEN, feature="root")
+    net = fitted_network(drawn, form, training or TrainingConfig(), design, progress=progress)
     off_n = net.outputs(drawn.resistance_ohm[:JUDGED]) - drawn.force_n[:JUDGED]
     precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n)).astype(np.float64)
     resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.errors.bits)
-    return replace(net, posterior=replace(posterior, precision=precision), resting=resting)
+    told = vars(net) | {"front": replace(net.front, resting=resting)}
+    parts = {spec.name: told[spec.name] for spec in fields(net)}
+    return DecouplerAtStrain(**parts, posterior=replace(posterior, precision=precision))

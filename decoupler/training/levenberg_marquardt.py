@@ -7,9 +7,10 @@ formed.
 import torch
 from torch import Tensor
 
+from decoupler.model.network import Outcome
 from decoupler.model.settings import Progress, TrainingConfig
-from decoupler.training.damping import Outcome, Point, minimise
-from decoupler.training.network import TrainingSet, pair_products
+from decoupler.training.damping import Point, minimise
+from decoupler.training.weights import TrainingSet, pair_products
 
 
 def _pair_index(n: int) -> Tensor:

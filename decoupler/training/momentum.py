@@ -3,9 +3,10 @@
 import torch
 from torch import Tensor
 
+from decoupler.model.network import Outcome
 from decoupler.model.settings import Progress, TrainingConfig, TrainingError
-from decoupler.training.damping import Outcome, Point, Stop
-from decoupler.training.network import TrainingSet
+from decoupler.training.damping import Point, Stop
+from decoupler.training.weights import TrainingSet
 
 
 def momentum_step(weights: Tensor, gradient: Tensor, before: Tensor, training: TrainingConfig) -> Tensor:

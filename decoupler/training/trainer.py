@@ -1,31 +1,27 @@
-"""From labelled data to a trained `Decoupler`. Loads torch."""
+"""From labelled data to a trained `Decoupler`."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from common.threads import one_blas_thread
 from dataset.samples import AnySamples, SampleError
-from decoupler.data.columns import Columns
+from decoupler.data.columns import Columns, Scaling
 from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
-from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.settings import METHODS, NetworkConfig, Progress, TrainingConfig
+from decoupler.model.front import FEATURES, Front
+from decoupler.model.network import Task, form_named
+from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model_file import model_cache_key
-from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
+from decoupler.solve import best_ridge
+from decoupler.training.error_bars import MIN_FREEDOM, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
-from decoupler.training.network import Network, TrainingSet
 from decoupler.training.suited import explaining, suited_training, without_stuck
-from decoupler.training.varpro import RIDGE, SCARCE_RIDGE, train_varpro
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -88,7 +84,7 @@ def train(
     parts, network, training = suited_training(data, component, network, training, response)
     if data.is_finite.any() and parts.name == "all" and response is not None:
         data = data[data.is_finite]
-        trained = trained_at_strain(data, response, training, progress)
+        trained: Decoupler = trained_at_strain(data, response, training, progress)
     else:
         data = data[Columns.of(data, parts).distinct()]
         if len(data) < 2:
@@ -108,7 +104,7 @@ def train(
 
 def fitted_network(
     data: Columns,
-    network: NetworkConfig,
+    form: NetworkConfig,
     training: TrainingConfig,
     design: SensorDesign | None = None,
     forward: SensorModel | None = None,
@@ -117,57 +113,47 @@ def fitted_network(
 ) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
 
-    Without its uncertainty if that is not `judged`.
+    As unsure of forces as before training if that is not `judged`.
 
     Notes
     -----
-    With the feature `inverse` and a skip net the network learns what the response does not say: its targets are the
-    forces less those of the response's inverse, which are added back to the linear weights at the end. What it learns
-    must not move rest, which data under load do not hold: light samples are added.
+    With the feature `inverse` the network learns what the response does not say, if it sees its inputs: its targets are
+    the forces less those of the response's inverse, which are added back at the end. What it learns must not move rest,
+    which data under load do not hold: light samples are added.
 
     Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
     """
-    known, inverse, n_light = forward is not None and network.net == "skip", None, 0
-    if forward is not None:
-        forward = forward.calibrated(data)
-        read = None if data.errors.is_exact or forward.n_pillars <= forward.n_forces else _as_read(forward, data)
-        inverse = ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, read)
-    untrained = Decoupler.untrained(data, network, design, inverse)
-    untrained = replace(untrained, least_squares=LeastSquares.fitted(data))
-    if known:
-        n = len(data)
-        data = _with_light_samples(untrained, data)
-        n_light = len(data) - n
-    inputs, targets = untrained.inputs(data.resistance_ohm), untrained.output_scaling.scale(data.force_n)
-    if known:
-        targets = targets - inputs
-    samples = TrainingSet(torch.from_numpy(inputs), torch.from_numpy(targets), skip=network.net == "skip")
-    start, kept = Network(network, inputs.shape[1], targets.shape[1], training.seed), None
-    with _one_torch_thread(), torch.no_grad():
-        hidden, output = start.hidden.detach(), start.output.detach()
-        if known:
-            output.zero_()  # what is known is the start
-        readings = len(data) / (data.load.max() + 1)
-        ridge = best_ridge(samples.linear.numpy(), targets, readings) if known else _ridge(network, len(inputs))
-        if training.trainer == "varpro":
-            order = _mixed(data.load, training)
-            held_out = _n_held_out(data.load[order], training) if start.skip else 0  # a plain net has no linear map
-            kept = order[len(order) - held_out :] if data.errors.has_drift and held_out else None
-            mixed = samples[torch.from_numpy(order)]
-            point, outcome = train_varpro(mixed, hidden, ridge, held_out, training, progress)
-        else:
-            home, _, name = METHODS[training.trainer].partition(":")
-            method = getattr(import_module(f"decoupler.training.{home}"), name)
-            point, outcome = method(samples, hidden, output, training, progress)
-    # in the order of a file's, since products round by it
-    hidden_weights, output_weights = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
-    if known:
-        output_weights[:, network.hidden : -1] += np.eye(len(output_weights))
-    trained = replace(untrained, hidden_weights=hidden_weights, output_weights=output_weights)
-    uncertainty = fitted_uncertainty(trained, data, ridge, n_light, kept) if judged else None
-    return replace(
-        trained, uncertainty=uncertainty, made_from={"training": asdict(training), "outcome": asdict(outcome)}
+    kind, scaling = form_named(form.net), Scaling.fitted(data.force_n)
+    front = Front.of(data, FEATURES[form.feature]() if forward is None else _inverse(forward, data), scaling)
+    known, given = front.forward if kind.sees_inputs else None, data
+    if known is not None:
+        data = _with_light_samples(known, scaling, data)
+    inputs, targets = front.inputs(data.resistance_ohm), scaling.scale(data.force_n)
+    task = Task(
+        inputs=inputs,
+        targets=targets if known is None else targets - inputs,
+        load=data.load,
+        shape=data.shape,
+        is_known=known is not None,
+        form=form,
+        training=training,
+        progress=progress,
     )
+    network, outcome = kind.fitted(task)
+    network = network if known is None else network.beside_inputs()
+    trained = Decoupler.of(given, form, front, network, design)
+    if judged:
+        kept = task.held_out if data.errors.has_drift and len(task.held_out) else None
+        uncertainty = fitted_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
+        trained = replace(trained, uncertainty=uncertainty)
+    return replace(trained, made_from={"training": asdict(training), "outcome": asdict(outcome)})
+
+
+def _inverse(forward: SensorModel, data: Columns) -> ModelInverse:
+    """The response with the gains and offsets that samples show, turned around for readings that err as theirs."""
+    forward = forward.calibrated(data)
+    read = None if data.errors.is_exact or forward.n_pillars <= forward.n_forces else _as_read(forward, data)
+    return ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, read)
 
 
 def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], FloatArray]:
@@ -180,13 +166,7 @@ def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], Floa
     return read
 
 
-def _ridge(network: NetworkConfig, n_samples: int) -> float:
-    """λ on the output weights of a net that knows no response: stronger where it could meet any forces whatever."""
-    scarce = network.net == "plain" and n_samples <= network.hidden + 1
-    return (SCARCE_RIDGE if scarce else RIDGE) * n_samples
-
-
-def _with_light_samples(untrained: Decoupler, data: Columns) -> Columns:
+def _with_light_samples(forward: SensorModel, scaling: Scaling, data: Columns) -> Columns:
     """Training samples with light ones added at the end.
 
     None are added where their resistances leave more than noise and `MAX_UNEXPLAINED` of the variance of the readings'
@@ -198,13 +178,12 @@ def _with_light_samples(untrained: Decoupler, data: Columns) -> Columns:
     the sensor's own response only noise is left, and the ridge takes it for nothing. With another's, gains and offsets
     fitted under load make up for it there and not at rest; the linear part puts rest right.
     """
-    assert untrained.inverse is not None
     generator = np.random.default_rng(0)
     light_n = light_loads(data.force_n, generator)
     all_n, root = np.concatenate([data.force_n, light_n]), np.sqrt(data.resistance_ohm)
-    modelled_ohm = untrained.inverse.forward.resistances(all_n)
+    modelled_ohm = forward.resistances(all_n)
     modelled, light = np.split(np.sqrt(np.maximum(modelled_ohm, MIN_WHOLE_OHM)), [len(data)])  # √Ω
-    A, A_light = np.split(np.column_stack([untrained.output_scaling.scale(all_n), np.ones(len(all_n))]), [len(data)])
+    A, A_light = np.split(np.column_stack([scaling.scale(all_n), np.ones(len(all_n))]), [len(data)])
     left = np.where(data.readable, root - modelled, 0.0)
     G = np.linalg.inv(A.T @ A + best_ridge(A, left) * np.eye(A.shape[1])).astype(np.float64)
     linear = G @ (A.T @ left)
@@ -221,28 +200,3 @@ def _with_light_samples(untrained: Decoupler, data: Columns) -> Columns:
         force_n=all_n,
         load=np.concatenate([data.load, data.load.max() + 1 + np.arange(len(light))]),
     )
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """One torch thread meanwhile: on matrices this small, two are slower as soon as a core is shared."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _mixed(load: NDArray[np.int64], training: TrainingConfig) -> NDArray[np.int64]:
-    """A random order of the samples in which readings of one load stay together; files may be sorted by load."""
-    by_load = np.random.default_rng(training.seed).permutation(load.max() + 1).argsort()
-    return np.argsort(by_load[load], kind="stable")
-
-
-def _n_held_out(load: NDArray[np.int64], training: TrainingConfig) -> int:
-    """Number of samples, the last in order of load, that are kept for validation; no load is split."""
-    held_out = int(training.held_out * len(load))
-    while 0 < held_out < len(load) and load[-held_out] == load[-held_out - 1]:
-        held_out -= 1
-    return held_out

@@ -5,12 +5,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from decoupler.model.network import Outcome
 from decoupler.model.settings import Progress, TrainingConfig
-from decoupler.training.damping import Outcome, Point, minimise
-from decoupler.training.network import TrainingSet
+from decoupler.training.damping import Point, minimise
+from decoupler.training.weights import TrainingSet
 
-RIDGE = 1e-9  #: λ on the output weights, in units of n_samples; keeps near-linear hidden nodes from cancelling
-SCARCE_RIDGE = 1e-4  #: the same for plain nets with no more samples than output weights; halves their error
 CLOSE_ENOUGH = 0.1  #: relative residual at which conjugate gradients end; 0.3 stalls sooner, 0.03 costs more
 MAX_PRODUCTS = 40  #: with the matrix in a step
 
@@ -111,14 +110,15 @@ def projected(samples: TrainingSet, hidden: Tensor, ridge: float) -> Point:
 
 
 def train_varpro(
-    samples: TrainingSet, hidden: Tensor, ridge: float, held_out: int, config: TrainingConfig, progress: Progress
+    samples: TrainingSet, hidden: Tensor, output: Tensor, config: TrainingConfig, progress: Progress
 ) -> tuple[Point, Outcome]:
-    """Train from the given hidden weights (n_hidden, n_in+1), with λ on the output weights, biases included.
+    """Train from the given hidden weights (n_hidden, n_in+1); what the output layer starts from is not looked at.
 
-    `held_out` samples, the last, are kept for validation. The hidden layer with the lowest validation error is
+    Samples that the task holds out are kept for validation. The hidden layer with the lowest validation error is
     returned, which may be that of weights 0, a linear map. The output layer is then fitted to all samples.
     """
-    n = len(samples.X)
+    ridge, n, held_out = samples.task.ridge, len(samples.X), len(samples.task.held_out)
+    samples = samples[samples.task.order]
     if not held_out:
         start = projected(samples, hidden, ridge)
         return minimise(start, lambda point: Projected(samples, ridge, point), config, progress)

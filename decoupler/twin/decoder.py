@@ -6,15 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Columns
+from decoupler.data.columns import Columns, Scaling
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.front import Front
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
-from decoupler.training.error_bars import best_ridge, fitted_uncertainty
+from decoupler.solve import best_ridge
+from decoupler.training.error_bars import fitted_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined
+from decoupler.training.one_layer import Skip
 from decoupler.twin.posterior import Specimen
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
@@ -61,25 +65,26 @@ def decoder_of(
     inverse = ModelInverse.about(
         forward, loads_n, data.readable, unsure, lambda some_n: forward.lengths_of(read(some_n))
     )
-    network = NetworkConfig(hidden=0, net="skip", feature="inverse")
-    untrained = replace(
-        Decoupler.untrained(data, network, design, inverse),
-        usual=UsualLoads.of(data[: len(loads_n)]),
-        ensemble=found.ensemble,
-    )
-    A = untrained.activations(data.resistance_ohm)
-    missing = untrained.output_scaling.scale(force_n) - A[:, :-1]
+    scaling = Scaling.fitted(force_n)
+    front = Front.of(data, inverse, scaling)
+    inputs = front.inputs(data.resistance_ohm)
+    A, missing = np.column_stack([inputs, np.ones(len(inputs))]), scaling.scale(force_n) - inputs
     ridge = best_ridge(A, missing)
     G = A.T @ A
     G.flat[:: len(G) + 1] += ridge
-    weights = untrained.output_weights + np.linalg.solve(G, A.T @ missing).T
-    trained = replace(untrained, output_weights=weights)
+    network = Skip(hidden=np.empty((0, A.shape[1])), output=np.linalg.solve(G, A.T @ missing).T).beside_inputs()
+    form = NetworkConfig(hidden=0, net="skip", feature="inverse")
+    trained = replace(
+        Decoupler.of(data, form, front, network, design),
+        usual=UsualLoads.of(data[: len(loads_n)]),
+        ensemble=found.ensemble,
+    )
     return replace(trained, uncertainty=fitted_uncertainty(trained, data, ridge, len(light_n)))
 
 
 def decoder_at_strain(
     found: Specimen, designed: Posterior, loads_n: FloatArray, errors: ReadingError, design: SensorDesign
-) -> Decoupler:
+) -> DecouplerAtStrain:
     """The decoder at finite strain: a network trained on the posterior's sensors, refined by that of the forces.
 
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.

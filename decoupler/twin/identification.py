@@ -127,14 +127,14 @@ def identify(
             progress(0.1)
         found = infer(expected, readings, DRAWN[at_strain is not None], lambda part: progress(share * part))
         if at_strain is not None:
-            decoder = decoder_at_strain(found, at_strain, usual_n, errors, design)
+            decoder: Decoupler = decoder_at_strain(found, at_strain, usual_n, errors, design)
             progress(0.2)
         else:
             decoder = decoder_of(found, usual_n, errors, dead, pairs.layout, design)
             if n > 1 and _contradicted(found, expected.widths):
                 decoder = _widened(decoder, found, readings)
     made_from = {"identified_on": pairs.content_hash, "pairs": n}
-    decoder = replace(decoder, dead=dead if dead.any() else None, made_from=made_from)
+    decoder = replace(decoder, dead=dead, made_from=made_from)
     return Twin(design=design, decoder=decoder, n_pairs=n, posterior=found)
 
 
@@ -156,7 +156,6 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
     whole = np.flatnonzero((readings.read | ~readings.read.any(axis=0)).all(axis=1))
     tested = whole[np.linspace(0, len(whole) - 1, min(MAX_TESTED, len(whole))).astype(int)]
     uncertainty = decoder.uncertainty
-    assert uncertainty is not None
     if not len(tested):
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)

@@ -15,6 +15,7 @@ from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 
@@ -51,10 +52,10 @@ def simulate_twin(
         if value:
             raise DesignError(f"{name}={value:g}: a twin has its own gains and offsets: leave it out.")
     decoder = twin.read_decoder()
-    if decoder.posterior is not None:
+    if isinstance(decoder, DecouplerAtStrain):
         raise DesignError("a twin at finite strain draws no samples yet: identify the sensor without finite strain.")
     axes = [axis for axis in settings.on_pads.axes if axis not in decoder.component.axes]
-    if axes or decoder.inverse is None or decoder.ensemble is None:
+    if axes or decoder.inverse is None or not len(decoder.ensemble):
         known = ", ".join(decoder.component.forces)
         raise DesignError(
             f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."

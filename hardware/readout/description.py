@@ -103,7 +103,7 @@ def describe(model: "Decoder", info: Info) -> SensorDescription:
         pad_mm=np.nan if design is None else design.pad.size_mm,
         range_n=limits.reshape(*shape[:2], len(axes), 2),
         rest_ohm=np.full(shape, np.nan) if rest_ohm is None else rest_ohm,
-        dead=np.zeros(shape, dtype=bool) if model.dead is None else model.dead,
+        dead=model.dead,
         design_hash=model.design_hash or "",
         model_hash=str(model.made_from.get("recipe") or model.made_from.get("identified_on", "")),
         board={name: info.plain()[name] for name in OF_BOARD},

@@ -245,20 +245,21 @@ class ForceReader:
         )
         self.description = describe(model, info)
         self._weights = wrench_weights(self.description.position_mm, model.component.axes, model.moments)
-        self._uncertain = model if (errors := model.errors) is not None else None
-        if rest_ohm is not None and errors is not None:
+        self._decoder = model
+        if rest_ohm is not None:
             # this board's steps, which a plain divider amplifies, for those of training
             usual_ohm = rest_ohm if model.usual_ohm is None else model.usual_ohm
             steps = float(np.median(self.crossbar.step_deviation(usual_ohm[None])))
-            self._uncertain = model.read_by(replace(errors, noise=math.hypot(errors.noise, steps), bits=None))
-            _ = self._uncertain.consistency(rest_ohm[None])  # prepared before the first scan
+            noise = math.hypot(model.errors.noise, steps)
+            self._decoder = model.read_by(replace(model.errors, noise=noise, bits=None))
+            _ = self._decoder.consistency(rest_ohm[None])  # prepared before the first scan
 
     @cached_property
     def fault_test(self) -> "FaultTest | None":
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
 
-        return None if self._uncertain is None else FaultTest.of(self._uncertain)
+        return FaultTest.of(self._decoder)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""
@@ -279,11 +280,11 @@ class ForceReader:
         if self.memory is not None:
             read = self.memory.settled(resistance_ohm, np.zeros(len(counts)) if seconds is None else seconds)
         ohms = np.where(left_out, OPEN_OHM, read["resistance_ohm"])
-        decoded = (self._uncertain or self.model).decoded(ohms, self._weights, read.get("memory_deviation"))
+        decoded = self._decoder.decoded(ohms, self._weights, read.get("memory_deviation"))
         return Forces(
             saturated=saturated,
             left_out=left_out,
-            model=self._uncertain,
+            model=self._decoder,
             weights=self._weights,
             description=self.description,
             **read,

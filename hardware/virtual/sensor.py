@@ -22,6 +22,7 @@ from dataset.resistance import conducted_lengths, exact_resistances, pillar_leng
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoder import Decoder
 from decoupler.model.tensors import decoded_by, in_torch
 from decoupler.model_file import read_model
@@ -195,9 +196,9 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            if decoder.posterior is not None:
+            if isinstance(decoder, DecouplerAtStrain):
                 raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
-            if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            if decoder.component.axes != AXES or decoder.inverse is None or not len(decoder.ensemble):
                 told = ", ".join(decoder.component.forces)
                 raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
             self._forward = self._shape = in_torch(decoder.inverse.forward, self._like)
@@ -334,7 +335,7 @@ class VirtualSensor:
         self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
         readable = torch.as_tensor(self._decoder.readable, device=self.device)
         columns = torch.where(readable, resistance_ohm.flatten(1)[:, self._decoder.places], DEAD_OHM)
-        decoded = self._like.new_empty((self.environments, len(self._decoder.output_weights)))
+        decoded = self._like.new_empty((self.environments, len(self._decoder.output_scaling.centre)))
         for which, decoder in self._model.sifted(resistance_ohm.detach().cpu().double().numpy()):
             rows = torch.as_tensor(which, device=self.device)
             decoded = decoded.index_copy(0, rows, decoded_by(decoder, self._decoder, columns[rows]))

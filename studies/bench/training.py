@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
 from decoupler.model.settings import Net, Trainer
+from decoupler.model_file import arrays_of
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import Array, SensorDesign
@@ -132,7 +133,7 @@ def measure(contender: Contender, case: dict, _: None) -> Found:
     iterations, seconds, mse = trace.points[-1]
     return Found(
         errors={MSE: mse} | ({} if errors.rel_err is None else {"eq. 17, test samples": errors.rel_err}),
-        size=decoupler.hidden_weights.size + decoupler.output_weights.size,
+        size=sum(values.size for _, values in arrays_of(decoupler.network)),
         steps={"training": seconds},
         notes={
             "steps": iterations,

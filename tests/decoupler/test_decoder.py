@@ -9,6 +9,7 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, SampleError, TrainingConfig, train, write_model
+from decoupler.data.columns import Resting
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 SENSOR = sensor(2, 3)
@@ -46,7 +47,8 @@ def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off(mo
     rest_ohm = np.full((1, 2, 3, 3), 1e4)
     read_ohm = measured(rest_ohm, 0.0, 12, RNG)
     assert np.abs(read_ohm - rest_ohm).min() > 4.8
-    plain = replace(model, resting=None)
+    front = model.front
+    plain = replace(model, front=replace(front, resting=Resting.read_with(front.resting.rest_ohm, None)))
     assert np.abs(model.forces(read_ohm)).max() < 0.2 * np.abs(plain.forces(read_ohm)).max()
     read_ohm[:, 0] *= 0.95
     read_ohm[:, 1, 0] *= 0.95

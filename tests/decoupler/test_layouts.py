@@ -90,7 +90,7 @@ def test_more_pillars_than_forces_are_inverted_and_bounded_by_all_they_tell(layo
     force_n, errors = force_columns(data.force_n, ALL), ReadingError(noise=1e-3, bits=BITS, drift=0.01)
     if layout in TELLING:
         inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-        missed_n = inverse.forces(Columns.of(data, ALL).resistance_ohm) - force_n
+        missed_n = inverse.values(Columns.of(data, ALL).resistance_ohm) - force_n
         assert np.std(missed_n) < ENOUGH * np.std(force_n)
     found = cramer_rao(forward, force_n[:2], errors, (2, 3))
     lengths, J = forward.jacobian(force_n[:2])

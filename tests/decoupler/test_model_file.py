@@ -94,9 +94,9 @@ def test_recipe_follows_all_that_matters():
         (lambda header, arrays: header.pop("rows"), "its header makes no sense"),
         (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
         (lambda header, arrays: header["network"].update(net="deep"), "net='deep' must be one of plain, skip"),
-        (lambda header, arrays: arrays.pop("input_scaling.centre"), "centre"),
+        (lambda header, arrays: arrays.pop("front.scaling.centre"), "centre"),
         (lambda header, arrays: arrays.update({"output_scaling.centre": np.ones(3)}), "do not belong together"),
-        (lambda header, arrays: arrays["hidden_weights"].fill(np.nan), "hidden_weights is not finite"),
+        (lambda header, arrays: arrays["network.hidden"].fill(np.nan), "network.hidden is not finite"),
     ],
 )
 def test_file_that_contradicts_itself_is_refused(path, change, message):

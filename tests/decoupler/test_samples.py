@@ -100,7 +100,7 @@ def test_functions_find_what_suits_the_samples(monkeypatch):
     one = replace(DATA, force_n=DATA.force_n * (0.0, 0.0, 1.0))
     assert acting_component(one.force_n) == "fz"
     assert train(DATA, training=QUICK).component.name == "all"
-    assert train(DATA, training=QUICK, response=RESPONSE).network.feature == "inverse"
+    assert train(DATA, training=QUICK, response=RESPONSE).form.feature == "inverse"
     assert all(set(fold.errors) == {"fz"} for fold in cross_validate(one, training=QUICK, folds=2))
 
 

@@ -77,12 +77,12 @@ def test_corrections_come_near_the_forces_and_are_right_at_rest(noise):
     """
     inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise)
     touches = np.vstack([np.zeros(FORWARD.n_forces), 10.0 * np.eye(FORWARD.n_forces)])
-    assert np.abs(inverse.forces(FORWARD.resistances(touches)) - touches).max() < 0.05
+    assert np.abs(inverse.values(FORWARD.resistances(touches)) - touches).max() < 0.05
     if noise == 0.0:
         others, columns = FORCES[200:], COLUMNS[200:]
         linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]
         assert np.std(linear - others) > 0.01 * others.std()
-        assert np.std(inverse.forces(columns) - others) < 0.01 * np.std(linear - others)
+        assert np.std(inverse.values(columns) - others) < 0.01 * np.std(linear - others)
 
 
 def test_the_feature_needs_a_response_that_explains_the_data():

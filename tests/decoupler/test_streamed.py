@@ -35,7 +35,7 @@ def test_few_are_all_and_many_a_random_draw_from_memory_and_disk_alike(tmp_path,
     network = NetworkConfig(hidden=3, feature="inverse")
     model, again, of_draw = (train(data, "all", network, TRAINING, response=OWN) for data in (stored, many, one))
     for each in (again, of_draw):
-        assert np.array_equal(each.output_weights, model.output_weights)
+        assert np.array_equal(each.network.output, model.network.output)
         assert np.array_equal(each.uncertainty.inverse_matrix, model.uncertainty.inverse_matrix)
     assert model.made_from["n_samples"] == MANY
     assert model.made_from["data_hash"] == stored.content_hash

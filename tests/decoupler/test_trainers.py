@@ -1,13 +1,17 @@
 """The trainers' algebra: structured matrices, gradients and steps against dense ones from autograd, eq. 15 by hand."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 
+from decoupler.model.network import Task
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.levenberg_marquardt import GaussNewton, point_at
 from decoupler.training.momentum import momentum_step
-from decoupler.training.network import Network, TrainingSet
 from decoupler.training.varpro import Projected, projected, train_varpro
+from decoupler.training.weights import TrainingSet, starting_weights
 
 N_SAMPLES, N_IN, N_HIDDEN, N_OUT = 50, 4, 3, 5
 RIDGE = 0.1
@@ -22,24 +26,30 @@ def eye(n):
     return torch.eye(n, dtype=torch.float64)
 
 
+def task(inputs, targets, net="skip", **training):
+    """Samples of a network of a few nodes, each of a load of its own."""
+    return Task(
+        inputs=inputs, targets=targets, load=np.arange(len(inputs)), shape=(1, 1), is_known=False,
+        form=NetworkConfig(hidden=N_HIDDEN, net=net), training=TrainingConfig(seed=2, **training),
+        progress=lambda *_: None,
+    )  # fmt: skip
+
+
 @pytest.fixture(params=["plain", "skip"])
 def problem(request):
-    """Samples, and a network away from any special point."""
-    generator = torch.Generator().manual_seed(1)
-    inputs = torch.rand(N_SAMPLES, N_IN, generator=generator, dtype=torch.float64) * 2 - 1
-    targets = torch.rand(N_SAMPLES, N_OUT, generator=generator, dtype=torch.float64) * 2 - 1
-    network = Network(NetworkConfig(hidden=N_HIDDEN, net=request.param), N_IN, N_OUT, seed=2)
-    return TrainingSet(inputs, targets, network.skip), network
+    """Samples, and weights W₁ and W₂ away from any special point."""
+    inputs, targets = (np.random.default_rng(1).uniform(-1, 1, (N_SAMPLES, n)) for n in (N_IN, N_OUT))
+    samples = TrainingSet(task(inputs, targets, request.param), request.param == "skip")
+    return samples, *starting_weights(samples)
 
 
 def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
     """K ∘ ZᵀZ, I ⊗ AᵀA and W₂ C between them, put together, are JᵀJ."""
-    samples, network = problem
-    hidden, output = network.hidden.detach(), network.output.detach()
+    samples, hidden, output = problem
 
     def residual(hidden, output):
-        weights = {"hidden": hidden, "output": output}
-        return (torch.func.functional_call(network, weights, samples.X[:, :-1]) - samples.targets).reshape(-1)
+        A = torch.cat([torch.tanh(samples.X @ hidden.T), samples.linear], dim=1)
+        return (A @ output.T - samples.targets).reshape(-1)
 
     J = torch.cat([J.flatten(1) for J in torch.func.jacrev(residual, argnums=(0, 1))(hidden, output)], dim=1)
     blocks, p = GaussNewton(samples, point_at(samples, hidden, output)), N_IN + 1
@@ -59,8 +69,8 @@ def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
 
 def test_variable_projection_is_kaufmans(problem):
     """Products, blocks, gradient and steps by the dense J₁ᵀJ₁ less what the output layer can follow."""
-    samples, network = problem
-    point, p = projected(samples, network.hidden.detach(), RIDGE), N_IN + 1
+    samples, start, _ = problem
+    point, p = projected(samples, start, RIDGE), N_IN + 1
 
     def outputs(hidden, output):
         return (samples.activations(hidden) @ output.T).reshape(-1)
@@ -92,17 +102,17 @@ def test_variable_projection_is_kaufmans(problem):
 
 def test_hidden_layer_never_sees_what_is_held_out():
     """Other targets of the held-out samples leave the path of hidden layers as it was, whichever of them is chosen."""
-    generator = torch.Generator().manual_seed(3)
-    inputs = torch.rand(80, 2, generator=generator, dtype=torch.float64) * 2 - 1
-    targets = torch.sin(2 * inputs) + inputs[:, :1] * inputs[:, 1:]
-    hidden = Network(NetworkConfig(hidden=4), 2, 2, seed=0).hidden.detach()
-    config = TrainingConfig(max_iterations=6, goal_mse=0.0, patience=100)
+    inputs = np.random.default_rng(3).uniform(-1, 1, (80, 2))
+    asked = task(
+        inputs, np.sin(2 * inputs) + inputs[:, :1] * inputs[:, 1:], max_iterations=6, goal_mse=0.0, patience=99
+    )
+    assert len(asked.held_out) == 8
     paths = []
     for changed in (0.0, 0.01):
-        other, errors = targets.clone(), []
-        other[70:] += changed
-        samples = TrainingSet(inputs, other, True)
-        train_varpro(samples, hidden, 1e-9, 10, config, lambda _, mse, to=errors: to.append(mse))
+        other, errors = asked.targets.copy(), []
+        other[asked.held_out] += changed
+        samples = TrainingSet(replace(asked, targets=other), True)
+        train_varpro(samples, *starting_weights(samples), asked.training, lambda _, mse, to=errors: to.append(mse))
         paths.append(errors)
     assert paths[0] == paths[1]
 

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from decoupler import (
-    Decoupler,
     LeastSquares,
     NetworkConfig,
     SampleError,
@@ -20,7 +19,7 @@ from decoupler import (
     train,
 )
 from decoupler.data.columns import Columns, Scaling, force_columns
-from decoupler.inverse.sensor_model import ModelInverse, SensorModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training import trainer
 from decoupler.training.varpro import train_varpro
 from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, split
@@ -113,8 +112,8 @@ def test_reported_error_is_that_of_the_model_and_a_seed_fixes_the_bits(trainer, 
     assert (outcome["iterations"], outcome["reason"]) == (4, "iterations")
     assert [iteration for iteration, _ in told] == [0, 1, 2, 3, 4]
     assert [mse for _, mse in told] == sorted((mse for _, mse in told), reverse=True)  # steps only ever go down
-    np.testing.assert_array_equal(first.hidden_weights, again.hidden_weights)
-    assert not np.array_equal(first.hidden_weights, trained(**asked, seed=1).hidden_weights)
+    np.testing.assert_array_equal(first.network.hidden, again.network.hidden)
+    assert not np.array_equal(first.network.hidden, trained(**asked, seed=1).network.hidden)
 
 
 @EVERY
@@ -128,7 +127,7 @@ def test_a_net_on_the_response_starts_from_its_inverse(trainer):
         progress=lambda _, mse: errors.append(mse), known=response(SENSOR), hidden=4, feature="inverse",
         trainer=trainer, goal_mse=0.0, max_iterations=30,
     )  # fmt: skip
-    known = decoupler.inverse.forces(decoupler.columns(TRAIN.resistance_ohm))
+    known = decoupler.inverse.values(decoupler.columns(TRAIN.resistance_ohm))
     scaled = (known - force_columns(TRAIN.force_n, FX)) / decoupler.output_scaling.half_range
     if trainer != "varpro":  # whose output layer is never at its start
         assert np.mean(scaled**2) / 1.1 <= errors[0] <= np.mean(scaled**2)
@@ -146,28 +145,28 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     columns, rest_ohm = Columns.of(TRAIN, FX), SensorModel.of(own, FX).at_rest_ohm()
     forward = SensorModel.of(other, FX).calibrated(columns)
     assert np.abs(forward.at_rest_ohm() / rest_ohm - 1.0).max() >= 1e-2
-    inverse = ModelInverse.about(forward, columns.force_n, columns.readable, 0.0)
-    untrained = Decoupler.untrained(columns, NetworkConfig(feature="inverse"), SENSOR, inverse)
-    light = trainer._with_light_samples(untrained, columns)[len(columns) :]
+    known = forward, Scaling.fitted(columns.force_n), columns
+    light = trainer._with_light_samples(*known)[len(columns) :]
     assert np.abs(light.resistance_ohm[~light.force_n.any(axis=1)] / rest_ohm - 1.0).max() < 1e-3
     model = trained(hidden=4, feature="inverse", known=other)
     assert model.made_from["n_samples"] == len(TRAIN)
     missed_n = [one.forces(TEST.resistance_ohm) - TEST.force_n[..., :1] for one in (model, model.least_squares)]
     assert np.std(missed_n[0]) < 0.1 * np.std(missed_n[1])
     monkeypatch.setattr(trainer, "MAX_UNEXPLAINED", 1e-9)
-    assert trainer._with_light_samples(untrained, columns) is columns
+    assert trainer._with_light_samples(*known) is columns
 
 
 def test_the_samples_that_judge_are_drawn_from_all_and_readings_of_one_load_stay_together(monkeypatch):
     """Files may be sorted by load: not the last samples judge, a seed says which, and no load is on both sides."""
     sides = []
 
-    def spy(samples, hidden, ridge, held_out, *others):
-        parts = samples.targets[: len(samples.targets) - held_out], samples.targets[-held_out:]
+    def spy(samples, *others):
+        task = samples.task
+        parts = np.delete(task.targets, task.held_out, axis=0), task.targets[task.held_out]
         sides.append([{tuple(row) for row in side.tolist()} for side in parts])
-        return train_varpro(samples, hidden, ridge, held_out, *others)
+        return train_varpro(samples, *others)
 
-    monkeypatch.setattr("decoupler.training.trainer.train_varpro", spy)
+    monkeypatch.setattr("decoupler.training.varpro.train_varpro", spy)
     data = TRAIN[1:]  # of 897 readings a tenth is no whole number of loads
     factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *data.resistance_ohm.shape))
     often = replace(

@@ -53,7 +53,7 @@ def test_a_given_response_is_used_and_what_is_of_another_design_type_or_name_ref
     known, other = (layer_response(one) for one in (DESIGN, replace(DESIGN, pad=Pad(size_mm=11.0))))
     samples = tp.dataset(known, "contact-fz", 60, noise=1e-3)
     monkeypatch.setattr("tripillar.pipeline.stage.array_response", lambda *_: pytest.fail("solved"))
-    assert tp.train(replace(samples, design=None), response=known, **QUICK).network.feature == "inverse"
+    assert tp.train(replace(samples, design=None), response=known, **QUICK).form.feature == "inverse"
     model = tp.train(samples, response=known, **QUICK)
     assert tp.evaluate(model, samples[40:], response=known)["fz"].limits is not None
     for call in (

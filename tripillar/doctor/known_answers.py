@@ -80,7 +80,7 @@ def forces_back_from_resistances() -> float:
     component = component_named("all")
     force_n = force_columns(data.force_n, component)
     inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-    again = inverse.forces(pillar_columns(data.resistance_ohm, component, data.layout))
+    again = inverse.values(pillar_columns(data.resistance_ohm, component, data.layout))
     return float(np.std(again - force_n) / np.std(force_n))
 
 

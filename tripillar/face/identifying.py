@@ -343,7 +343,7 @@ def _at_strain(finite: "SamplesLike | ModelLike", response: "stages.ArrayRespons
     if isinstance(finite, Path | str):
         source = model_of(finite) if Path(finite).suffix == ".safetensors" else samples_of(finite, False)
     if isinstance(source, stages.Decoupler):
-        if source.posterior is None or source.ensemble is not None:
+        if not isinstance(source, stages.DecouplerAtStrain) or len(source.ensemble):
             raise DesignError("the model is not of a design at finite strain: train one on samples at finite strain.")
         size, found = (source.rows, source.cols), source.posterior
     else:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from common.errors import DesignError, require_type
+from decoupler.model.settings import Net, Trainer
 from geometry.design import SensorDesign
 from geometry.layout import require_told, told_by_tilt
 from tripillar.face import stages
@@ -35,8 +36,6 @@ else:
     Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
-Net = Literal["plain", "skip"]
-Trainer = Literal["varpro", "lm", "momentum"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
 GOAL = Flag(name=("--goal",))
 ITERATIONS = Flag(name=("--iterations",))
@@ -139,7 +138,7 @@ def train(
     >>> design = tp.SensorDesign(array=Array(rows=1, cols=2))
     >>> samples = tp.dataset(design, samples=200, noise=0.001)
     >>> model = tp.train(samples, hidden=4)
-    >>> model.component.name, model.network.feature
+    >>> model.component.name, model.form.feature
     ('all', 'inverse')
     >>> half_width_n, _ = model.half_widths(samples.resistance_ohm)
     >>> off_n = abs(model.forces(samples.resistance_ohm) - samples.force_n)
@@ -173,7 +172,7 @@ def train(
         told = {name: model.made_from["outcome"][name] for name in ("iterations", "mse", "reason")}
         errors = {force: asdict(values) for force, values in stages.errors_on(model, samples).items()}
         untrusted = [f"{force} row {row} col {col}" for row, col, force in model.untrusted()]
-        made = {"file": str(out), "feature": model.network.feature} | told | {"seconds": seconds}
+        made = {"file": str(out), "feature": model.form.feature} | told | {"seconds": seconds}
         return made | {"training_errors": errors, "untrusted": untrusted}
 
     outcome = model.made_from["outcome"]

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
     from decoupler.export import export_model
     from decoupler.inverse.posterior import Posterior
+    from decoupler.model.at_strain import DecouplerAtStrain
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
     from decoupler.model_file import read_model, require_same_sensor, write_model

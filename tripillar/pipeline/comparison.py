@@ -71,9 +71,9 @@ def compare(
     as made.
     """
     component = next(iter(models.values())).component
-    paper = next(label for label, model in models.items() if model.network.net == "plain")
+    paper = next(label for label, model in models.items() if model.form.net == "plain")
     ours = next(label for label, model in models.items() if model.inverse is not None)
-    narrow = models[paper].network.hidden
+    narrow = models[paper].form.hidden
     (name,) = component.forces
     least_squares = LeastSquares.fitted(Columns.of(training, component))
     decouplers: dict[str, Forces] = {}

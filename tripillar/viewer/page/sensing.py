@@ -107,7 +107,7 @@ def inverse_forces(response: ArrayResponse) -> Decouple:
     force_n = force_columns(by_unit(forces(loads, design), design), joint)
     forward = SensorModel.of(response, joint)
     inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-    return lambda resistance_ohm: by_unit(inverse.forces(resistance_ohm.reshape(1, -1)).reshape(-1, len(AXES)), design)
+    return lambda resistance_ohm: by_unit(inverse.values(resistance_ohm.reshape(1, -1)).reshape(-1, len(AXES)), design)
 
 
 def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:

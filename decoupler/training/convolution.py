@@ -1,0 +1,63 @@
+"""A network whose hidden layer is a convolution: every unit has the same nodes, which see it and its neighbours."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoupler.data.columns import namespace
+from decoupler.inverse.strain_maps import units_around
+from decoupler.model.network import Network, Outcome, Task
+from geometry.layout import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Convolution(Network):
+    """y = W [tanh(K [x of 3 × 3 units, 1]) of every unit, x, 1]."""
+
+    kernel: FloatArray  #: K, (n_hidden, 9 k + 1) of k inputs a unit, bias last
+    near: NDArray[np.int64]  #: (units, 9): units around each; the number of units where there is none
+
+    @classmethod
+    def fitted(cls, task: Task) -> tuple[Self, Outcome]:
+        """By L-BFGS on the kernel, with the last layer that is best for each: variable projection."""
+        import torch
+
+        rows, cols = task.shape
+        near, n_hidden, training = units_around(rows, cols, 1, rows * cols), task.form.hidden, task.training
+        seen = 9 * task.inputs.shape[1] // len(near) + 1
+        start = np.random.default_rng(training.seed).normal(scale=seen**-0.5, size=(n_hidden, seen))
+        X, Y = torch.from_numpy(task.inputs), torch.from_numpy(task.targets)
+        kernel = torch.from_numpy(start).requires_grad_()
+        optimiser = torch.optim.LBFGS([kernel], max_iter=training.max_iterations, line_search_fn="strong_wolfe")
+        errors = list[float]()
+
+        def projected() -> tuple[torch.Tensor, torch.Tensor]:
+            A = cls(output=Y, kernel=kernel, near=near).activations(X)
+            W = torch.linalg.solve(A.T @ A + task.ridge * torch.eye(A.shape[1], dtype=A.dtype), A.T @ Y)
+            return W, ((A @ W - Y) ** 2).mean()
+
+        def closure() -> torch.Tensor:
+            optimiser.zero_grad()
+            _, mse = projected()
+            mse.backward()
+            errors.append(mse.item())
+            task.progress(len(errors) - 1, errors[-1])
+            return mse
+
+        optimiser.step(closure)
+        W, mse = (values.detach() for values in projected())
+        network = cls(output=W.numpy().T.copy(), kernel=kernel.detach().numpy(), near=near)
+        return network, Outcome(len(errors) - 1, mse.item(), "iterations")
+
+    def activations(self, inputs: FloatArray) -> FloatArray:
+        n, xp = len(inputs), namespace(inputs)
+        units = inputs.reshape(n, len(self.near), -1)
+        around = xp.concat([units, xp.zeros_like(units[:, :1])], axis=1)[:, self.near].reshape(n, len(self.near), -1)
+        hidden = xp.tanh(around @ self.kernel[:, :-1].T + self.kernel[:, -1])
+        return xp.concat([hidden.reshape(n, -1), inputs, xp.ones_like(inputs[:, :1])], axis=1)
+
+    @property
+    def below(self) -> int:
+        return self.kernel.size
