@@ -1,13 +1,15 @@
 """Least squares: by a ridge where they are linear, by Levenberg's method on many small problems where not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from geometry.layout import FloatArray
 
+MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
 RIDGES = np.logspace(-10, 3, 27)  #: per sample, of features and targets scaled to [-1, 1]
 
 
@@ -80,3 +82,34 @@ def best_ridge(A: FloatArray, targets: FloatArray, readings: float = 1.0) -> flo
     residual = unfitted + ((1.0 - kept) ** 2 * fitted).sum(axis=1)
     score = residual / np.maximum(n - readings * kept.sum(axis=1), 0.5) ** 2
     return float(RIDGES[score.argmin()] * n)
+
+
+def ridge(A: FloatArray, targets: FloatArray, penalty: float) -> FloatArray:
+    """Weights W (n_features, m) of min ‖A W − T‖² + λ‖W‖², A (n, n_features), T (n, m)."""
+    G = A.T @ A
+    G.flat[:: len(G) + 1] += penalty
+    return np.asarray(np.linalg.solve(G, A.T @ targets), dtype=np.float64)
+
+
+def ridge_left_out(A: FloatArray, targets: FloatArray, ridges: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """Weights (n_features, m) of targets (n, m), each by its best ridge, and errors (n, m) had each been left out.
+
+    The best has the least such errors; `ridges` are λ / n.
+
+    By the singular vectors of A, from the smaller of its two products with itself: one decomposition for all ridges.
+    """
+    n, few = len(A), len(A) < A.shape[1]
+    energies, vectors = scipy.linalg.eigh(A @ A.T if few else A.T @ A, driver="evd", check_finite=False)
+    energies = np.maximum(energies, MIN_FREEDOM**2 * energies[-1])
+    left = vectors if few else (A @ vectors) / np.sqrt(energies)
+    fitted, squared = left.T @ targets, left**2
+    best, weights, left_out = np.full(targets.shape[1], np.inf), np.empty((A.shape[1], len(targets.T))), targets.copy()
+    for ridge in ridges:
+        kept = energies / (energies + ridge * n)
+        freedom = np.maximum(1.0 - squared @ kept, MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
+        errors = (targets - left @ (kept[:, None] * fitted)) / freedom[:, None]
+        squares = (errors**2).mean(axis=0)
+        better = squares < best
+        weights[:, better] = A.T @ (left @ (fitted[:, better] / (energies + ridge * n)[:, None]))
+        left_out[:, better], best[better] = errors[:, better], squares[better]
+    return weights, left_out

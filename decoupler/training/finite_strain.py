@@ -4,7 +4,6 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
 
 from dataset.loads import Loads
 from dataset.measurement import ReadingError
@@ -20,6 +19,7 @@ from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, 
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
+from decoupler.solve import ridge, ridge_left_out
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -32,7 +32,6 @@ ENOUGH_ROWS = 2  #: equations a feature, from which on images in a mirror are le
 TINY = 1e-100  #: instead of 0, the size of features of neighbours that no pad has
 FLIPPED = np.array([1.0, -1.0, 1.0])  #: sign of x, y and z in a mirror at y = 0
 ALIKE = 1e-9  #: largest difference of a mirrored influence, relative
-MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
 LOADS = 600  #: most loads of samples that a posterior keeps
 DRAWS = 27_000  #: loads that are drawn to train the network that starts; some strain the array too much
 HIDDEN = 60  #: hidden nodes of that network
@@ -110,7 +109,7 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     targets = [off_n.reshape(-1, N_AXES), np.concatenate(off_mm2).reshape(-1, n_values - N_AXES) * is_loaded]
     if len(targets[0]) == len(targets[1]):
         targets = [np.concatenate(targets, axis=1)]
-    found = [_ridge(A[: len(part)], part) for part in targets]
+    found = [ridge_left_out(A[: len(part)], part, RIDGES) for part in targets]
     weights = np.zeros_like(empty.weights)
     weights[:N_CURVED] = scale[:, None] * np.concatenate([own for own, _ in found], axis=1)
     left_out = np.concatenate([left[: state_n.size // N_AXES] for _, left in found], axis=1)
@@ -163,28 +162,6 @@ def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
     return found
 
 
-def _ridge(A: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights (n_features, m) of targets (n, m), each by its best ridge, and errors (n, m) had each been left out.
-
-    By the singular vectors of A, from the smaller of its two products with itself: one decomposition for all ridges.
-    """
-    n, few = len(A), len(A) < A.shape[1]
-    energies, vectors = scipy.linalg.eigh(A @ A.T if few else A.T @ A, driver="evd", check_finite=False)
-    energies = np.maximum(energies, MIN_FREEDOM**2 * energies[-1])
-    left = vectors if few else (A @ vectors) / np.sqrt(energies)
-    fitted, squared = left.T @ targets, left**2
-    best, weights, left_out = np.full(targets.shape[1], np.inf), np.empty((A.shape[1], len(targets.T))), targets.copy()
-    for ridge in RIDGES:
-        kept = energies / (energies + ridge * n)
-        freedom = np.maximum(1.0 - squared @ kept, MIN_FREEDOM)  # exact for a ridge; the bound is for rounding
-        errors = (targets - left @ (kept[:, None] * fitted)) / freedom[:, None]
-        squares = (errors**2).mean(axis=0)
-        better = squares < best
-        weights[:, better] = A.T @ (left @ (fitted[:, better] / (energies + ridge * n)[:, None]))
-        left_out[:, better], best[better] = errors[:, better], squares[better]
-    return weights, left_out
-
-
 def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
     """The posterior of a design at finite strain before any network answers first; as of `with_strain_maps`."""
     forward = with_strain_maps(response, data)
@@ -192,9 +169,7 @@ def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
     assert data.displacement_mm is not None
     state_n = states_of(data.displacement_mm, forward.maps.influence)
     force_n = data.force_n.reshape(len(data), -1)
-    A = np.column_stack([force_n, np.ones(len(data))])
-    G = A.T @ A + STATE_RIDGE * len(data) * np.eye(A.shape[1])
-    to_state = np.linalg.solve(G, A.T @ state_n).astype(np.float64)
+    to_state = ridge(np.column_stack([force_n, np.ones(len(data))]), state_n, STATE_RIDGE * len(data))
     Q = force_n.shape[1]
     return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:LOADS])
 

@@ -15,7 +15,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.front import Front
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
-from decoupler.solve import best_ridge
+from decoupler.solve import best_ridge, ridge
 from decoupler.training.error_bars import fitted_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined
 from decoupler.training.one_layer import Skip
@@ -69,17 +69,15 @@ def decoder_of(
     front = Front.of(data, inverse, scaling)
     inputs = front.inputs(data.resistance_ohm)
     A, missing = np.column_stack([inputs, np.ones(len(inputs))]), scaling.scale(force_n) - inputs
-    ridge = best_ridge(A, missing)
-    G = A.T @ A
-    G.flat[:: len(G) + 1] += ridge
-    network = Skip(hidden=np.empty((0, A.shape[1])), output=np.linalg.solve(G, A.T @ missing).T).beside_inputs()
+    penalty = best_ridge(A, missing)
+    network = Skip(hidden=np.empty((0, A.shape[1])), output=ridge(A, missing, penalty).T).beside_inputs()
     form = NetworkConfig(hidden=0, net="skip", feature="inverse")
     trained = replace(
         Decoupler.of(data, form, front, network, design),
         usual=UsualLoads.of(data[: len(loads_n)]),
         ensemble=found.ensemble,
     )
-    return replace(trained, uncertainty=fitted_uncertainty(trained, data, ridge, len(light_n)))
+    return replace(trained, uncertainty=fitted_uncertainty(trained, data, penalty, len(light_n)))
 
 
 def decoder_at_strain(

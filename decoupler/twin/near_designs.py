@@ -10,6 +10,7 @@ from dataset.changed_designs import answers
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_AXES, N_CURVED
+from decoupler.solve import ridge
 from decoupler.training.finite_strain import states_of
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
@@ -92,5 +93,5 @@ class NearDesigns:
         size = np.sqrt((A**2).mean(axis=0))
         usable = np.where(size > 0, size, 1.0)  # no pad of small arrays has some neighbours
         A = A / usable
-        weights = np.linalg.solve(A.T @ A + RIDGE * len(A) * np.eye(len(FEW)), A.T @ targets)
+        weights = ridge(A, targets, RIDGE * len(A))
         return np.where(size[:, None] > 0, weights / usable[:, None], 0.0)
