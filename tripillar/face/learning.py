@@ -95,7 +95,8 @@ def train(
     out : path, optional
         Model file to write (.safetensors).
     net : str
-        Network: plain, as in the paper, or with a linear skip past the hidden layer.
+        Network: plain, as in the paper, with a linear skip past the hidden layer, or a convolution over units, which
+        needs fewer samples where no response is known.
     hidden : int
         Number of hidden nodes.
     trainer : str
