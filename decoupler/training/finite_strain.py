@@ -65,6 +65,10 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     its own image in a mirror at y = 0, electrodes included, so are the forces that deform it, and few samples count
     twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
+    if "twin" in data.made_from:
+        raise SampleError(
+            "samples of a twin hold no displacements: its own decoder has learned finite strain; take that one."
+        )
     if data.displacement_mm is None:
         raise SampleError(
             "samples at finite strain hold no displacements (displacement_mm), which say how the rubber is deformed: "

@@ -6,7 +6,7 @@ Every tensor has the environments first: e sensors of one design live side by si
 import logging
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -195,13 +195,17 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            if decoder.posterior is not None:
-                raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
-            if decoder.component.axes != AXES or decoder.inverse is None or decoder.ensemble is None:
+            known = decoder.posterior or decoder.inverse
+            if decoder.component.axes != AXES or known is None or decoder.ensemble is None:
                 told = ", ".join(decoder.component.forces)
                 raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
-            self._forward = self._shape = in_torch(decoder.inverse.forward, self._like)
             self._twin = in_torch(decoder.ensemble, self._like)
+            if decoder.posterior is not None:
+                self._forward = self._shape = StrainedSensor(known.forward, self._like)
+                self._readings = partial(self._forward.of_sensors, self._twin)
+            else:
+                self._forward = self._shape = in_torch(known.forward, self._like)
+                self._readings = partial(self._twin.readings, self._forward)
         self._gain = self._like.new_ones((environments, *self._pillars))
         self._offset = torch.zeros_like(self._gain)
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
@@ -287,7 +291,7 @@ class VirtualSensor:
         self._require(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            ohms = self._twin.readings(self._forward, columns, self._member).reshape(self._gain.shape)
+            ohms = self._readings(columns, self._member).reshape(self._gain.shape)
         else:
             ohms = self._forward.resistances(columns).reshape(self._gain.shape)
         return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(self._gain.shape), seconds)
