@@ -8,7 +8,7 @@ after one of `MISTAKES` is taken back, or if the readings fit the forces worse t
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import permutations
 
 import numpy as np
@@ -55,7 +55,7 @@ MISTAKES: dict[str, Turn] = {
     "columns of the forces seem to stand in reverse order: they begin at −x": lambda F: F[:, :, ::-1],
     **{
         f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
-        f"{', '.join(AXES)}": lambda F, order=order: F[..., order]
+        f"{', '.join(AXES)}": partial(np.take, indices=order, axis=-1)
         for order in [*permutations(range(3))][1:]
     },
 }

@@ -24,7 +24,7 @@ from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
-from decoupler.twin.posterior import Specimen, infer, predicted, without_each
+from decoupler.twin.posterior import Specimen, infer, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
 
@@ -160,7 +160,7 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
     if not len(tested):
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
-    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
+    as_left_out = np.maximum(found.sensor.resistances(readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
     A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
     force_n = decoder.outputs(as_left_out)
     variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
