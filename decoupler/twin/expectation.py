@@ -57,13 +57,11 @@ class State:
 
     def rescaled(self, expected: "Expectation", old: Widths) -> Self:
         """The same sensor, where the widths were `old` and now are those expected."""
-        own, shared, new = self.own.copy(), self.shared.copy(), expected.widths
-        own[:, 0] *= old.gain / new.gain
-        own[:, 1] *= old.offset / new.offset
-        own[:, 2:] *= old.own / new.own
+        shared, new = self.shared.copy(), expected.widths
         if expected.n_corrections:
             expected.parts(shared)[2][:] *= old.shared / new.shared
-        return replace(self, shared=shared, own=own)
+        size = [old.gain / new.gain, old.offset / new.offset, *[old.own / new.own] * (self.own.shape[1] - 2)]
+        return replace(self, shared=shared, own=self.own * size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +98,7 @@ class Expectation:
             by_rest.append((other.rest_mm - forward.rest_mm).T / STEP)
             by_log_c.append(np.log(other.ohm_per_mm2 / forward.ohm_per_mm2) / STEP)
             by_influence.append(other.by_component)
-        own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
+        own = _block_sizes(forward.by_component, design.n_units)
         near = units_around(design.array.rows, design.array.cols, NEIGHBOURS, beyond=-1)
         near = near[:, : 0 if sensitivities is None else None]
         there = near >= 0
@@ -126,9 +124,8 @@ class Expectation:
         Parameters are taken to change a resistance and its slopes by as much as they change those of eq. 1. The first
         component holds both.
         """
-        B, old_B, old_rest = forward.by_component, self.influence, self.forward.rest_mm.T
-        by_rest = np.zeros((len(self.names), *forward.rest_mm.T.shape))
-        by_influence = np.zeros((len(self.names), *B.shape))
+        B, old_B, old_rest = forward.by_component, self.forward.by_component, self.forward.rest_mm.T
+        by_rest, by_influence = (np.zeros((len(self.names), *like.shape)) for like in (forward.rest_mm.T, B))
         first = forward.rest_mm[0]
         by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by_rest_mm) / first
         slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by_influence)
@@ -160,11 +157,6 @@ class Expectation:
     def n_forces(self) -> int:
         return self.forward.n_forces
 
-    @property
-    def influence(self) -> FloatArray:
-        """B of the mean, (P, C, Q) [mm/N]."""
-        return self.forward.by_component
-
     @cached_property
     def rest_ohm(self) -> FloatArray:
         """Resistance of each pillar at rest, (P,) [Ω]."""
@@ -178,7 +170,7 @@ class Expectation:
     @cached_property
     def sizes(self) -> FloatArray:
         """Usual size of each pillar's influence under each force, (P, Q) [mm/N]: that of their units' block."""
-        blocks = _block_sizes(self.influence, self.n_units, self.reached)
+        blocks = _block_sizes(self.forward.by_component, self.n_units)
         blocks = np.maximum(blocks, FAR * blocks.diagonal().mean())
         per_pillar, per_force = self.n_pillars // self.n_units, self.n_forces // self.n_units
         return blocks.repeat(per_pillar, axis=0).repeat(per_force, axis=1)
@@ -186,13 +178,12 @@ class Expectation:
     @cached_property
     def reached(self) -> NDArray[np.bool_]:
         """Which pillars any load reaches, (P,): not references."""
-        return _reached(self.influence)
+        return np.asarray(self.forward.by_component.any(axis=(1, 2)))
 
     def mean(self, n_unknown: int = 0) -> State:
         """The prior's mean, with so many unknown parts of forces."""
-        P, Q = self.n_pillars, self.n_forces
-        n_shared = len(self.names) + 1 + self.n_corrections + n_unknown
-        return State(shared=np.zeros(n_shared), own=np.zeros((P, 2 + 3 * Q)))
+        shared = np.zeros(len(self.names) + 1 + self.n_corrections + n_unknown)
+        return State(shared=shared, own=np.zeros((self.n_pillars, 2 + 3 * self.n_forces)))
 
     def parts(self, shared: FloatArray) -> list[FloatArray]:
         """Views of what pillars share, (g, ...): parameters, resistivity, corrections, unknown parts of forces."""
@@ -210,8 +201,8 @@ class Expectation:
     def sensor(self, state: State) -> SensorModel:
         """A sensor, each pillar with an influence of its own."""
         parameters, resistivity, shared, _ = self.parts(state.shared)
-        B = self.influence + np.tensordot(parameters, self.by_influence, axes=1)
-        B[:, :3] += self.own_influence(state.own[:, 2:]) + self.shared_influence(shared)
+        B = self.forward.by_component + np.tensordot(parameters, self.by_influence, axes=1)
+        B[:, :3] += self.correction(state.own[:, 2:], shared)
         mean, maps = self.forward, self.forward.maps
         if maps is not None and self.by_weights is not None:
             moved = np.tensordot(self.by_weights, parameters, axes=(1, 0))
@@ -226,27 +217,21 @@ class Expectation:
             maps=maps,
         )
 
-    def own_influence(self, own: FloatArray) -> FloatArray:
-        """Influence (P, 3, Q) [mm/N] of corrections that pillars have alone, (P, 3 Q)."""
-        return self.widths.own * own.reshape(self.n_pillars, 3, -1) * (self.sizes * self.reached[:, None])[:, None]
-
-    def shared_influence(self, shared: FloatArray) -> FloatArray:
-        """Influence (P, 3, Q) [mm/N] of a correction that all units share, (n_corrections,)."""
+    def correction(self, own: FloatArray, shared: FloatArray) -> FloatArray:
+        """Change of the influence (P, 3, Q) [mm/N] by corrections of each pillar (P, 3 Q) and of all units (g,)."""
         n_axes, kinds = self.n_forces // self.n_units, self.n_pillars // self.n_units
         found = np.zeros((self.n_units, kinds, 3, self.n_units, n_axes))
         by_place = shared.reshape(kinds, 3, -1, n_axes) * (self.widths.shared * self.near_mm_per_n[:, None])
         for place in range(self.near.shape[1]):
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
-        return found.reshape(self.n_pillars, 3, -1) * self.reached[:, None, None]
+        reached = self.reached[:, None]
+        alone = self.widths.own * own.reshape(self.n_pillars, 3, -1) * (self.sizes * reached)[:, None]
+        return alone + found.reshape(self.n_pillars, 3, -1) * reached[..., None]
 
 
-def _reached(influence: FloatArray) -> NDArray[np.bool_]:
-    """Which pillars have any influence (P, C, Q), (P,)."""
-    return np.asarray(influence.any(axis=(1, 2)))
-
-
-def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]) -> FloatArray:
-    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
-    blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
+def _block_sizes(influence: FloatArray, n_units: int) -> FloatArray:
+    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that it reaches."""
+    reached = influence[influence.any(axis=(1, 2))]
+    blocks = reached.reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
     return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))

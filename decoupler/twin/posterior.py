@@ -233,7 +233,7 @@ def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: Floa
     parameters, resistivity, corrections, _ = expected.parts(shared)
     influence = np.tensordot(parameters.T, expected.by_influence[:, :, :3], axes=1)
     for draw, (alone, together) in enumerate(zip(np.moveaxis(own, 2, 0), corrections.T, strict=True)):
-        influence[draw] += expected.own_influence(alone[:, 2:]) + expected.shared_influence(together)
+        influence[draw] += expected.correction(alone[:, 2:], together)
     resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by_log_c).T
     return Ensemble(
         resistance=(resistance + widths.resistivity * resistivity).T,
