@@ -32,7 +32,8 @@ class StrainedDraws:
         assert known.forward.maps is not None
         self._known, self._ensemble, self._maps, self._response = known, ensemble, known.forward.maps, response
         self._design = response.design
-        self._most = float(self._strains(self._maps.nearest_states(known.loads_n)[0]).max())
+        state_n, there_are = self._maps.nearest_states(known.loads_n)
+        self._most = float(self._strains(state_n[there_are]).max(initial=0.0))
 
     def _strains(self, state_n: FloatArray) -> FloatArray:
         """Largest strain of a pillar in states (n, Q) [N], (n,)."""

@@ -181,8 +181,9 @@ def dataset(
         raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
-    if is_finite:
+    if is_solved:
         stages.require_finite(sensor)
+    if is_finite:
         answered = None
         if own is not None and own.posterior is not None and own.ensemble is not None:
             answered = stages.StrainedDraws(own.posterior, own.ensemble, solved).answered
