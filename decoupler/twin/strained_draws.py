@@ -1,16 +1,16 @@
 """Loads and exact readings of a twin at finite strain, each sample of another sensor of its posterior."""
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from common.threads import one_blas_thread
 from dataset.finite_strain import GROUP, MAX_DRAWS, drawn_loads, group_cache_key
 from dataset.protocols import forces
 from dataset.resistance import largest_strains
 from dataset.samples import Samples
-from dataset.settings import BLOCK, DatasetSettings
+from dataset.settings import DatasetSettings
 from dataset.simulation import Draw, below_cap, origin
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
@@ -32,8 +32,12 @@ class StrainedDraws:
         assert known.forward.maps is not None
         self._known, self._ensemble, self._maps, self._response = known, ensemble, known.forward.maps, response
         self._design = response.design
-        state_n, there_are = self._maps.nearest_states(known.loads_n)
-        self._most = float(self._strains(state_n[there_are]).max(initial=0.0))
+
+    @cached_property
+    def _most(self) -> float:
+        """Largest strain of a pillar under loads of the design's samples."""
+        state_n, there_are = self._maps.nearest_states(self._known.loads_n)
+        return float(self._strains(state_n[there_are]).max(initial=0.0))
 
     def _strains(self, state_n: FloatArray) -> FloatArray:
         """Largest strain of a pillar in states (n, Q) [N], (n,)."""
@@ -60,25 +64,26 @@ class StrainedDraws:
 
         Notes
         -----
-        What the maps miss of a force moves its state, and what they miss of a square the reading: both are drawn.
+        What the maps miss of a force moves its state, and what they miss of a square the reading: both are drawn. Whole
+        chunks are worked on, so that a sample has the same bits whatever others are asked for.
         """
         parts = []
         with one_blas_thread():
-            for start in range(numbers.start, numbers.stop, BLOCK):
-                own = np.arange(start, min(start + BLOCK, numbers.stop))
-                draw = self._draw(settings, start)
-                (traction, state_n), redrawn = below_cap(draw, len(own), MAX_DRAWS, settings, self._design)
-                generator = np.random.default_rng([settings.seed, start // BLOCK, _SCATTER])
-                parts.append((traction, self._readings(state_n, own, generator), redrawn))
-                progress(len(own))
-        traction, ohms, redrawn = (np.concatenate(part) for part in zip(*parts, strict=True))
-        grid = len(traction), self._design.array.rows, self._design.array.cols, -1
+            for start in range(numbers.start, numbers.stop, CHUNK):
+                (traction, state_n), redrawn = below_cap(
+                    self._draw(settings, start), CHUNK, MAX_DRAWS, settings, self._design
+                )
+                generator = np.random.default_rng([settings.seed, start, _SCATTER])
+                parts.append((traction, self._readings(state_n, start, generator), redrawn))
+                progress(min(CHUNK, numbers.stop - start))
+        traction, ohms, redrawn = (np.concatenate(part)[: len(numbers)] for part in zip(*parts, strict=True))
+        grid = len(numbers), self._design.array.rows, self._design.array.cols, -1
         return Samples(
             design=self._design,
             traction_mpa=traction.reshape(grid),
             force_n=forces(traction, self._design).reshape(grid),
             resistance_ohm=ohms.reshape(grid),
-            strain_model=np.ones(len(traction)),
+            strain_model=np.ones(len(numbers)),
             made_from={
                 **origin(self._response, settings, int(redrawn.sum()), None),
                 "strain": "finite",
@@ -86,19 +91,13 @@ class StrainedDraws:
             },
         )
 
-    def _readings(self, state_n: FloatArray, numbers: NDArray[np.int64], generator: np.random.Generator) -> FloatArray:
-        """Resistances (n, P) [Ω] in states (n, Q) [N] of the sensors that samples of these numbers are of, in turn."""
-        known, found = self._known, []
-        forward, n, Q = known.forward, *state_n.shape
-        of_forces, of_squares = np.split(generator.standard_normal((n, Q + forward.n_pillars)), [Q], axis=1)
-        for start in range(0, n, CHUNK):
-            part = slice(start, start + CHUNK)
-            states = state_n[part]
-            y, by_state, _, by_force = forward.at_states(states)
-            unseen = np.sqrt(self._maps.misfit_variance(states)[..., :N_AXES]).reshape(states.shape)
-            moved = np.linalg.solve(by_force, (unseen * of_forces[part])[..., None])
-            y = y + (by_state @ moved)[..., 0] + np.sqrt(known.squares_variance(states)) * of_squares[part]
-            sensors = numbers[part] % len(self._ensemble)
-            off_ohm = self._ensemble.differences(forward, states)[np.arange(len(states)), sensors]
-            found.append(forward.ohm_per_mm2 * y + forward.offset_ohm + off_ohm)
-        return np.maximum(np.concatenate(found), MIN_WHOLE_OHM)
+    def _readings(self, state_n: FloatArray, first: int, generator: np.random.Generator) -> FloatArray:
+        """Resistances (n, P) [Ω] in states (n, Q) [N] of the sensors that samples from number `first` on are of."""
+        forward, numbers = self._known.forward, np.arange(len(state_n))
+        y, by_state, _, by_force = forward.at_states(state_n)
+        unseen_n = np.sqrt(self._maps.misfit_variance(state_n)[..., :N_AXES]).reshape(state_n.shape)
+        unseen_n *= generator.standard_normal(state_n.shape)
+        y = y + (by_state @ np.linalg.solve(by_force, unseen_n[..., None]))[..., 0]
+        y += np.sqrt(self._known.squares_variance(state_n)) * generator.standard_normal(y.shape)
+        off_ohm = self._ensemble.differences(forward, state_n)[numbers, (first + numbers) % len(self._ensemble)]
+        return np.maximum(forward.ohm_per_mm2 * y + forward.offset_ohm + off_ohm, MIN_WHOLE_OHM)
