@@ -107,7 +107,7 @@ def dataset(
         Correct the crossbar's crosstalk, as a live sensor does.
     strain : str, optional
         Model: linear, or finite strain (stiff pads; linear rubber is taken for neo-Hookean); default: the design's
-        materials'.
+        materials', or the twin's.
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
