@@ -215,7 +215,7 @@ def without_each(found: Specimen, readings: Readings, which: NDArray[np.int64]) 
         r = pillar.misfit + pillar.J @ found.state.own[p] - A @ step[pillar.places]
         X = marginal.solved(np.column_stack([A, r]))[0][which]
         by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
-        left[:, p] = marginal.left_of(which)
+        left[:, p] = marginal.left(which)
     C = -by_shared @ by_shared.swapaxes(1, 2)
     diagonal = np.arange(shape[1])
     C[:, diagonal, diagonal] += left
