@@ -351,8 +351,8 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     assert drawn.is_finite.all()
     off = np.abs(decoder.forces(drawn.resistance_ohm) - drawn.force_n)
     one, two = decoder.half_widths(drawn.resistance_ohm)
-    assert 0.6 < (off < one).mean() < 0.76
-    assert 0.9 < (off < two).mean() < 0.99
+    assert 0.65 < (off < one).mean() < 0.73  # 0.75 and 0.81 without what maps miss, or of one sensor alone
+    assert 0.92 < (off < two).mean() < 0.98
     part = simulate_twin(twin, known, replace(many, noise=1e-3), numbers=range(BLOCK, BLOCK + 88))
     assert np.array_equal(part.resistance_ohm, drawn.resistance_ohm[BLOCK:])
     with pytest.raises(SampleError, match="of a twin hold no displacements: its own decoder has learned finite strain"):
