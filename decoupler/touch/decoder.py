@@ -15,7 +15,8 @@ from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.model.decoder import Decoded, Decoder
-from decoupler.touch.sensing import Displacements, Pillars, Sensing, Whitening
+from decoupler.readings import Pillars
+from decoupler.touch.sensing import Displacements, Sensing, Whitening
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -127,7 +128,7 @@ class TouchDecoder(Decoder):
     @property
     def is_identified(self) -> bool:
         """It is of one sensor, as `identify` found it."""
-        return bool(self.pillars.deviation_ohm.any())
+        return self.pillars.deviation_ohm is not None
 
     @property
     def layout(self) -> Layout:

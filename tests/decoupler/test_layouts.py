@@ -13,7 +13,8 @@ from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import doubt
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ENOUGH, ModelInverse, SensorModel
-from decoupler.touch.sensing import Pillars, Sensing
+from decoupler.readings import Pillars
+from decoupler.touch.sensing import Sensing
 from decoupler.twin import identify
 from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.identification import readings_of
