@@ -46,7 +46,15 @@ class Pillars:
 
     def squares(self, vectors: FloatArray) -> FloatArray:
         """y of vectors, (n, C, P) [mm] -> (n, P) [mm²]; by conduction it may be negative where nothing conducts so."""
-        return namespace(vectors).einsum("nip,nip->np", self.signed(vectors), vectors)
+        signed = self.signed(vectors)
+        if isinstance(vectors, np.ndarray):
+            return np.einsum("nip,nip->np", signed, vectors)
+        return (signed * vectors).sum(1)  # einsum takes seven times as long in torch
+
+    def lengths_between(self, vectors: FloatArray) -> FloatArray:
+        """√y of vectors, (n, C, P) [mm] -> (n, P) [mm]; 0 where y is negative."""
+        squares = self.squares(vectors)
+        return (squares if self.sign is None else squares.clip(0.0)) ** 0.5
 
     def ohms(self, squares_mm2: FloatArray) -> FloatArray:
         """R of y, (..., P) [mm²] -> [Ω]; eq. 1."""

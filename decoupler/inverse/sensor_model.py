@@ -161,11 +161,7 @@ class SensorModel(Pillars):
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]; 0 where its square is negative."""
         if self.maps is not None:
             return np.sqrt(np.maximum(self.at(self.maps.states(force_n)).squares, 0.0))
-        return self._norms(self.vectors(force_n))
-
-    def _norms(self, vectors: FloatArray) -> FloatArray:
-        xp, squares = namespace(vectors), self.squares(vectors)
-        return xp.sqrt(squares if self.sign is None else xp.where(squares > 0.0, squares, 0.0))
+        return self.lengths_between(self.vectors(force_n))
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
@@ -178,7 +174,7 @@ class SensorModel(Pillars):
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths (n, n_pillars) [mm] of the linear array and their derivatives (n, n_pillars, n_forces) [mm/N]."""
         vectors = self.vectors(force_n)
-        lengths = self._norms(vectors)
+        lengths = self.lengths_between(vectors)
         return lengths, self._by_state(self.signed(vectors) / lengths[:, None])
 
 

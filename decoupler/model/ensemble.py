@@ -1,7 +1,6 @@
 """Changes of a sensor's readings to first order, and draws of one: how far its resistances may be from its model's."""
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +49,6 @@ class Ensemble(Changes):
 
     offset_ohm: FloatArray  #: (m, P): of a pillar's offset [Ω]
 
-    def __getitem__(self, which: slice) -> Self:
-        """Some of the sensors, of linear rubber."""
-        rows = {name: getattr(self, name)[which] for name in ("resistance", "rest_mm", "influence", "offset_ohm")}
-        return replace(self, **rows)
-
     def differences(self, at: PredictedReadings) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the same forces, (n, P, m) [Ω]."""
         ohms: FloatArray = at.sensor.ohm_per_mm2[:, None] * self.squares(at) + self.offset_ohm.T
@@ -69,8 +63,10 @@ class Ensemble(Changes):
 
         The model is linear.
         """
-        found = 0.0 * (force_n[:, :1] + self.offset_ohm[:1])
+        at, (_, P, c, Q) = forward.at(force_n), self.influence.shape
+        moved = 0.0 * at.by_vector[..., :c]
         for k in set(sensor.tolist()):
-            own, at = sensor == k, forward.at(force_n[sensor == k])
-            found[own] = at.resistance_ohm + self[k : k + 1].differences(at)[..., 0]
-        return found.clip(MIN_WHOLE_OHM)
+            own = sensor == k
+            moved[own] = (force_n[own] @ self.influence[k].reshape(-1, Q).T).reshape(-1, P, c) + self.rest_mm[k]
+        squares = at.squares * (1.0 + self.resistance[sensor]) + (at.by_vector[..., :c] * moved).sum(2)
+        return (forward.ohms(squares) + self.offset_ohm[sensor]).clip(MIN_WHOLE_OHM)
