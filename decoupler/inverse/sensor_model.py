@@ -127,7 +127,15 @@ class SensorModel(Pillars):
 
     def at(self, state_n: FloatArray) -> "PredictedReadings":
         """Its readings in states (n, Q) [N]."""
-        return PredictedReadings(self, state_n)
+        return PredictedReadings(self, state_n, np.ones(len(state_n), dtype=bool))
+
+    def under(self, force_n: FloatArray) -> "PredictedReadings":
+        """Its readings in the states in which forces (n, Q) [N] act; at rest where there are none."""
+        if self.maps is None:
+            return self.at(force_n)
+        state_n, there = self.maps.nearest_states(force_n)
+        state_n[~there] = 0.0
+        return PredictedReadings(self, state_n, there)
 
     def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Squares of lengths (n, P) [mm²] and their derivatives, forces (n, Q) [N] and theirs, in states (n, Q).
@@ -148,14 +156,6 @@ class SensorModel(Pillars):
     def _by_state(self, by_vector: FloatArray) -> FloatArray:
         """Derivatives of n values of each pillar by the state, (n, P, Q), from those by its vector, (n, C, P)."""
         return (by_vector.swapaxes(1, 2)[:, :, None] @ self.by_component)[:, :, 0]
-
-    def nearest_states(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """States in which forces (n, Q) [N] act, of that shape, rest where there is none; and where there is, (n,)."""
-        if self.maps is None:
-            return force_n, np.ones(len(force_n), dtype=bool)
-        state_n, there = self.maps.nearest_states(force_n)
-        state_n[~there] = 0.0
-        return state_n, there
 
     def lengths(self, force_n: FloatArray) -> FloatArray:
         """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]; 0 where its square is negative."""
@@ -181,8 +181,8 @@ class SensorModel(Pillars):
 class PredictedReadings:
     """Readings of a sensor of P pillars in n states (n, Q) [N], and what changes them, as squares of lengths [mm²]."""
 
-    def __init__(self, sensor: SensorModel, state_n: FloatArray) -> None:
-        self.sensor, self.state_n = sensor, state_n
+    def __init__(self, sensor: SensorModel, state_n: FloatArray, there: NDArray[np.bool_]) -> None:
+        self.sensor, self.state_n, self.there = sensor, state_n, there  #: `there` (n,): which forces have a state
         vectors = sensor.vectors(state_n)
         self.squares = sensor.squares(vectors)  #: (n, P)
         if sensor.maps is not None:
@@ -205,9 +205,9 @@ class PredictedReadings:
     def along(self, direction_n: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
         """Change of the squares by r directions of the forces for some of the n, (·, r, Q) [N] -> (·, P, r) [mm²]."""
         if self.sensor.maps is None:
-            shape = *direction_n.shape[:2], *self.sensor.rest_mm.shape
-            moved = (direction_n @ self.sensor.influence).reshape(shape)
-            return np.einsum("npc,nrcp->npr", self.by_vector[rows], moved)
+            B = self.sensor.by_component
+            moved = (direction_n @ B.reshape(-1, B.shape[2]).T).reshape(*direction_n.shape[:2], *B.shape[:2])
+            return np.einsum("npc,nrpc->npr", self.by_vector[rows], moved)
         by_state, by_force = self.slopes
         by_direction = namespace(direction_n).linalg.solve(by_force[rows], direction_n.swapaxes(1, 2))
         return by_state[rows] @ by_direction
@@ -255,14 +255,18 @@ class ModelInverse:
         lengths[-1:] = forward.lengths(loads_n[-1:])
         found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
-        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n, enough):
+        while len(correctors) < MAX_STEPS:
+            missing = loads_n - found
+            at_rest_n = np.sqrt(np.mean(missing[-1] ** 2))
+            if np.std(missing[: len(usual_n)]) <= enough * spread_n and at_rest_n <= ENOUGH_AT_REST * spread_n:
+                break
             residual = np.where(readable, lengths - forward.lengths(found), 0.0)
             weighted = weight[:, None] * residual
             G = residual.T @ weighted
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
-            missing = loads_n - found - residual @ tangent
-            correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
-            before, found = np.std(loads_n - found), found + residual @ correctors[-1]
+            beyond = np.linalg.solve(G, weighted.T @ (missing - residual @ tangent)) if readable.all() else 0.0
+            correctors.append(tangent + beyond)
+            before, found = np.std(missing), found + residual @ correctors[-1]
             if read is not None and np.std(loads_n - found) > GAINED * before:
                 break
         centre_mm = forward.lengths(centre[None])[0]
@@ -317,21 +321,13 @@ def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray
     return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
 
 
-def _near(missing: FloatArray, n_usual: int, spread_n: float, enough: float) -> bool:
-    """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
-    return bool(
-        np.std(missing[:n_usual]) <= enough * spread_n
-        and np.sqrt(np.mean(missing[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
-    )
-
-
 def _tangent(
     forward: SensorModel,
     centre_n: FloatArray,
     force_n: FloatArray,
     readable: NDArray[np.bool_],
     unsure_mm: FloatArray,
-    exact: bool = True,
+    exact: bool,
 ) -> FloatArray:
     """Inverse of the lengths' derivatives at the centre, (n_pillars, n_forces) [N/mm].
 

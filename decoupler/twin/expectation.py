@@ -245,6 +245,9 @@ def _reached(influence: FloatArray) -> NDArray[np.bool_]:
 
 
 def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]) -> FloatArray:
-    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
-    blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
-    return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
+    """Size of three components of the influence (P, C, Q) between units, (n_units, n_units), of `reached` pillars.
+
+    Root mean squares; by eq. 1 there are three.
+    """
+    blocks = influence[reached].reshape(n_units, -1, n_units, influence.shape[2] // n_units)
+    return np.asarray(np.sqrt(3.0 * (blocks**2).mean(axis=(1, 3))))

@@ -71,13 +71,12 @@ class Linear:
 
     def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
         self.expected, self.readings, self.state = expected, readings, state
-        sensor, force_n = expected.sensor(state), readings.forces(expected.parts(state.shared)[3])
-        state_n, has_state = sensor.nearest_states(force_n)
-        self.at = at = sensor.at(state_n)
+        sensor = expected.sensor(state)
+        self.at = at = sensor.under(readings.forces(expected.parts(state.shared)[3]))
         c, ohms, by_parameters = sensor.ohm_per_mm2, readings.resistance_ohm, expected.by_parameters(at)
         misfit_ohm2 = (expected.widths.misfit * (ohms - sensor.linear.at_rest_ohm())) ** 2
         variance = readings.deviation_ohm**2 + (MIN_NOISE * ohms) ** 2 + misfit_ohm2
-        self.read = readings.read & has_state[:, None]
+        self.read = readings.read & at.there[:, None]
         if sensor.maps is not None:
             by_rest = np.abs(by_parameters).max(axis=2) / expected.rest_ohm * expected.forward.ohm_per_mm2
             self.read &= (by_rest.max(axis=1) < FOLDED)[:, None]

@@ -51,9 +51,8 @@ class Knowledge:
         And deviations of noise, converter's steps and what the unknowns do not explain, (P,) [Ω].
         """
         expected, widths, gain = self.expected, self.expected.widths, self.expected.gain(self.state)
-        sensor = expected.sensor(self.state)
-        at = sensor.at(sensor.nearest_states(force_n[None])[0])
-        c, ohms = sensor.ohm_per_mm2, at.resistance_ohm[0]
+        at = expected.sensor(self.state).under(force_n[None])
+        c, ohms = at.sensor.ohm_per_mm2, at.resistance_ohm[0]
         shared = c[:, None] * expected.by_parameters(at)[0]
         own = np.diag(widths.gain * c * at.squares[0] / gain), np.diag(widths.offset * expected.rest_ohm)
         by_force = c[:, None] * at.along(np.eye(len(force_n))[None])[0]
@@ -62,7 +61,7 @@ class Knowledge:
         corrected_mm = corrected_mm * expected.reached
         by_vector = c * np.linalg.norm(at.by_vector[0], axis=1)
         variance = reading**2 + (by_vector * corrected_mm) ** 2
-        variance += (widths.misfit * (ohms - sensor.linear.at_rest_ohm())) ** 2
+        variance += (widths.misfit * (ohms - at.sensor.linear.at_rest_ohm())) ** 2
         return np.column_stack([shared, *own]), by_force, np.sqrt(variance)
 
     def fall(self, force_n: FloatArray, unknown_n: FloatArray) -> FloatArray:

@@ -109,7 +109,7 @@ def infer(
 
 def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
     """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
-    return found.sensor.at(found.sensor.nearest_states(force_n)[0]).resistance_ohm
+    return found.sensor.under(force_n).resistance_ohm
 
 
 @dataclass(kw_only=True)
@@ -165,7 +165,7 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     """The state with each pillar's own unknowns on the way to those `found`, as far as its misfit falls."""
     expected, readings, own = linear.expected, linear.readings, state.own
     force_n = readings.forces(expected.parts(state.shared)[3])
-    state_n = expected.sensor(state).nearest_states(force_n)[0]  # the same for all unknowns of a pillar's own
+    state_n = expected.sensor(state).under(force_n).state_n  # the same for all unknowns of a pillar's own
 
     def cost(unknowns: FloatArray) -> FloatArray:
         at = expected.sensor(replace(state, own=unknowns)).at(state_n)

@@ -201,17 +201,15 @@ def test_derivatives_are_slopes():
     def shown(shared: np.ndarray) -> np.ndarray:
         """Readings of a specimen under the same forces by its parameters and its resistivity."""
         others = [np.concatenate([some, state.shared[3:]]) for some in shared]
-        return np.array([read(expected.sensor(replace(state, shared=x)), forces)[0] for x in others])
-
-    def read(sensor: SensorModel, force_n: np.ndarray) -> np.ndarray:
-        return sensor.at(sensor.nearest_states(force_n)[0]).resistance_ohm
+        found = [expected.sensor(replace(state, shared=x)).under(forces).resistance_ohm[0] for x in others]
+        return np.array(found)
 
     sensor = expected.sensor(state)
-    here = sensor.at(sensor.nearest_states(forces)[0])
-    by_parameters = here.sensor.ohm_per_mm2[:, None] * expected.by_parameters(here)[0]
+    here = sensor.under(forces)
+    by_parameters = sensor.ohm_per_mm2[:, None] * expected.by_parameters(here)[0]
     assert_slopes(shown, state.shared[None, :3], by_parameters, 1e-4)
-    by_forces = here.sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
-    assert_slopes(lambda x: read(sensor, x), forces, by_forces, 1e-3)
+    by_forces = sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
+    assert_slopes(lambda x: sensor.under(x).resistance_ohm, forces, by_forces, 1e-3)
 
 
 def two_parameters() -> ResponseSensitivities:
