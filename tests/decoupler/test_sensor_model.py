@@ -88,7 +88,7 @@ def test_what_readings_err_by_is_what_squares_err_by(given):
 
 @pytest.mark.parametrize("name", ["fz", "all"])
 def test_a_sensor_that_conducts_is_identified_whatever_its_forces(name):
-    """From 20 pairs of 144 to 720 N along z; of one axis, whose pillar alone has components, as of all."""
+    """By one axis, whose pillar alone has components, as by all: twice the 1.6 N that noise leaves of up to 720 N."""
     given, component = conducted(0.5), component_named(name)
     data = labelled(SENSOR, "".join(component.axes), 60, seed=0)
     ohms = SensorModel.of(given, ALL).resistances(data.force_n.reshape(60, -1)).reshape(data.resistance_ohm.shape)
