@@ -30,7 +30,7 @@ class Changes:
         xp, (m, P, c, Q) = namespace(at.state_n), self.influence.shape
         state_n = at.state_n.astype(self.influence.dtype) if xp is np else at.state_n
         moved = (state_n @ self.influence.reshape(-1, Q).T).reshape(len(state_n), m, P, c)
-        found = xp.einsum("nmpi,npi->npm", moved + self.rest_mm, at.by_vector[..., :c])
+        found = xp.einsum("nmpi,npi->nmp", moved + self.rest_mm, at.by_vector[..., :c]).swapaxes(1, 2)
         found += self.resistance.T * at.squares[..., None]
         if self.by_weights is not None:
             assert at.sensor.maps is not None
@@ -51,8 +51,10 @@ class Ensemble(Changes):
 
     def differences(self, at: PredictedReadings) -> FloatArray:
         """Difference of each sensor's resistances from the model's under the same forces, (n, P, m) [Ω]."""
-        ohms: FloatArray = at.sensor.ohm_per_mm2[:, None] * self.squares(at) + self.offset_ohm.T
-        return ohms
+        found = self.squares(at)
+        found *= at.sensor.ohm_per_mm2[:, None]  # in place: products with them round by their order in memory
+        found += self.offset_ohm.T
+        return found
 
     def factors(self, forward: SensorModel, state_n: FloatArray) -> FloatArray:
         """U of the covariance U Uᵀ of the sensors' resistances in states (n, Q) [N] of their model, (n, P, m) [Ω]."""

@@ -76,11 +76,6 @@ class Touched:
         return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)
 
     @property
-    def deviation_n(self) -> FloatArray:
-        """Standard deviations of the forces, (units, 3)."""
-        return self.deviation[:, :3]
-
-    @property
     def half_widths(self) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the loads' errors, each of their shape."""
         return WIDTHS[0] * self.deviation, WIDTHS[1] * self.deviation

@@ -168,7 +168,7 @@ def test_two_contacts_are_told_apart(decoder):
     found = decoder.touched(decoder.sensing.reading(moved)[0])
     expected = sum(one.force_n for one in both).reshape(-1, 3)
     assert any(len(fit.parts) == 2 for fit in found.fits)
-    assert (np.abs(found.force_n - expected) < 3 * found.deviation_n).all()
+    assert (np.abs(found.force_n - expected) < 3 * found.deviation[:, :3]).all()
     assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 8}
     for one, solved in zip(sorted(found.contacts, key=lambda one: one.centre_mm[0]), both, strict=True):
         assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)
