@@ -15,12 +15,13 @@ from dataset.samples import AnySamples, SampleError
 from decoupler.data.columns import Columns
 from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import METHODS, NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model_file import model_cache_key
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.training.error_bars import MIN_FREEDOM, best_ridge, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
 from decoupler.training.network import Network, TrainingSet

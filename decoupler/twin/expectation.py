@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import Component
-from decoupler.inverse.sensor_model import SensorModel
+from decoupler.inverse.sensor_model import PredictedReadings, SensorModel
 from decoupler.inverse.strain_maps import units_around
+from decoupler.model.ensemble import Changes
 from geometry.layout import FloatArray
 from geometry.tolerances import changed, value_of
 
@@ -73,12 +74,9 @@ class Expectation:
     names: tuple[str, ...]  #: of the k parameters, such as unit.height_mm
     values: FloatArray  #: (k,): of the design
     deviations: FloatArray  #: (k,): standard deviations of the parameters
-    by_influence: FloatArray  #: of B, (k, P, C, Q) [mm/N]
-    by_rest_mm: FloatArray  #: of d, (k, P, C)
-    by_log_c: FloatArray  #: (k, P)
+    by: Changes  #: by the parameters
     near: NDArray[np.int64]  #: (n_units, n_neighbours): unit at each distance, −1 beyond the rim
     near_mm_per_n: FloatArray  #: (n_neighbours,): usual size of the influence at that distance
-    by_weights: FloatArray | None = None  #: of the maps of finite strain, (N_FEATURES, k, m); None: linear
     widths: Widths = field(default_factory=Widths)
 
     @classmethod
@@ -109,9 +107,11 @@ class Expectation:
             names=names,
             values=np.array([value_of(design, name) for name in names]),
             deviations=deviations,
-            by_influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
-            by_rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
-            by_log_c=np.array(by_log_c).reshape(-1, forward.n_pillars),
+            by=Changes(
+                resistance=np.array(by_log_c).reshape(-1, forward.n_pillars),
+                rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
+                influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
+            ),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
             widths=HELD if sensitivities is None else Widths(),
@@ -127,23 +127,17 @@ class Expectation:
         B, old_B, old_rest = forward.by_component, self.forward.by_component, self.forward.rest_mm.T
         by_rest, by_influence = (np.zeros((len(self.names), *like.shape)) for like in (forward.rest_mm.T, B))
         first = forward.rest_mm[0]
-        by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by_rest_mm) / first
-        slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by_influence)
-        slopes += np.einsum("kpi,piq->kpq", self.by_rest_mm, old_B)
+        by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by.rest_mm) / first
+        slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by.influence)
+        slopes += np.einsum("kpi,piq->kpq", self.by.rest_mm, old_B)
         by_influence[:, :, 0] = (slopes - by_rest[:, :, :1] * B[:, 0]) / first[:, None]
-        return replace(self, forward=forward, by_rest_mm=by_rest, by_influence=by_influence)
+        return replace(self, forward=forward, by=replace(self.by, rest_mm=by_rest, influence=by_influence))
 
     def at_strain(self, designed: SensorModel, by_weights: FloatArray) -> Self:
         """The same at finite strain: all that parameters change are the weights of the design's maps."""
-        return replace(
-            self,
-            forward=designed.with_own_influences(),
-            by_weights=by_weights,
-            by_influence=np.zeros_like(self.by_influence),
-            by_rest_mm=np.zeros_like(self.by_rest_mm),
-            by_log_c=np.zeros_like(self.by_log_c),
-            widths=AT_STRAIN,
-        )
+        linear = {name: np.zeros_like(getattr(self.by, name)) for name in ("resistance", "rest_mm", "influence")}
+        by = Changes(by_weights=by_weights, **linear)
+        return replace(self, forward=designed.with_own_influences(), by=by, widths=AT_STRAIN)
 
     @property
     def n_units(self) -> int:
@@ -201,21 +195,25 @@ class Expectation:
     def sensor(self, state: State) -> SensorModel:
         """A sensor, each pillar with an influence of its own."""
         parameters, resistivity, shared, _ = self.parts(state.shared)
-        B = self.forward.by_component + np.tensordot(parameters, self.by_influence, axes=1)
+        B = self.forward.by_component + np.tensordot(parameters, self.by.influence, axes=1)
         B[:, :3] += self.correction(state.own[:, 2:], shared)
         mean, maps = self.forward, self.forward.maps
-        if maps is not None and self.by_weights is not None:
-            moved = np.tensordot(self.by_weights, parameters, axes=(1, 0))
+        if maps is not None and self.by.by_weights is not None:
+            moved = np.tensordot(self.by.by_weights, parameters, axes=(1, 0))
             maps = replace(maps, weights=maps.weights + moved)
-        log_c = self.widths.resistivity * resistivity[0] + parameters @ self.by_log_c
+        log_c = self.widths.resistivity * resistivity[0] + parameters @ self.by.resistance
         return replace(
             mean,
             influence=np.ascontiguousarray(B.transpose(2, 1, 0).reshape(self.n_forces, -1)),
-            rest_mm=mean.rest_mm + np.tensordot(parameters, self.by_rest_mm, axes=1).T,
+            rest_mm=mean.rest_mm + np.tensordot(parameters, self.by.rest_mm, axes=1).T,
             ohm_per_mm2=self.gain(state) * mean.ohm_per_mm2 * np.exp(log_c),
             offset_ohm=self.offset_ohm(state),
             maps=maps,
         )
+
+    def by_parameters(self, at: PredictedReadings) -> FloatArray:
+        """Change of a sensor's squares of lengths by the parameters, then by the resistivity, (n, P, k + 1) [mm²]."""
+        return np.concatenate([self.by.squares(at), self.widths.resistivity * at.squares[..., None]], axis=2)
 
     def correction(self, own: FloatArray, shared: FloatArray) -> FloatArray:
         """Change of the influence (P, 3, Q) [mm/N] by corrections of each pillar (P, 3 Q) and of all units (g,)."""
@@ -231,7 +229,10 @@ class Expectation:
 
 
 def _block_sizes(influence: FloatArray, n_units: int) -> FloatArray:
-    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that it reaches."""
+    """Size of three components of the influence (P, C, Q) between units, (n_units, n_units), of those that it reaches.
+
+    Root mean squares; by eq. 1 there are three.
+    """
     reached = influence[influence.any(axis=(1, 2))]
-    blocks = reached.reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
-    return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
+    blocks = reached.reshape(n_units, -1, n_units, influence.shape[2] // n_units)
+    return np.asarray(np.sqrt(3.0 * (blocks**2).mean(axis=(1, 3))))

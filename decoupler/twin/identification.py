@@ -15,9 +15,9 @@ from decoupler.data.columns import Component, acting_component, component_named,
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.training.finite_strain import DRAWS
 from decoupler.twin.decoder import decoder_at_strain, decoder_of
 from decoupler.twin.expectation import Expectation, Widths

@@ -17,7 +17,7 @@ from dataset.samples import SampleError
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, State, Widths
-from decoupler.twin.linearised import Linear, Readings, Shown
+from decoupler.twin.linearised import Linear, Readings
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -147,11 +147,11 @@ def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     """The state with each pillar's own unknowns on the way to those `found`, as far as its misfit falls."""
     expected, readings, own = linear.expected, linear.readings, state.own
     force_n = readings.forces(expected.parts(state.shared)[3])
-    state_n = Shown(expected, state, force_n).state_n  # the same for all unknowns of a pillar's own
+    state_n = expected.sensor(state).under(force_n).state_n  # the same for all unknowns of a pillar's own
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        shown = Shown(expected, replace(state, own=unknowns), force_n, state_n)
-        misfit = linear.weight * (readings.resistance_ohm - shown.resistance_ohm)
+        at = expected.sensor(replace(state, own=unknowns)).at(state_n)
+        misfit = linear.weight * (readings.resistance_ohm - at.resistance_ohm)
         return np.asarray((misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1))
 
     size, before = np.ones((len(own), 1)), cost(own)
@@ -231,15 +231,15 @@ def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: Floa
     """Draws (P, m, draws) and (g, draws) of what pillars have alone and together, as changes of their resistances."""
     widths = expected.widths
     parameters, resistivity, corrections, _ = expected.parts(shared)
-    influence = np.tensordot(parameters.T, expected.by_influence[:, :, :3], axes=1)
+    influence = np.tensordot(parameters.T, expected.by.influence[:, :, :3], axes=1)
     for draw, (alone, together) in enumerate(zip(np.moveaxis(own, 2, 0), corrections.T, strict=True)):
         influence[draw] += expected.correction(alone[:, 2:], together)
-    resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by_log_c).T
+    resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by.resistance).T
     return Ensemble(
         resistance=(resistance + widths.resistivity * resistivity).T,
         offset_ohm=widths.offset * expected.rest_ohm * own[:, 1].T,
-        rest_mm=np.tensordot(parameters.T, expected.by_rest_mm[..., :3], axes=1),
+        rest_mm=np.tensordot(parameters.T, expected.by.rest_mm[..., :3], axes=1),
         influence=influence.astype(np.float32),
-        parameters=None if expected.by_weights is None else parameters.T,
-        by_weights=expected.by_weights,
+        parameters=None if expected.by.by_weights is None else parameters.T,
+        by_weights=expected.by.by_weights,
     )

@@ -13,9 +13,9 @@ from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import Draw, below_cap, origin
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.inverse.strain_maps import CHUNK, N_AXES
 from decoupler.model.ensemble import Ensemble
+from decoupler.readings import MIN_WHOLE_OHM
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 
@@ -93,11 +93,10 @@ class StrainedDraws:
 
     def _readings(self, state_n: FloatArray, first: int, generator: np.random.Generator) -> FloatArray:
         """Resistances (n, P) [Ω] in states (n, Q) [N] of the sensors that samples from number `first` on are of."""
-        forward, numbers = self._known.forward, np.arange(len(state_n))
-        y, by_state, _, by_force = forward.at_states(state_n)
+        at, numbers = self._known.forward.at(state_n), np.arange(len(state_n))
         unseen_n = np.sqrt(self._maps.misfit_variance(state_n)[..., :N_AXES]).reshape(state_n.shape)
         unseen_n *= generator.standard_normal(state_n.shape)
-        y = y + (by_state @ np.linalg.solve(by_force, unseen_n[..., None]))[..., 0]
+        y = at.squares + at.along(unseen_n[:, None])[..., 0]
         y += np.sqrt(self._known.squares_variance(state_n)) * generator.standard_normal(y.shape)
-        off_ohm = self._ensemble.differences(forward, state_n)[numbers, (first + numbers) % len(self._ensemble)]
-        return np.maximum(forward.ohm_per_mm2 * y + forward.offset_ohm + off_ohm, MIN_WHOLE_OHM)
+        off_ohm = self._ensemble.differences(at)[numbers, :, (first + numbers) % len(self._ensemble)]
+        return np.maximum(self._known.forward.ohms(y) + off_ohm, MIN_WHOLE_OHM)

@@ -21,10 +21,11 @@ from dataset.measurement import SENSE_OHM
 from dataset.resistance import conducted_lengths, exact_resistances, pillar_lengths
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoder import Decoder
 from decoupler.model.tensors import decoded_by, in_torch
 from decoupler.model_file import read_model
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response

@@ -26,7 +26,6 @@ from decoupler.training import finite_strain
 from decoupler.training.finite_strain import states_of, with_strain_maps
 from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, strained_draws, write_twin
 from decoupler.twin.expectation import Expectation
-from decoupler.twin.linearised import Shown
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import ResponseSensitivities
 from fem.finite.samples import SampleSolver
@@ -205,13 +204,15 @@ def test_derivatives_are_slopes():
     def shown(shared: np.ndarray) -> np.ndarray:
         """Readings of a specimen under the same forces by its parameters and its resistivity."""
         others = [np.concatenate([some, state.shared[3:]]) for some in shared]
-        return np.array([Shown(expected, replace(state, shared=x), forces).resistance_ohm[0] for x in others])
+        found = [expected.sensor(replace(state, shared=x)).under(forces).resistance_ohm[0] for x in others]
+        return np.array(found)
 
-    here = Shown(expected, state, forces)
-    by_parameters = here.sensor.ohm_per_mm2[:, None] * here.by_parameters[0]
+    sensor = expected.sensor(state)
+    here = sensor.under(forces)
+    by_parameters = sensor.ohm_per_mm2[:, None] * expected.by_parameters(here)[0]
     assert_slopes(shown, state.shared[None, :3], by_parameters, 1e-4)
-    by_forces = here.sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
-    assert_slopes(lambda x: Shown(expected, state, x).resistance_ohm, forces, by_forces, 1e-3)
+    by_forces = sensor.ohm_per_mm2[:, None] * here.along(np.eye(6)[None])[0]
+    assert_slopes(lambda x: sensor.under(x).resistance_ohm, forces, by_forces, 1e-3)
 
 
 def two_parameters() -> ResponseSensitivities:
@@ -364,8 +365,8 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     force_n = torch.from_numpy(drawn.force_n[:20]).requires_grad_()
     shown = virtual.resistances(force_n)
     forward, columns = decoder.posterior.forward, drawn.force_n[:20].reshape(20, -1)
-    differ = decoder.ensemble.differences(forward, forward.maps.states(columns))[np.arange(20), np.arange(20)]
-    expected = forward.resistances(columns) + differ
+    at = forward.under(columns)
+    expected = at.resistance_ohm + decoder.ensemble.differences(at)[np.arange(20), :, np.arange(20)]
     np.testing.assert_allclose(shown.detach().numpy().reshape(20, -1), expected, rtol=1e-6)
     (slopes,) = torch.autograd.grad(shown[3, 0, 1, 0], force_n)
     step = torch.zeros_like(force_n)

@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
     from decoupler.touch.plates import PlateDecoder, plate_response
-    from decoupler.touch.sensing import Pillars
+    from decoupler.touch.sensing import identified_pillars
+    from decoupler.readings import Pillars
     from decoupler.model.decoder import Decoder
     from decoupler.training.finite_strain import posterior_of
     from decoupler.training.suited import suited_feature, without_stuck
