@@ -12,9 +12,8 @@ from dataset.resistance import largest_strains
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import Draw, below_cap, origin
-from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.strain_maps import CHUNK, N_AXES
-from decoupler.model.ensemble import Ensemble
+from decoupler.model.decoupler import Decoupler
 from decoupler.readings import MIN_WHOLE_OHM
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
@@ -28,10 +27,12 @@ class StrainedDraws:
     Those are loads that lead to a state, which strains no pillar by more than the design's samples did.
     """
 
-    def __init__(self, known: Posterior, ensemble: Ensemble, response: ArrayResponse) -> None:
-        assert known.forward.maps is not None
-        self._known, self._ensemble, self._maps, self._response = known, ensemble, known.forward.maps, response
-        self._design = response.design
+    def __init__(self, decoder: Decoupler, response: ArrayResponse) -> None:
+        assert decoder.posterior is not None
+        assert decoder.posterior.forward.maps is not None
+        assert decoder.ensemble is not None
+        self._known, self._ensemble, self._maps = decoder.posterior, decoder.ensemble, decoder.posterior.forward.maps
+        self._response, self._design = response, response.design
 
     @cached_property
     def _most(self) -> float:

@@ -42,6 +42,11 @@ class TwinFile:
             raise DesignError(f"{self.decoder} is not the decoder that the twin was written with: identify it again.")
         return decoder
 
+    @property
+    def is_at_strain(self) -> bool:
+        """It is of a sensor at finite strain."""
+        return self.read_decoder().posterior is not None
+
 
 def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
     """Write a twin file, whole or not at all; `decoder` is the model file of its decoder, already written."""

@@ -67,7 +67,7 @@ def simulate_twin(
         )
     numbers = numbers or range(settings.samples)
     if decoder.posterior is not None:
-        draws = StrainedDraws(decoder.posterior, ensemble, response)
+        draws = StrainedDraws(decoder, response)
         settings = borne(response, settings, draws.answered)[0].suited(response)
         samples = draws.samples(settings, numbers, progress)
     else:

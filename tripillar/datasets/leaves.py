@@ -89,7 +89,7 @@ class LeafJob:
 def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
     """Make a leaf, in a worker; it, and how often its samples were redrawn."""
     # products of a linear twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
-    is_whole = job.twin is not None and job.twin.read_decoder().posterior is None
+    is_whole = job.twin is not None and not job.twin.is_at_strain
     samples = job.part(number * job.leaf_size, job.leaf_size if is_whole else job.size(number))
     arrays = {name: values[: job.size(number)] for name, values in samples.arrays().items()}
     chunk = min(job.leaf_size, job.settings.samples)

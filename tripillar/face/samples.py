@@ -161,10 +161,9 @@ def dataset(
     settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
     wires = WIRES.of(more) | ({} if sense_ohm is None else {"sense_ohm": sense_ohm})
     readout = _readout(sensor, crossbar, settings.bits, correct, wires)
-    own = None if twin is None else twin.read_decoder()
-    usual = sensor.matrix_material.model != "linear" if own is None else own.posterior is not None
+    usual = sensor.matrix_material.model != "linear" if twin is None else twin.is_at_strain
     is_finite = usual if strain is None else strain == "finite"
-    if own is not None and is_finite != usual:
+    if twin is not None and is_finite != usual:
         raise DesignError(
             f"strain={strain!r}: a twin's samples are of the rubber that it was identified with: leave it out."
         )
@@ -184,9 +183,7 @@ def dataset(
     if is_solved:
         stages.require_finite(sensor)
     if is_finite:
-        answered = None
-        if own is not None and own.posterior is not None and own.ensemble is not None:
-            answered = stages.StrainedDraws(own.posterior, own.ensemble, solved).answered
+        answered = None if twin is None else stages.StrainedDraws(twin.read_decoder(), solved).answered
         settings, factor = stages.borne(solved, settings, answered)
         if factor < 1.0:
             caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
