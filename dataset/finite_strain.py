@@ -4,7 +4,7 @@ A group is drawn and solved as a whole, with random generators of its own. So a 
 number alone, not on how many are made with it, and groups can be made in any order, by any process, and kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -109,14 +109,11 @@ class GroupSolver:
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
         """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
-        design, protocol = self.design, settings.on_pads
-        unsolved = np.zeros(GROUP, dtype=np.int64)
+        design, unsolved = self.design, np.zeros(GROUP, dtype=np.int64)
         names = [name for name in Group.__dataclass_fields__ if name not in ("redrawn", "unsolved")]
 
         def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
-            seeds = [[settings.seed, number * GROUP + int(sample), attempt, _STREAM] for sample in waiting]
-            draws = [protocol.draw(np.random.default_rng(seed), 1, design, settings.loads) for seed in seeds]
-            traction = np.concatenate(draws)
+            traction = drawn_loads(settings, design, number * GROUP + waiting, attempt)
             with one_blas_thread():
                 found = self._solver.displacements(traction * design.pad.size_mm**2)
             over = largest_strains(found.displacement_mm, design.unit) > settings.cap
@@ -129,21 +126,33 @@ class GroupSolver:
         return Group(**dict(zip(names, kept, strict=True)), redrawn=redrawn - unsolved, unsolved=unsolved)
 
 
-def borne(response: ArrayResponse, settings: DatasetSettings) -> tuple[DatasetSettings, float]:
+def drawn_loads(
+    settings: DatasetSettings, design: SensorDesign, numbers: NDArray[np.int64], attempt: int
+) -> FloatArray:
+    """Tractions (n, k, 3) [MPa] of samples of these numbers (n,), each by a generator of its own."""
+    seeds = [[settings.seed, int(number), attempt, _STREAM] for number in numbers]
+    draw = settings.on_pads.draw
+    return np.concatenate([draw(np.random.default_rng(seed), 1, design, settings.loads) for seed in seeds])
+
+
+def borne(
+    response: ArrayResponse, settings: DatasetSettings, answered: Callable[[DatasetSettings], float] | None = None
+) -> tuple[DatasetSettings, float]:
     """Settings with a design's own loads, by the linear response, lowered to what finite strain bears; and by how much.
 
     Very soft rubber folds long before linear rubber strains its pillars by the cap. Loads that are given, or are the
-    paper's, stay as they are.
+    paper's, stay as they are. `answered` says which share of a few loads has answers; default: those of a solver.
     """
     suited = settings.suited(response)
     if suited == settings:
         return settings, 1.0
-    solver, name = GroupSolver(response, settings), "pressure_mpa" if suited.pressure_mpa else "shear_mpa"
+    answered = answered or GroupSolver(response, settings).answered
+    name = "pressure_mpa" if suited.pressure_mpa else "shear_mpa"
     low, high = getattr(suited, name)
     for factor in LOWERINGS:
         own: dict[str, Any] = {name: (float(f"{factor * low:.3g}"), float(f"{factor * high:.3g}"))}
         lowered = replace(settings, **own)
-        if solver.answered(lowered) >= BORNE:
+        if answered(lowered) >= BORNE:
             break
     return (settings, 1.0) if factor == 1.0 else (lowered, factor)
 

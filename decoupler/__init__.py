@@ -1,10 +1,10 @@
 """From resistances to forces: networks, what they are held against, and the model file.
 
-In: labelled samples. Out: a `Decoupler` (ohms in, newtons out), its errors, and one safetensors file. In the order of
-the data: `data` takes columns of resistances and forces from samples, `rubber` finds what a rubber remembers, `inverse`
-turns the array's response around, `model` is the trained network and its file, `training` trains it, `twin` identifies
-one sensor from pairs, `evaluation` says how large errors are, `export` writes a model for other programs. `train` loads
-torch when it is asked for; nothing else does.
+In: labelled samples. Out: a `Decoupler` (ohms in, newtons out), its errors, and one safetensors file. `readings` is how
+pillars read, of every sensor. In the order of the data: `data` takes columns of resistances and forces from samples,
+`rubber` finds what a rubber remembers, `inverse` turns the array's response around, `model` is the trained network and
+its file, `training` trains it, `twin` identifies one sensor from pairs, `evaluation` says how large errors are,
+`export` writes a model for other programs. `train` loads torch when it is asked for; nothing else does.
 """
 
 from typing import TYPE_CHECKING

@@ -10,9 +10,9 @@ from cyclopts import Parameter
 from dataset import DatasetSettings, Samples, simulate
 from dataset.measurement import ReadingError
 from decoupler import assess, train
+from decoupler.readings import Pillars
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
-from decoupler.touch.sensing import Pillars
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Array, Pad, SensorDesign, Unit

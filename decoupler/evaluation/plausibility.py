@@ -7,7 +7,8 @@ after one of `MISTAKES` is taken back, or if the readings fit the forces worse t
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import permutations
 
 import numpy as np
@@ -35,61 +36,29 @@ KGF_N = 9.80665  #: weight of a kilogram
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
-Mend = Callable[[Samples], Samples]  #: takes a mistake back
-
-
-def _forces(turn: Callable[[FloatArray], FloatArray]) -> Mend:
-    def mended(data: Samples) -> Samples:
-        """Samples as they are if the array is not square, or if no sensor bears such forces."""
-        force_n = turn(data.force_n)
-        possible = force_n.shape == data.force_n.shape and np.abs(force_n).max() <= MAX_N
-        return replace(data, force_n=force_n) if possible else data
-
-    return mended
-
-
-def _times(*factors: float) -> Mend:
-    return _forces(lambda force_n: force_n * np.array(factors))
-
-
-def _axes_from(order: tuple[int, ...]) -> Mend:
-    return _forces(lambda force_n: force_n[..., order])
-
-
-def _pillars_from(order: list[int]) -> Mend:
-    def mended(data: Samples) -> Samples:
-        dead = None if data.dead is None else data.dead[..., order]
-        return replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead)
-
-    return mended
-
+Turn = Callable[[FloatArray], FloatArray]  #: of forces (n, rows, cols, 3), which takes a mistake back
 
 _SIGNS = "z > 0 is compression, x runs along columns, y along rows"
-_OTHER_ORDERS = [*permutations(range(3))][1:]
-MISTAKES: dict[str, Mend] = {
-    "the forces seem to be in kN: multiply them by 1000": _times(1e3),
-    "the forces seem to be in mN: divide them by 1000": _times(1e-3),
-    "the forces seem to be in kgf: multiply them by 9.81, unless the rubber is a tenth as stiff": _times(KGF_N),
+MISTAKES: dict[str, Turn] = {
+    "the forces seem to be in kN: multiply them by 1000": lambda F: F * 1e3,
+    "the forces seem to be in mN: divide them by 1000": lambda F: F * 1e-3,
+    "the forces seem to be in kgf: multiply them by 9.81, unless the rubber is a tenth as stiff": lambda F: F * KGF_N,
     "the forces seem to be taken for kgf: divide them by 9.81, unless the rubber is ten times as stiff": (
-        _times(1.0 / KGF_N)
+        lambda F: F / KGF_N
     ),
-    f"all forces seem to have the other sign: {_SIGNS}": _times(-1.0),
-    f"Fz seems to have the other sign: {_SIGNS}": _times(1.0, 1.0, -1.0),
-    f"Fx seems to have the other sign: {_SIGNS}": _times(-1.0, 1.0, 1.0),
-    f"Fy seems to have the other sign: {_SIGNS}": _times(1.0, -1.0, 1.0),
-    "rows and columns of the forces seem to be exchanged: rows run along y": _forces(lambda F: F.swapaxes(1, 2)),
-    "rows of the forces seem to stand in reverse order: they begin at −y": _forces(lambda F: F[:, ::-1]),
-    "columns of the forces seem to stand in reverse order: they begin at −x": _forces(lambda F: F[:, :, ::-1]),
+    f"all forces seem to have the other sign: {_SIGNS}": lambda F: -F,
+    f"Fz seems to have the other sign: {_SIGNS}": lambda F: F * [1.0, 1.0, -1.0],
+    f"Fx seems to have the other sign: {_SIGNS}": lambda F: F * [-1.0, 1.0, 1.0],
+    f"Fy seems to have the other sign: {_SIGNS}": lambda F: F * [1.0, -1.0, 1.0],
+    "rows and columns of the forces seem to be exchanged: rows run along y": lambda F: F.swapaxes(1, 2),
+    "rows of the forces seem to stand in reverse order: they begin at −y": lambda F: F[:, ::-1],
+    "columns of the forces seem to stand in reverse order: they begin at −x": lambda F: F[:, :, ::-1],
     **{
         f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
-        f"{', '.join(AXES)}": _axes_from(order)
-        for order in _OTHER_ORDERS
+        f"{', '.join(AXES)}": partial(np.take, indices=order, axis=-1)
+        for order in [*permutations(range(3))][1:]
     },
 }
-UNLINKED = (
-    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
-    "load"
-)
 
 
 def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | None) -> str | None:
@@ -132,7 +101,7 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
             f"the resistances are {times:.2g} times the design's: give them in Ω, or the design the resistivity_ohm_mm "
             "of this rubber"
         )
-    return _mistaken(data, component, forward)
+    return _mistaken(_Fit(data, component, forward))
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
@@ -156,15 +125,13 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
     acting = [axis for axis in AXES if axis not in component.axes and data.force_n[..., AXES.index(axis)].any()]
     if not acting:
         return None
-    data, share = _some(data, component), ""
+    share = ""
     if forward is not None:
-        alone = _times(*(float(axis in component.axes) for axis in AXES))(data)
-        by_own, by_all = _left(alone, component, forward), _left(data, component, forward)
-        if not _log_likelier(by_own, by_all, data) > math.log(1.0 / FALSE_ALARMS):
+        by_all = _Fit(_some(data, component), component, forward)
+        by_own = by_all.turned(lambda F: F * [float(axis in component.axes) for axis in AXES])
+        if not by_all.log_likelier(by_own) > math.log(1.0 / FALSE_ALARMS):
             return None
-        share = (
-            f" ({1.0 - _energy(by_all) / _energy(by_own):.0%} of what {component.name} leaves unexplained is theirs)"
-        )
+        share = f" ({1.0 - by_all.energy / by_own.energy:.0%} of what {component.name} leaves unexplained is theirs)"
     tells_all = data.design is None or not untold(data.design.unit)
     mend = "use the component 'all'" if tells_all else "take samples without them, or a layout that tells them"
     return (
@@ -178,20 +145,14 @@ def explained(data: Samples, component: Component, forward: SensorModel) -> floa
 
     Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
     """
-    data = _some(data, component)
-    return _explained(data, component, forward, _left(data, component, forward))
-
-
-def _explained(data: Samples, component: Component, forward: SensorModel, left: FloatArray) -> float | None:
-    (moved, _), own = _motions(data, component, forward), Columns.of(data, component)
-    relative = own.errors.total(own.resistance_ohm, *own.shape) / own.resistance_ohm
-    noise = float((0.25 * relative[:, own.readable] ** 2).sum())
-    signal = float((moved**2).sum()) - noise
-    return 1.0 - max(float((left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+    return _Fit(_some(data, component), component, forward).explained
 
 
 def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str | None:
-    """Say why loads cannot have acted as stated: by the size of the readings, or what each load changed."""
+    """Say why loads cannot have acted as stated: by the size of the readings, or what each load changed.
+
+    A load changes them by a multiple of what the model says: 1 if all is as told, 0 if it was not put on.
+    """
     modelled_ohm = forward.resistances(force_columns(pairs.force_n, component)).reshape(pairs.resistance_ohm.shape)
     times = float(np.nanmedian(pairs.resistance_ohm / modelled_ohm))
     if not 1.0 / MAX_TIMES < times < MAX_TIMES:
@@ -200,15 +161,9 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
             f"the sensor's resistances are {times:.3g} times those of the design: check the board's SENSE_OHM and the "
             f"design's resistivity{unit}."
         )
-    return _strange_changes(pairs, modelled_ohm) if (pairs.force_n != pairs.force_n[0]).any() else None
-
-
-def _strange_changes(pairs: Pairs, modelled_ohm: FloatArray) -> str | None:
-    """Say if a load did not change the resistances as it should have.
-
-    Each load's relative changes of all resistances, from those with nothing on the sensor (or the mean of all loads),
-    are fitted by a multiple of the modelled ones: 1 if all is as told, 0 if no load was put on.
-    """
+    if not (pairs.force_n != pairs.force_n[0]).any():
+        return None
+    # relative changes from nothing on the sensor, or from the mean of all, fitted by a multiple of the modelled ones
     acts = pairs.force_n.any(axis=(1, 2, 3))
     is_reference = np.ones_like(acts) if acts.all() else ~acts
     change, expected = (
@@ -250,31 +205,94 @@ def _some(data: Samples, component: Component) -> Samples:
     return data[np.linspace(0, len(data) - 1, min(MAX_JUDGED, len(data))).astype(int)]
 
 
-def _mistaken(data: Samples, component: Component, forward: SensorModel) -> str | None:
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Samples beside what a model, joint or of the component's own pillars and forces, says of their readings."""
+
+    data: Samples
+    component: Component
+    forward: SensorModel
+
+    def turned(self, turn: Turn) -> "_Fit":
+        """The same under other forces; as it is if the array is not square, or if no sensor bears such."""
+        force_n = turn(self.data.force_n)
+        possible = force_n.shape == self.data.force_n.shape and np.abs(force_n).max() <= MAX_N
+        return replace(self, data=replace(self.data, force_n=force_n)) if possible else self
+
+    @property
+    def is_joint(self) -> bool:
+        sizes = self.data.resistance_ohm[0].size, self.data.force_n[0].size
+        return (self.forward.n_pillars, self.forward.n_forces) == sizes
+
+    @cached_property
+    def own(self) -> Columns:
+        return Columns.of(self.data, self.component)
+
+    @cached_property
+    def moved(self) -> FloatArray:
+        """Lengths of the readable pillars about their means, relative, (n, n_readable), as measured."""
+        return _about_mean(np.sqrt(self.own.resistance_ohm)[:, self.own.readable])
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """What a fit of the forces leaves of these."""
+        if self.is_joint:
+            every, pillars = self.data.resistance_ohm.shape, self.component.pillars(self.data.layout)
+            lengths = self.forward.lengths(force_columns(self.data.force_n, COMPONENTS["all"])).reshape(every)
+            expected = lengths[..., pillars].reshape(len(lengths), -1)
+        else:
+            expected = self.forward.lengths(self.own.force_n)
+        return residuals(self.moved, _about_mean(expected[:, self.own.readable]))
+
+    @cached_property
+    def energy(self) -> float:
+        """The sum of squares of what is left, none below what a response is trusted to."""
+        return float((self.left**2).sum() + self.left.size * (0.5 * MIN_NOISE) ** 2)
+
+    @cached_property
+    def explained(self) -> float | None:
+        """As of `explained`."""
+        relative = self.own.errors.total(self.own.resistance_ohm, *self.own.shape) / self.own.resistance_ohm
+        noise = float((0.25 * relative[:, self.own.readable] ** 2).sum())
+        signal = float((self.moved**2).sum()) - noise
+        return 1.0 - max(float((self.left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+
+    def log_likelier(self, than: "_Fit") -> float:
+        """Log likelihood ratio to another explanation of the same readings."""
+        given = than.left
+        covariance = given @ given.T if len(given) < given.shape[1] else given.T @ given
+        squared = float((covariance**2).sum())
+        directions = float(covariance.trace()) ** 2 / squared if squared > 0 else 1.0
+        loads = 1 + max(load_numbers(one.data.force_n).max() for one in (self, than))  # some turn all into one
+        return 0.5 * loads * directions * math.log(than.energy / self.energy)
+
+
+def _mistaken(given: _Fit) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
-    as_given, unlinked = (_left(each, component, forward) for each in (data, _times(0.0)(data)))
-    orders = math.factorial(len(data.layout.pillars)) - 1 if _is_joint(forward, data) else 0
-    possible = MISTAKES | (_in_best_order(data, component, forward) if orders else {})
+    unlinked = given.turned(lambda F: 0.0 * F)
+    n_orders = math.factorial(len(given.data.layout.pillars)) - 1 if given.is_joint else 0
+    others = {said: given.turned(turn) for said, turn in MISTAKES.items()} | (_in_best_order(given) if n_orders else {})
     enough, found = math.log(2.0 / FALSE_ALARMS), {}
-    for said, mend in possible.items():
-        mended = mend(data)
-        left = _left(mended, component, forward)
-        likelier = min(_log_likelier(other, left, data) for other in (as_given, unlinked))
-        share = _explained(mended, component, forward, left)
-        if likelier > math.log(len(MISTAKES) + orders) + enough and (share is None or share > MIN_EXPLAINED):
-            found[said] = _energy(left)
-    none = UNLINKED if _log_likelier(as_given, unlinked, data) > enough else None
-    return min(found, key=found.__getitem__, default=none)
+    for said, other in others.items():
+        likelier = min(other.log_likelier(than) for than in (given, unlinked))
+        share = other.explained if likelier > math.log(len(MISTAKES) + n_orders) + enough else 0.0
+        if share is None or share > MIN_EXPLAINED:
+            found[said] = other.energy
+    none = (
+        "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its "
+        "own load"
+    )
+    return min(found, key=found.__getitem__, default=none if unlinked.log_likelier(given) > enough else None)
 
 
-def _in_best_order(data: Samples, component: Component, forward: SensorModel) -> dict[str, Mend]:
+def _in_best_order(given: _Fit) -> dict[str, _Fit]:
     """The order of pillars that explains the readings best, by a joint model; none if it is the stated one."""
     from scipy.optimize import linear_sum_assignment
 
-    names, taken, every = data.layout.pillar_names, component.pillars(data.layout), Columns.of(data, COMPONENTS["all"])
-    shape = len(data), -1, len(names)
-    both = np.sqrt(every.resistance_ohm).reshape(shape), forward.lengths(every.force_n).reshape(shape)
-    moved, expected = (each / each.mean(axis=0) - 1.0 for each in both)
+    data, names, taken = given.data, given.data.layout.pillar_names, given.component.pillars(given.data.layout)
+    every, shape = Columns.of(data, COMPONENTS["all"]), (len(data), -1, len(names))
+    both = np.sqrt(every.resistance_ohm).reshape(shape), given.forward.lengths(every.force_n).reshape(shape)
+    moved, expected = map(_about_mean, both)
     read = every.readable.reshape(shape[1:])
     left = [
         [(residuals(moved[..., k], expected[..., pillar])[:, read[:, k]] ** 2).sum() for k in range(len(names))]
@@ -286,41 +304,14 @@ def _in_best_order(data: Samples, component: Component, forward: SensorModel) ->
     if order == sorted(order):
         return {}
     as_read = ", ".join(names[order.index(k)] for k in range(len(names)))
-    return {f"pillars seem to stand in the order {as_read}: a file's are {', '.join(names)}": _pillars_from(order)}
+    dead = None if data.dead is None else data.dead[..., order]
+    mended = replace(given, data=replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead))
+    return {f"pillars seem to stand in the order {as_read}: a file's are {', '.join(names)}": mended}
 
 
-def _is_joint(forward: SensorModel, data: Samples) -> bool:
-    return (forward.n_pillars, forward.n_forces) == (data.resistance_ohm[0].size, data.force_n[0].size)
-
-
-def _motions(data: Samples, component: Component, forward: SensorModel) -> tuple[FloatArray, FloatArray]:
-    """Lengths of the readable pillars about their means, relative, (n, n_readable): measured, and as the forces say."""
-    joint, own = _is_joint(forward, data), Columns.of(data, component)
-    modelled = forward.lengths(force_columns(data.force_n, COMPONENTS["all"]) if joint else own.force_n)
-    if joint:
-        pillars = component.pillars(data.layout)
-        modelled = modelled.reshape(data.resistance_ohm.shape)[..., pillars].reshape(len(modelled), -1)
-    lengths, modelled = np.sqrt(own.resistance_ohm)[:, own.readable], modelled[:, own.readable]
-    return lengths / lengths.mean(axis=0) - 1.0, modelled / modelled.mean(axis=0) - 1.0
-
-
-def _left(data: Samples, component: Component, forward: SensorModel) -> FloatArray:
-    """Residuals of the measured motions after a fit of the forces, (n, n_readable)."""
-    return residuals(*_motions(data, component, forward))
-
-
-def _energy(residuals: FloatArray) -> float:
-    """Their sum of squares, none below what a response is trusted to."""
-    return float((residuals**2).sum() + residuals.size * (0.5 * MIN_NOISE) ** 2)
-
-
-def _log_likelier(as_given: FloatArray, other: FloatArray, data: Samples) -> float:
-    """Log likelihood ratio of the residuals of another explanation to those as given, each (n, n_columns)."""
-    covariance = as_given @ as_given.T if len(as_given) < as_given.shape[1] else as_given.T @ as_given
-    squared = float((covariance**2).sum())
-    directions = float(covariance.trace()) ** 2 / squared if squared > 0 else 1.0
-    loads = load_numbers(data.force_n).max() + 1
-    return 0.5 * loads * directions * math.log(_energy(as_given) / _energy(other))
+def _about_mean(lengths: FloatArray) -> FloatArray:
+    """Lengths (n, ...) about their means, relative."""
+    return lengths / lengths.mean(axis=0) - 1.0
 
 
 def _scattered(columns: FloatArray, data: Samples) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING
 from decoupler.export.portable import facts, output_weights_n
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
+from decoupler.readings import MIN_WHOLE_OHM
 
 TEXT = Path(__file__).with_name("model.h")  #: the header but for what one model puts in the place of $ and a name
 

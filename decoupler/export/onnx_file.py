@@ -9,8 +9,9 @@ from onnx import helper, numpy_helper
 from dataset.measurement import SENSE_OHM
 from decoupler.data.columns import DEAD_OHM, MAX_COUNTS_FROM_REST, MIN_RESTING, Resting
 from decoupler.export.portable import facts, output_weights_n
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.decoupler import Decoupler
+from decoupler.readings import MIN_WHOLE_OHM
 from geometry.layout import FloatArray
 
 OPSET, IR_VERSION = 17, 8  #: versions of 2022, so that older runtimes read it

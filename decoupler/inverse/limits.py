@@ -101,9 +101,8 @@ def _linearised(
     for start in range(0, len(force_n), CHUNK):
         part = slice(start, start + CHUNK)
         lengths, J = forward.jacobian(force_n[part])
-        ohm = forward.ohm_per_mm2 * lengths**2 + forward.offset_ohm
-        by_ohm = 0.5 / (forward.ohm_per_mm2 * lengths)
-        deviation, U = errors.deviation(ohm) * by_ohm, errors.shared(ohm, *shape) * by_ohm[..., None]
+        deviation, U = forward.errors_mm2(forward.ohms(lengths**2), errors, shape)
+        deviation, U = 0.5 * deviation / lengths, 0.5 * U / lengths[..., None]
         if readable is not None:
             J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]
         yield part, J, deviation, U

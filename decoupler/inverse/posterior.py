@@ -64,9 +64,8 @@ class Posterior:
         assert maps is not None
         variance = maps.misfit_variance(state_n)[..., N_AXES:].reshape(len(state_n), -1)
         if self.misfit:
-            y = self.forward.linear.lengths(state_n) ** 2 + maps.values(state_n)[..., N_AXES:].reshape(variance.shape)
-            rest = self.forward.linear.lengths(0.0 * state_n[:1]) ** 2
-            variance = variance + (self.misfit * (y - rest)) ** 2
+            rest = self.forward.squares(self.forward.rest_mm[None])
+            variance = variance + (self.misfit * (self.forward.at(state_n).squares - rest)) ** 2
         return variance
 
     def found(
@@ -115,7 +114,7 @@ class Posterior:
         if shares := factors.shape[2] > 0:
             factors = factors / size
             whiten = xp.linalg.inv(xp.linalg.cholesky(factors @ factors.swapaxes(1, 2) + eye(len(c), first_n)))
-        y = (resistance_ohm - self.forward.offset_ohm) / c
+        y = self.forward.squares_of(resistance_ohm)
         for ahead in range(STEPS, -1, -1):
             modelled, by_state, force_n, by_force = self.forward.at_states(state)
             residuals = xp.concat([(y - modelled)[..., None], by_state], axis=2) / size

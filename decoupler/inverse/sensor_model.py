@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from decoupler.data.columns import MIN_NOISE, Columns, Component, eye, namespace, rowwise
 from decoupler.inverse.strain_maps import N_AXES, StrainMaps
-from geometry.layout import AXES, FloatArray, pillar_vectors, pillar_volumes
+from decoupler.readings import Pillars
+from geometry.layout import AXES, FloatArray
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
 ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
 ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
-MIN_WHOLE_OHM = 1.0  #: least resistance without its offset; a pillar with less is broken
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
 MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
@@ -30,26 +30,21 @@ LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
 SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
 GAINED = 0.95  #: ratio of errors before and after a correction, above which lengths with errors tell no more
+CHUNK = 64  #: states whose derivatives by finite strain are in memory together
 HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SensorModel:
-    """Resistances of a component's pillars under forces along its axes alone: R = c |d + B F|² + o.
+class SensorModel(Pillars):
+    """A component's pillars under forces along its axes alone: R = c |d + B F|² + o.
 
-    Loads lead to a state of the electrodes (B, and `maps` of finite strain), a state to readings (c, o of the pillars).
-    By eq. 1 d + B F is the vector between a pillar's electrodes. By conduction it has more components, each pillar its
-    own, and |v|² = Σ sₖ vₖ² with signs s; the *length* |v| then is the one that eq. 1 would need for R. Forces and
+    Loads lead to a state of the electrodes (B, and `maps` of finite strain), a state to readings. Forces and
     resistances are columns in the order of `force_columns` and `pillar_columns`.
     """
 
-    influence: FloatArray  #: B, (n_forces, 3·n_electrodes): upper electrodes along x, then y, then z [mm/N]
+    influence: FloatArray  #: B, (n_forces, C·n_electrodes): upper electrodes along x, then y, then z [mm/N]
     top: NDArray[np.int64]  #: (n_pillars,): the electrode on top of each pillar; itself if each has its own B
-    rest_mm: FloatArray  #: d, (3, n_pillars): from each lower electrode to the upper one, undeformed
-    ohm_per_mm2: FloatArray  #: c, (n_pillars,): ρ/V of eq. 1, times the gain of one sensor's own pillar
-    offset_ohm: FloatArray  #: o, (n_pillars,): of one sensor's own pillars; contacts of the design's
     maps: StrainMaps | None = None  #: of finite strain; None: linear, where states are forces
-    sign: FloatArray | None = None  #: s, (n_components, n_pillars) in the place of 3; None: all are 1
 
     @classmethod
     def of(cls, response: "ArrayResponse", component: Component) -> Self:
@@ -57,13 +52,12 @@ class SensorModel:
         design, layout = response.design, response.design.unit.layout
         axes, pillars = [AXES.index(axis) for axis in component.axes], component.pillars(layout)
         electrodes = sorted({layout.pillar_top[pillar] for pillar in pillars if pillar in layout.loaded})
-        n_units = design.n_units
+        n_units, own = design.n_units, vars(Pillars.designed(design, pillars))
         into = np.where(np.array(component.axes) == "z", -1.0, 1.0)  # a positive Fz pushes along −z
-        c = design.resistivity_ohm_mm / pillar_volumes(design.unit)
         if (held := response.conducted) is not None:
             influence = held.influence_mm_per_n.reshape(n_units, len(layout.pillars), -1, n_units, 3)[:, pillars]
             places = np.arange(n_units * len(pillars))
-            rest_mm, sign = _by_component(held.rest_mm, pillars), _by_component(held.sign, pillars)
+            own |= {"rest_mm": _by_component(held.rest_mm, pillars), "sign": _by_component(held.sign, pillars)}
         else:
             influence = response.influence_mm_per_n.reshape(n_units, -1, 3, n_units, 3)[:, electrodes]
             still = len(layout.upper)  # number of one more that does not move, of references
@@ -72,17 +66,9 @@ class SensorModel:
                 electrodes.append(still)
                 influence = np.pad(influence, [(0, 0), (0, 1), *[(0, 0)] * 3])
             place = [electrodes.index(top) for top in tops]
-            places = np.arange(n_units)[:, None] * len(electrodes) + place
-            rest_mm, sign = np.tile(pillar_vectors(design.unit)[pillars].T, n_units), None
-        influence = influence[..., axes] * into
-        return cls(
-            influence=np.ascontiguousarray(influence.transpose(3, 4, 2, 0, 1).reshape(n_units * len(axes), -1)),
-            top=places.reshape(-1),
-            rest_mm=rest_mm,
-            ohm_per_mm2=np.tile(c[pillars], n_units),
-            offset_ohm=np.full(n_units * len(pillars), design.electrics.contacts_ohm),
-            sign=sign,
-        )
+            places = (np.arange(n_units)[:, None] * len(electrodes) + place).reshape(-1)
+        influence = (influence[..., axes] * into).transpose(3, 4, 2, 0, 1).reshape(n_units * len(axes), -1)
+        return cls(influence=np.ascontiguousarray(influence), top=places, **own)
 
     def calibrated(self, data: Columns) -> Self:
         """The model with the most probable gain and offset of each readable pillar.
@@ -112,10 +98,6 @@ class SensorModel:
         return replace(self, influence=np.ascontiguousarray(influence), top=np.arange(self.n_pillars))
 
     @property
-    def n_pillars(self) -> int:
-        return len(self.top)
-
-    @property
     def n_forces(self) -> int:
         return len(self.influence)
 
@@ -129,16 +111,39 @@ class SensorModel:
         """The same without finite strain: the model whose forces are states."""
         return self if self.maps is None else replace(self, maps=None)
 
+    @cached_property
+    def by_component(self) -> FloatArray:
+        """Derivatives of each pillar's vector by the state, (n_pillars, C, n_forces) [mm/N]."""
+        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
+        return B.swapaxes(0, 2).reshape(-1).reshape(self.n_pillars, -1, self.n_forces)
+
+    def vectors(self, state_n: FloatArray) -> FloatArray:
+        """Of the linear array, lower electrode to upper one: (n, n_forces) [N] -> (n, C, n_pillars) [mm]."""
+        moved = rowwise(state_n, self.influence).reshape(len(state_n), len(self.rest_mm), -1)
+        own = self._own_electrodes  # faster than checking: no index is out of bounds
+        vectors = moved if own else moved.take(self.top, axis=2, mode="clip")
+        vectors += self.rest_mm
+        return vectors
+
+    def at(self, state_n: FloatArray) -> "PredictedReadings":
+        """Its readings in states (n, Q) [N]."""
+        return PredictedReadings(self, state_n, np.ones(len(state_n), dtype=bool))
+
+    def under(self, force_n: FloatArray) -> "PredictedReadings":
+        """Its readings in the states in which forces (n, Q) [N] act; at rest where there are none."""
+        if self.maps is None:
+            return self.at(force_n)
+        state_n, there = self.maps.nearest_states(force_n)
+        state_n[~there] = 0.0
+        return PredictedReadings(self, state_n, there)
+
     def at_states(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Squares of lengths (n, P) [mm²] and their derivatives, forces (n, Q) [N] and theirs, in states (n, Q).
 
-        Squares are resistances without offset over `ohm_per_mm2`; derivatives are by the state, the last dim.
+        Derivatives are by the state, the last dim.
         """
-        n, Q = state_n.shape
-        vectors = self.linear.vectors(state_n)
-        signed = vectors if self.sign is None else vectors * self.sign
-        squares = (signed * vectors).sum(axis=1)
-        by_state = 2.0 * (signed.swapaxes(1, 2)[:, :, None] @ self.by_component)[:, :, 0]
+        (n, Q), vectors = state_n.shape, self.vectors(state_n)
+        squares, by_state = self.squares(vectors), self._by_state(2.0 * self.signed(vectors))
         force_n, by_force = state_n, namespace(state_n).tile(eye(Q, state_n), (n, 1, 1))
         if self.maps is not None:
             values, slopes = self.maps.slopes(state_n)
@@ -148,44 +153,19 @@ class SensorModel:
             by_force = by_force + slopes[:, :, :N_AXES].reshape(n, Q, Q)
         return squares, by_state, force_n, by_force
 
-    @cached_property
-    def by_component(self) -> FloatArray:
-        """Derivatives of each pillar's vector by the forces, (n_pillars, n_components, n_forces) [mm/N]."""
-        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
-        return B.swapaxes(0, 2).reshape(-1).reshape(self.n_pillars, -1, self.n_forces)
-
-    def vectors(self, force_n: FloatArray) -> FloatArray:
-        """Of the linear array, lower electrode to upper one: (n, n_forces) [N] -> (n, n_components, n_pillars) [mm]."""
-        moved = rowwise(force_n, self.influence).reshape(len(force_n), len(self.rest_mm), -1)
-        own = self._own_electrodes  # faster than checking: no index is out of bounds
-        vectors = moved if own else moved.take(self.top, axis=2, mode="clip")
-        vectors += self.rest_mm
-        return vectors
+    def _by_state(self, by_vector: FloatArray) -> FloatArray:
+        """Derivatives of n values of each pillar by the state, (n, P, Q), from those by its vector, (n, C, P)."""
+        return (by_vector.swapaxes(1, 2)[:, :, None] @ self.by_component)[:, :, 0]
 
     def lengths(self, force_n: FloatArray) -> FloatArray:
-        """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]."""
+        """Length of each pillar, (n, n_forces) [N] -> (n, n_pillars) [mm]; 0 where its square is negative."""
         if self.maps is not None:
-            state_n = self.maps.states(force_n)
-            more = self.maps.values(state_n)[..., N_AXES:].reshape(len(force_n), -1)
-            return np.sqrt(np.maximum(self.linear.lengths(state_n) ** 2 + more, 0.0))
-        return self._norms(self.vectors(force_n))
-
-    def _norms(self, vectors: FloatArray) -> FloatArray:
-        """|v| of vectors (n, n_components, n_pillars), shape (n, n_pillars); 0 where the sum of squares is negative."""
-        xp = namespace(vectors)
-        if self.sign is None:
-            return xp.sqrt(xp.einsum("nip,nip->np", vectors, vectors))
-        squares = xp.einsum("ip,nip,nip->np", self.sign, vectors, vectors)
-        return xp.sqrt(xp.where(squares > 0.0, squares, 0.0))
+            return np.sqrt(np.maximum(self.at(self.maps.states(force_n)).squares, 0.0))
+        return self.lengths_between(self.vectors(force_n))
 
     def resistances(self, force_n: FloatArray) -> FloatArray:
         """Resistance of each pillar, (n, n_forces) [N] -> (n, n_pillars) [Ω]; eq. 1."""
-        return self.ohm_per_mm2 * self.lengths(force_n) ** 2 + self.offset_ohm
-
-    def lengths_of(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Lengths that resistances stand for, both (n, n_pillars) [Ω] -> [mm]; eq. 2."""
-        xp, whole_ohm = namespace(resistance_ohm), resistance_ohm - self.offset_ohm
-        return xp.sqrt(xp.where(whole_ohm > MIN_WHOLE_OHM, whole_ohm, MIN_WHOLE_OHM) / self.ohm_per_mm2)
+        return self.ohms(self.lengths(force_n) ** 2)
 
     def at_rest_ohm(self) -> FloatArray:
         """Resistance of each pillar without any force, (n_pillars,) [Ω]."""
@@ -194,11 +174,43 @@ class SensorModel:
     def jacobian(self, force_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths (n, n_pillars) [mm] of the linear array and their derivatives (n, n_pillars, n_forces) [mm/N]."""
         vectors = self.vectors(force_n)
-        lengths = self._norms(vectors)
-        if self.sign is not None:
-            vectors *= self.sign
-        B = self.influence.reshape(self.n_forces, len(self.rest_mm), -1)[:, :, self.top]
-        return lengths, np.einsum("nip,fip->npf", vectors / lengths[:, None], B, optimize=True)
+        lengths = self.lengths_between(vectors)
+        return lengths, self._by_state(self.signed(vectors) / lengths[:, None])
+
+
+class PredictedReadings:
+    """Readings of a sensor of P pillars in n states (n, Q) [N], and what changes them, as squares of lengths [mm²]."""
+
+    def __init__(self, sensor: SensorModel, state_n: FloatArray, there: NDArray[np.bool_]) -> None:
+        self.sensor, self.state_n, self.there = sensor, state_n, there  #: `there` (n,): which forces have a state
+        vectors = sensor.vectors(state_n)
+        self.squares = sensor.squares(vectors)  #: (n, P)
+        if sensor.maps is not None:
+            self.squares += sensor.maps.values(state_n)[..., N_AXES:].reshape(self.squares.shape)
+        self.by_vector = 2.0 * sensor.signed(vectors).swapaxes(1, 2)  #: (n, P, C) [mm]
+
+    @cached_property
+    def resistance_ohm(self) -> FloatArray:
+        """Resistances, (n, P) [Ω]."""
+        return self.sensor.ohms(self.squares)
+
+    @cached_property
+    def slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the squares (n, P, Q) [mm²/N] and of the forces (n, Q, Q) by the state."""
+        starts = range(0, len(self.state_n), CHUNK)
+        parts = [self.sensor.at_states(self.state_n[start : start + CHUNK])[1::2] for start in starts]
+        by_state, by_force = (namespace(self.state_n).concat(each) for each in zip(*parts, strict=True))
+        return by_state, by_force
+
+    def along(self, direction_n: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
+        """Change of the squares by r directions of the forces for some of the n, (·, r, Q) [N] -> (·, P, r) [mm²]."""
+        if self.sensor.maps is None:
+            B = self.sensor.by_component
+            moved = (direction_n @ B.reshape(-1, B.shape[2]).T).reshape(*direction_n.shape[:2], *B.shape[:2])
+            return np.einsum("npc,nrpc->npr", self.by_vector[rows], moved)
+        by_state, by_force = self.slopes
+        by_direction = namespace(direction_n).linalg.solve(by_force[rows], direction_n.swapaxes(1, 2))
+        return by_state[rows] @ by_direction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -243,14 +255,18 @@ class ModelInverse:
         lengths[-1:] = forward.lengths(loads_n[-1:])
         found = np.broadcast_to(centre, loads_n.shape)
         correctors: list[FloatArray] = []
-        while len(correctors) < MAX_STEPS and not _near(loads_n - found, len(usual_n), spread_n, enough):
+        while len(correctors) < MAX_STEPS:
+            missing = loads_n - found
+            at_rest_n = np.sqrt(np.mean(missing[-1] ** 2))
+            if np.std(missing[: len(usual_n)]) <= enough * spread_n and at_rest_n <= ENOUGH_AT_REST * spread_n:
+                break
             residual = np.where(readable, lengths - forward.lengths(found), 0.0)
             weighted = weight[:, None] * residual
             G = residual.T @ weighted
             G.flat[:: len(G) + 1] += HELD * np.trace(G) / len(G)
-            missing = loads_n - found - residual @ tangent
-            correctors.append(tangent + (np.linalg.solve(G, weighted.T @ missing) if readable.all() else 0.0))
-            before, found = np.std(loads_n - found), found + residual @ correctors[-1]
+            beyond = np.linalg.solve(G, weighted.T @ (missing - residual @ tangent)) if readable.all() else 0.0
+            correctors.append(tangent + beyond)
+            before, found = np.std(missing), found + residual @ correctors[-1]
             if read is not None and np.std(loads_n - found) > GAINED * before:
                 break
         centre_mm = forward.lengths(centre[None])[0]
@@ -309,21 +325,13 @@ def _lighter_too(usual_n: FloatArray, unsure_mm: FloatArray, tangent: FloatArray
     return np.concatenate([loads_n, np.zeros((1, n_forces))]), weight
 
 
-def _near(missing: FloatArray, n_usual: int, spread_n: float, enough: float) -> bool:
-    """Check whether errors are small enough under the usual loads, which come first, and at rest, which comes last."""
-    return bool(
-        np.std(missing[:n_usual]) <= enough * spread_n
-        and np.sqrt(np.mean(missing[-1] ** 2)) <= ENOUGH_AT_REST * spread_n
-    )
-
-
 def _tangent(
     forward: SensorModel,
     centre_n: FloatArray,
     force_n: FloatArray,
     readable: NDArray[np.bool_],
     unsure_mm: FloatArray,
-    exact: bool = True,
+    exact: bool,
 ) -> FloatArray:
     """Inverse of the lengths' derivatives at the centre, (n_pillars, n_forces) [N/mm].
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import DEAD_OHM, namespace, rowwise
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.decoder import MANY
 from decoupler.model.usual import UsualLoads
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import descended
 from geometry.layout import FloatArray
 

@@ -15,7 +15,8 @@ from dataset.measurement import ReadingError
 from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.model.decoder import Decoded, Decoder
-from decoupler.touch.sensing import Displacements, Pillars, Sensing, Whitening
+from decoupler.readings import Pillars
+from decoupler.touch.sensing import Displacements, Sensing, Whitening
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -75,11 +76,6 @@ class Touched:
         return np.sqrt((self.factors**2).sum(axis=1)).reshape(self.load.shape)
 
     @property
-    def deviation_n(self) -> FloatArray:
-        """Standard deviations of the forces, (units, 3)."""
-        return self.deviation[:, :3]
-
-    @property
     def half_widths(self) -> tuple[FloatArray, FloatArray]:
         """Half-widths that hold 68 % and 95 % of the loads' errors, each of their shape."""
         return WIDTHS[0] * self.deviation, WIDTHS[1] * self.deviation
@@ -131,7 +127,7 @@ class TouchDecoder(Decoder):
     @property
     def is_identified(self) -> bool:
         """It is of one sensor, as `identify` found it."""
-        return bool(self.pillars.deviation_ohm.any())
+        return self.pillars.deviation_ohm is not None
 
     @property
     def layout(self) -> Layout:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from dataset.measurement import ReadingError
+from decoupler.readings import Pillars
 from decoupler.touch.morph import MOVES, PRIOR, BareSensing, Part, fitted
 from decoupler.touch.plates import PlateDecoder, plate_response
 from decoupler.touch.presses import Grid
-from decoupler.touch.sensing import Pillars
 from fem.contact.surface import endless_surface
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres

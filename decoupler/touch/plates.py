@@ -8,7 +8,7 @@ by 1.3 instead of 0.28 N (12 contacts, 6 × 6, six pillars, 0.1 %, 12 bits).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from common.storage.cache import kept_value
 from common.storage.files import digest
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.touch.decoder import TouchDecoder, Touched
-from decoupler.touch.sensing import ConductedSensing, Displacements, Sensing, Whitening
+from decoupler.touch.sensing import Displacements, Sensing, Whitening
 from geometry.design import SensorDesign, at_rest, bent
 from geometry.layout import FloatArray
 
@@ -84,7 +84,8 @@ class PlateDecoder(TouchDecoder):
         d, sign = self.library.components_mm, self.library.sign
         if d is None or sign is None:
             return super().sensing
-        return ConductedSensing(design=self.design, pillars=self.pillars, components_mm=d, sign=sign)
+        by = {"rest_mm": d.reshape(-1, d.shape[2]).T, "sign": sign.reshape(-1, d.shape[2]).T}
+        return Sensing(design=self.design, pillars=replace(self.pillars, **by))
 
     @property
     def usual_n(self) -> FloatArray:

@@ -73,11 +73,6 @@ class Grid:
         """The same, to compute with."""
         return self.half.astype(np.float32)
 
-    @property
-    def cell_mm(self) -> FloatArray:
-        """Sides of a cell, (2,)."""
-        return self.slab_mm / np.array(self.by_cell.shape[1::-1])
-
     def moved_mm(self, place_mm: FloatArray, force_n: FloatArray) -> FloatArray:
         """Displacements (..., e) [mm] of electrodes by forces (..., 3, n) [N], z positive in compression, at points.
 
@@ -86,7 +81,8 @@ class Grid:
         """
         shape, n = force_n.shape[:-2], force_n.shape[-1]
         count = np.array(self.by_cell.shape[1::-1])[:, None]
-        at = place_mm.reshape(-1, 2, n) / self.cell_mm[:, None] + (count - 1) / 2
+        cell_mm = self.slab_mm[:, None] / count
+        at = place_mm.reshape(-1, 2, n) / cell_mm + (count - 1) / 2
         cell = np.clip(np.rint(at), 1, count - 2)
         off = at - cell
         square = off**2 - 1 / 12

@@ -1,6 +1,6 @@
-"""A sensor's pillars as touch reads them: squared lengths by displacements of their electrodes, and eq. 1."""
+"""A sensor's pillars as touch reads them: changes of squared lengths by displacements of their electrodes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -10,32 +10,18 @@ from numpy.typing import NDArray
 from common.errors import DesignError
 from dataset.measurement import ReadingError
 from decoupler.model.decoupler import Decoupler
+from decoupler.readings import Pillars
 from geometry.design import SensorDesign
-from geometry.layout import AXES, FloatArray, pillar_ends, pillar_volumes
+from geometry.layout import AXES, FloatArray
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Pillars:
-    """Eq. 1 of each pillar, R = c l² + o."""
-
-    ohm_per_mm2: FloatArray  #: c, (units·n_pillars,): ρ/V, times the pillar's own gain
-    offset_ohm: FloatArray  #: o, (units·n_pillars,)
-    deviation_ohm: FloatArray  #: (units·n_pillars,): standard deviation of R at rest, as far as pairs leave it open
-
-    @classmethod
-    def designed(cls, design: SensorDesign) -> Self:
-        """As designed."""
-        own = np.tile(design.resistivity_ohm_mm / pillar_volumes(design.unit), design.n_units)
-        return cls(ohm_per_mm2=own, offset_ohm=0.0 * own + design.electrics.contacts_ohm, deviation_ohm=0.0 * own)
-
-    @classmethod
-    def identified(cls, decoder: Decoupler) -> Self:
-        """Of an identified sensor, by the decoder that `identify` made of it; `DesignError` if of some forces alone."""
-        if decoder.component.axes != AXES or decoder.inverse is None or not len(decoder.ensemble):
-            raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
-        forward = decoder.inverse.forward
-        at_rest = decoder.ensemble.differences(forward, np.zeros((1, forward.n_forces)))[0]
-        return cls(ohm_per_mm2=forward.ohm_per_mm2, offset_ohm=forward.offset_ohm, deviation_ohm=at_rest.std(axis=0))
+def identified_pillars(designed: Pillars, decoder: Decoupler) -> Pillars:
+    """Those of a sensor as the decoder that `identify` made knows them; `DesignError` if it tells some forces alone."""
+    if decoder.component.axes != AXES or decoder.forward is None or not len(decoder.ensemble):
+        raise DesignError(f"this twin tells {', '.join(decoder.component.forces)} alone: identify one of all.")
+    own = decoder.forward
+    deviation_ohm = decoder.ensemble.differences(own.at(np.zeros((1, own.n_forces))))[0].std(axis=1)
+    return replace(designed, ohm_per_mm2=own.ohm_per_mm2, offset_ohm=own.offset_ohm, deviation_ohm=deviation_ohm)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,40 +59,29 @@ class Whitening:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensing:
-    """Readings of a sensor's pillars by displacements of their electrodes."""
+    """Readings of a sensor's pillars by displacements of their electrodes, by conduction of their components."""
 
     design: SensorDesign
     pillars: Pillars
 
     @cached_property
-    def rest_mm(self) -> FloatArray:
-        """Pillars of a unit at rest, (n_pillars, 3)."""
-        bottom, top = pillar_ends(self.design.unit).transpose(1, 0, 2)
-        return np.asarray(top - bottom)
-
-    @cached_property
     def rest_mm2(self) -> FloatArray:
         """Squared lengths at rest, (units·n_pillars,)."""
-        return np.tile((self.rest_mm**2).sum(axis=1), self.design.n_units)
+        return self.pillars.squares(self.pillars.rest_mm[None])[0]
 
     def ohms(self, reading: FloatArray) -> FloatArray:
         """Resistances [Ω] by readings, both (..., units·n_pillars)."""
-        return (reading + self.rest_mm2) * self.pillars.ohm_per_mm2 + self.pillars.offset_ohm
+        return self.pillars.ohms(reading + self.rest_mm2)
 
     def shown(self, ohms: FloatArray) -> FloatArray:
         """Readings that resistances show, the inverse of `ohms`."""
-        return (ohms - self.pillars.offset_ohm) / self.pillars.ohm_per_mm2 - self.rest_mm2
-
-    def deviation(self, reading: FloatArray, errors: ReadingError) -> FloatArray:
-        """Standard deviation of what each reading has by itself, of its shape [mm²]."""
-        own = errors.deviation(self.ohms(reading))
-        return np.hypot(own, self.pillars.deviation_ohm) / self.pillars.ohm_per_mm2
+        return self.pillars.squares_of(ohms) - self.rest_mm2
 
     def whitening(self, reading: FloatArray, errors: ReadingError, more_mm2: FloatArray | float = 0.0) -> Whitening:
         """Of errors of a reading (m,), with `more_mm2` (m,) of each alone."""
         array = self.design.array
-        shared = errors.shared(self.ohms(reading)[None], array.rows, array.cols)[0] / self.pillars.ohm_per_mm2[:, None]
-        return Whitening.of(np.hypot(self.deviation(reading, errors), more_mm2), shared)
+        own, shared = self.pillars.errors_mm2(self.ohms(reading)[None], errors, (array.rows, array.cols))
+        return Whitening.of(np.hypot(own[0], more_mm2), shared[0])
 
     @cached_property
     def by_electrode(self) -> FloatArray:
@@ -114,32 +89,18 @@ class Sensing:
         layout = self.design.unit.layout
         found = np.zeros((2, len(layout.upper), 3, len(layout.pillars)))
         for pillar in layout.loaded:
-            found[:, layout.pillar_top[pillar], :, pillar] = 2 * self.rest_mm[pillar], np.ones(3)
+            found[:, layout.pillar_top[pillar], :, pillar] = 2 * self.pillars.rest_mm[:, pillar], np.ones(3)
         return found.reshape(2, -1, len(layout.pillars))
 
     def reading(self, moved_mm: FloatArray) -> FloatArray:
-        """Changes of squared lengths (..., units·n_pillars) [mm²] by displacements (..., e) of electrodes [mm]."""
-        linear, square = self.by_electrode.astype(moved_mm.dtype)
-        tops = moved_mm.reshape(-1, len(linear))
-        return (tops @ linear + tops**2 @ square).reshape(*moved_mm.shape[:-1], -1)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ConductedSensing(Sensing):
-    """The same by conduction: of components of pillars, as `ConductedPillars` has them, in the place of electrodes."""
-
-    components_mm: FloatArray  #: d, at rest (units, n_pillars, n_components)
-    sign: FloatArray  #: s, of the same shape
-
-    @cached_property
-    def rest_mm2(self) -> FloatArray:
-        return np.asarray((self.sign * self.components_mm**2).sum(axis=-1).ravel())
-
-    def reading(self, moved_mm: FloatArray) -> FloatArray:
-        """Changes of Σ sₖ (dₖ + mₖ)² (..., units·n_pillars) [mm²] by m (..., units·n_pillars·n_components)."""
-        moved = moved_mm.reshape(*moved_mm.shape[:-1], *self.sign.shape)
-        each = self.sign * (2 * self.components_mm + moved) * moved
-        return np.asarray(each.sum(axis=-1).reshape(*moved_mm.shape[:-1], -1))
+        """Changes of Σ s (d + m)² (..., units·n_pillars) [mm²] by displacements m (..., e) [mm]."""
+        if self.pillars.sign is None:
+            linear, square = self.by_electrode.astype(moved_mm.dtype)
+            tops = moved_mm.reshape(-1, len(linear))
+            return (tops @ linear + tops**2 @ square).reshape(*moved_mm.shape[:-1], -1)
+        sign, rest_mm = self.pillars.sign.T, self.pillars.rest_mm.T
+        moved = moved_mm.reshape(*moved_mm.shape[:-1], *sign.shape)
+        return np.asarray((sign * (2 * rest_mm + moved) * moved).sum(axis=-1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -64,6 +64,10 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     its own image in a mirror at y = 0, electrodes included, so are the forces that deform it, and few samples count
     twice. Its pillars are not: only by eq. 1 their lengths are known in the mirror, too.
     """
+    if "twin" in data.made_from:
+        raise SampleError(
+            "samples of a twin hold no displacements: its own decoder has learned finite strain; take that one."
+        )
     if data.displacement_mm is None:
         raise SampleError(
             "samples at finite strain hold no displacements (displacement_mm), which say how the rubber is deformed: "
@@ -89,7 +93,7 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     )
     lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
     if lengths_mm is None:
-        squares = pillar_columns(data.resistance_ohm, EVERYTHING, data.layout) / forward.ohm_per_mm2
+        squares = forward.squares_of(pillar_columns(data.resistance_ohm, EVERYTHING, data.layout))
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
     states, forces, lengths2 = [state_n], [force_n], [squares]
@@ -214,7 +218,7 @@ def drawn_samples(
     y, forces = np.concatenate(squares), np.concatenate(force_n)
     possible = (y > 0).all(axis=1)
     y, forces = y[possible], forces[possible]
-    ohms = (forward.ohm_per_mm2 * y + forward.offset_ohm).reshape(len(y), design.array.rows, design.array.cols, -1)
+    ohms = forward.ohms(y).reshape(len(y), design.array.rows, design.array.cols, -1)
     return Columns(
         component=EVERYTHING,
         shape=(design.array.rows, design.array.cols),

@@ -11,13 +11,14 @@ from dataset.samples import AnySamples
 from decoupler.data.columns import Columns, Scaling
 from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse, SensorModel
+from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.front import FEATURES, Front
 from decoupler.model.network import Task, form_named
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model_file import model_cache_key
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge
 from decoupler.training.error_bars import MIN_FREEDOM, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain

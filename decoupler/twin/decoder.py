@@ -9,12 +9,13 @@ from dataset.measurement import ReadingError
 from decoupler.data.columns import Columns, Scaling
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
+from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.front import Front
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge, ridge
 from decoupler.training.error_bars import fitted_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined

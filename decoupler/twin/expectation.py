@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import Component
-from decoupler.inverse.sensor_model import SensorModel
+from decoupler.inverse.sensor_model import PredictedReadings, SensorModel
 from decoupler.inverse.strain_maps import units_around
+from decoupler.model.ensemble import Changes
 from geometry.layout import FloatArray
 from geometry.tolerances import changed, value_of
 
@@ -57,13 +58,11 @@ class State:
 
     def rescaled(self, expected: "Expectation", old: Widths) -> Self:
         """The same sensor, where the widths were `old` and now are those expected."""
-        own, shared, new = self.own.copy(), self.shared.copy(), expected.widths
-        own[:, 0] *= old.gain / new.gain
-        own[:, 1] *= old.offset / new.offset
-        own[:, 2:] *= old.own / new.own
+        shared, new = self.shared.copy(), expected.widths
         if expected.n_corrections:
             expected.parts(shared)[2][:] *= old.shared / new.shared
-        return replace(self, shared=shared, own=own)
+        size = [old.gain / new.gain, old.offset / new.offset, *[old.own / new.own] * (self.own.shape[1] - 2)]
+        return replace(self, shared=shared, own=self.own * size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,12 +74,9 @@ class Expectation:
     names: tuple[str, ...]  #: of the k parameters, such as unit.height_mm
     values: FloatArray  #: (k,): of the design
     deviations: FloatArray  #: (k,): standard deviations of the parameters
-    by_influence: FloatArray  #: of B, (k, P, C, Q) [mm/N]
-    by_rest_mm: FloatArray  #: of d, (k, P, C)
-    by_log_c: FloatArray  #: (k, P)
+    by: Changes  #: by the parameters
     near: NDArray[np.int64]  #: (n_units, n_neighbours): unit at each distance, −1 beyond the rim
     near_mm_per_n: FloatArray  #: (n_neighbours,): usual size of the influence at that distance
-    by_weights: FloatArray | None = None  #: of the maps of finite strain, (N_FEATURES, k, m); None: linear
     widths: Widths = field(default_factory=Widths)
 
     @classmethod
@@ -100,7 +96,7 @@ class Expectation:
             by_rest.append((other.rest_mm - forward.rest_mm).T / STEP)
             by_log_c.append(np.log(other.ohm_per_mm2 / forward.ohm_per_mm2) / STEP)
             by_influence.append(other.by_component)
-        own = _block_sizes(forward.by_component, design.n_units, _reached(forward.by_component))
+        own = _block_sizes(forward.by_component, design.n_units)
         near = units_around(design.array.rows, design.array.cols, NEIGHBOURS, beyond=-1)
         near = near[:, : 0 if sensitivities is None else None]
         there = near >= 0
@@ -111,9 +107,11 @@ class Expectation:
             names=names,
             values=np.array([value_of(design, name) for name in names]),
             deviations=deviations,
-            by_influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
-            by_rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
-            by_log_c=np.array(by_log_c).reshape(-1, forward.n_pillars),
+            by=Changes(
+                resistance=np.array(by_log_c).reshape(-1, forward.n_pillars),
+                rest_mm=np.array(by_rest).reshape(-1, *forward.rest_mm.T.shape),
+                influence=np.array(by_influence).reshape(-1, *forward.by_component.shape),
+            ),
             near=near,
             near_mm_per_n=beside.sum(axis=0) / np.maximum(there.sum(axis=0), 1),
             widths=HELD if sensitivities is None else Widths(),
@@ -126,27 +124,20 @@ class Expectation:
         Parameters are taken to change a resistance and its slopes by as much as they change those of eq. 1. The first
         component holds both.
         """
-        B, old_B, old_rest = forward.by_component, self.influence, self.forward.rest_mm.T
-        by_rest = np.zeros((len(self.names), *forward.rest_mm.T.shape))
-        by_influence = np.zeros((len(self.names), *B.shape))
+        B, old_B, old_rest = forward.by_component, self.forward.by_component, self.forward.rest_mm.T
+        by_rest, by_influence = (np.zeros((len(self.names), *like.shape)) for like in (forward.rest_mm.T, B))
         first = forward.rest_mm[0]
-        by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by_rest_mm) / first
-        slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by_influence)
-        slopes += np.einsum("kpi,piq->kpq", self.by_rest_mm, old_B)
+        by_rest[..., 0] = np.einsum("pi,kpi->kp", old_rest, self.by.rest_mm) / first
+        slopes = np.einsum("pi,kpiq->kpq", old_rest, self.by.influence)
+        slopes += np.einsum("kpi,piq->kpq", self.by.rest_mm, old_B)
         by_influence[:, :, 0] = (slopes - by_rest[:, :, :1] * B[:, 0]) / first[:, None]
-        return replace(self, forward=forward, by_rest_mm=by_rest, by_influence=by_influence)
+        return replace(self, forward=forward, by=replace(self.by, rest_mm=by_rest, influence=by_influence))
 
     def at_strain(self, designed: SensorModel, by_weights: FloatArray) -> Self:
         """The same at finite strain: all that parameters change are the weights of the design's maps."""
-        return replace(
-            self,
-            forward=designed.with_own_influences(),
-            by_weights=by_weights,
-            by_influence=np.zeros_like(self.by_influence),
-            by_rest_mm=np.zeros_like(self.by_rest_mm),
-            by_log_c=np.zeros_like(self.by_log_c),
-            widths=AT_STRAIN,
-        )
+        linear = {name: np.zeros_like(getattr(self.by, name)) for name in ("resistance", "rest_mm", "influence")}
+        by = Changes(by_weights=by_weights, **linear)
+        return replace(self, forward=designed.with_own_influences(), by=by, widths=AT_STRAIN)
 
     @property
     def n_units(self) -> int:
@@ -159,11 +150,6 @@ class Expectation:
     @property
     def n_forces(self) -> int:
         return self.forward.n_forces
-
-    @property
-    def influence(self) -> FloatArray:
-        """B of the mean, (P, C, Q) [mm/N]."""
-        return self.forward.by_component
 
     @cached_property
     def rest_ohm(self) -> FloatArray:
@@ -178,7 +164,7 @@ class Expectation:
     @cached_property
     def sizes(self) -> FloatArray:
         """Usual size of each pillar's influence under each force, (P, Q) [mm/N]: that of their units' block."""
-        blocks = _block_sizes(self.influence, self.n_units, self.reached)
+        blocks = _block_sizes(self.forward.by_component, self.n_units)
         blocks = np.maximum(blocks, FAR * blocks.diagonal().mean())
         per_pillar, per_force = self.n_pillars // self.n_units, self.n_forces // self.n_units
         return blocks.repeat(per_pillar, axis=0).repeat(per_force, axis=1)
@@ -186,13 +172,12 @@ class Expectation:
     @cached_property
     def reached(self) -> NDArray[np.bool_]:
         """Which pillars any load reaches, (P,): not references."""
-        return _reached(self.influence)
+        return np.asarray(self.forward.by_component.any(axis=(1, 2)))
 
     def mean(self, n_unknown: int = 0) -> State:
         """The prior's mean, with so many unknown parts of forces."""
-        P, Q = self.n_pillars, self.n_forces
-        n_shared = len(self.names) + 1 + self.n_corrections + n_unknown
-        return State(shared=np.zeros(n_shared), own=np.zeros((P, 2 + 3 * Q)))
+        shared = np.zeros(len(self.names) + 1 + self.n_corrections + n_unknown)
+        return State(shared=shared, own=np.zeros((self.n_pillars, 2 + 3 * self.n_forces)))
 
     def parts(self, shared: FloatArray) -> list[FloatArray]:
         """Views of what pillars share, (g, ...): parameters, resistivity, corrections, unknown parts of forces."""
@@ -210,43 +195,44 @@ class Expectation:
     def sensor(self, state: State) -> SensorModel:
         """A sensor, each pillar with an influence of its own."""
         parameters, resistivity, shared, _ = self.parts(state.shared)
-        B = self.influence + np.tensordot(parameters, self.by_influence, axes=1)
-        B[:, :3] += self.own_influence(state.own[:, 2:]) + self.shared_influence(shared)
+        B = self.forward.by_component + np.tensordot(parameters, self.by.influence, axes=1)
+        B[:, :3] += self.correction(state.own[:, 2:], shared)
         mean, maps = self.forward, self.forward.maps
-        if maps is not None and self.by_weights is not None:
-            moved = np.tensordot(self.by_weights, parameters, axes=(1, 0))
+        if maps is not None and self.by.by_weights is not None:
+            moved = np.tensordot(self.by.by_weights, parameters, axes=(1, 0))
             maps = replace(maps, weights=maps.weights + moved)
-        log_c = self.widths.resistivity * resistivity[0] + parameters @ self.by_log_c
+        log_c = self.widths.resistivity * resistivity[0] + parameters @ self.by.resistance
         return replace(
             mean,
             influence=np.ascontiguousarray(B.transpose(2, 1, 0).reshape(self.n_forces, -1)),
-            rest_mm=mean.rest_mm + np.tensordot(parameters, self.by_rest_mm, axes=1).T,
+            rest_mm=mean.rest_mm + np.tensordot(parameters, self.by.rest_mm, axes=1).T,
             ohm_per_mm2=self.gain(state) * mean.ohm_per_mm2 * np.exp(log_c),
             offset_ohm=self.offset_ohm(state),
             maps=maps,
         )
 
-    def own_influence(self, own: FloatArray) -> FloatArray:
-        """Influence (P, 3, Q) [mm/N] of corrections that pillars have alone, (P, 3 Q)."""
-        return self.widths.own * own.reshape(self.n_pillars, 3, -1) * (self.sizes * self.reached[:, None])[:, None]
+    def by_parameters(self, at: PredictedReadings) -> FloatArray:
+        """Change of a sensor's squares of lengths by the parameters, then by the resistivity, (n, P, k + 1) [mm²]."""
+        return np.concatenate([self.by.squares(at), self.widths.resistivity * at.squares[..., None]], axis=2)
 
-    def shared_influence(self, shared: FloatArray) -> FloatArray:
-        """Influence (P, 3, Q) [mm/N] of a correction that all units share, (n_corrections,)."""
+    def correction(self, own: FloatArray, shared: FloatArray) -> FloatArray:
+        """Change of the influence (P, 3, Q) [mm/N] by corrections of each pillar (P, 3 Q) and of all units (g,)."""
         n_axes, kinds = self.n_forces // self.n_units, self.n_pillars // self.n_units
         found = np.zeros((self.n_units, kinds, 3, self.n_units, n_axes))
         by_place = shared.reshape(kinds, 3, -1, n_axes) * (self.widths.shared * self.near_mm_per_n[:, None])
         for place in range(self.near.shape[1]):
             units = np.flatnonzero(self.near[:, place] >= 0)
             found[units, :, :, self.near[units, place]] = by_place[:, :, place]
-        return found.reshape(self.n_pillars, 3, -1) * self.reached[:, None, None]
+        reached = self.reached[:, None]
+        alone = self.widths.own * own.reshape(self.n_pillars, 3, -1) * (self.sizes * reached)[:, None]
+        return alone + found.reshape(self.n_pillars, 3, -1) * reached[..., None]
 
 
-def _reached(influence: FloatArray) -> NDArray[np.bool_]:
-    """Which pillars have any influence (P, C, Q), (P,)."""
-    return np.asarray(influence.any(axis=(1, 2)))
+def _block_sizes(influence: FloatArray, n_units: int) -> FloatArray:
+    """Size of three components of the influence (P, C, Q) between units, (n_units, n_units), of those that it reaches.
 
-
-def _block_sizes(influence: FloatArray, n_units: int, reached: NDArray[np.bool_]) -> FloatArray:
-    """Root mean square of the influence (P, 3, Q) between units, (n_units, n_units), of pillars that are `reached`."""
-    blocks = influence[reached].reshape(n_units, -1, 3, n_units, influence.shape[2] // n_units)
-    return np.sqrt((blocks**2).sum(axis=2).mean(axis=(1, 3)))
+    Root mean squares; by eq. 1 there are three.
+    """
+    reached = influence[influence.any(axis=(1, 2))]
+    blocks = reached.reshape(n_units, -1, n_units, influence.shape[2] // n_units)
+    return np.asarray(np.sqrt(3.0 * (blocks**2).mean(axis=(1, 3))))

@@ -15,16 +15,16 @@ from decoupler.data.columns import Component, acting_component, component_named,
 from decoupler.data.pairs import Pairs
 from decoupler.data.usual_loads import images_of, loads_like
 from decoupler.inverse.posterior import Posterior
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.uncertainty import WITHIN
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.training.finite_strain import DRAWS
 from decoupler.twin.decoder import decoder_at_strain, decoder_of
 from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.near_designs import NearDesigns
 from decoupler.twin.next_load import NextLoad
-from decoupler.twin.posterior import Specimen, infer, predicted, without_each
+from decoupler.twin.posterior import Specimen, infer, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
 
@@ -159,7 +159,7 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
     if not len(tested):
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
-    as_left_out = np.maximum(predicted(found, readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
+    as_left_out = np.maximum(found.sensor.resistances(readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
     A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
     force_n = decoder.outputs(as_left_out)
     variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)

@@ -6,20 +6,19 @@ pillar's own is its gain, its offset and the correction of its influence.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.inverse.strain_maps import N_AXES, N_FEATURES
+from decoupler.inverse.sensor_model import PredictedReadings
+from decoupler.inverse.strain_maps import N_AXES
 from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.marginal import Marginal
 from geometry.layout import FloatArray
 
 MIN_NOISE = 1e-6  #: relative error that readings have at least
 FOLDED = 3.0  #: change of a reading over its rest by one deviation of a parameter, beyond which a state is near a fold
-CHUNK = 64  #: states whose derivatives are in memory together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,83 +38,6 @@ class Readings:
         force_n = self.force_n.copy()
         np.add.at(force_n, self.pair, unknown[:, None] * self.unknown_n)
         return force_n
-
-
-class Shown:
-    """Squares of lengths of a sensor under forces (n, Q) [N], or in states that are known, and their derivatives.
-
-    Squares y are resistances without offset over c [mm²]. ``there`` (n,) says which forces have a state.
-    """
-
-    def __init__(
-        self, expected: Expectation, state: State, force_n: FloatArray, state_n: FloatArray | None = None
-    ) -> None:
-        self.expected, self.sensor = expected, expected.sensor(state)
-        maps, self.force_n, self.there = self.sensor.maps, force_n, np.ones(len(force_n), dtype=bool)
-        if state_n is None and maps is not None:
-            state_n, self.there = maps.nearest_states(force_n)
-            state_n[~self.there] = 0.0
-        self.state_n = force_n if state_n is None else state_n
-        vectors = self.sensor.linear.vectors(self.state_n)
-        signed = vectors if self.sensor.sign is None else vectors * self.sensor.sign
-        self.squares = np.einsum("ncp,ncp->np", signed, vectors)
-        if maps is not None:
-            self.squares += maps.values(self.state_n)[..., N_AXES:].reshape(self.squares.shape)
-        self.by_vector = 2.0 * signed.transpose(0, 2, 1)  #: (n, P, C) [mm]
-
-    @property
-    def resistance_ohm(self) -> FloatArray:
-        """Resistances, (n, P) [Ω]."""
-        return self.sensor.ohm_per_mm2 * self.squares + self.sensor.offset_ohm
-
-    @cached_property
-    def _by_force(self) -> FloatArray:
-        """Derivatives of the squares by forces at finite strain, (n, P, Q) [mm²/N]."""
-        parts = []
-        for start in range(0, len(self.state_n), CHUNK):
-            _, by_state, _, by_force = self.sensor.at_states(self.state_n[start : start + CHUNK])
-            parts.append(np.linalg.solve(by_force.swapaxes(1, 2), by_state.swapaxes(1, 2)).swapaxes(1, 2))
-        return np.concatenate(parts)
-
-    def along(self, direction_n: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Change of the squares by r directions of the forces for some of the n, (·, r, Q) [N] -> (·, P, r) [mm²]."""
-        if self.sensor.maps is not None:
-            return self._by_force[rows] @ direction_n.swapaxes(1, 2)
-        moved = (direction_n @ self.sensor.influence).reshape(*direction_n.shape[:2], *self.sensor.rest_mm.shape)
-        return np.einsum("npc,nrcp->npr", self.by_vector[rows], moved)
-
-    @cached_property
-    def missed_by_maps(self) -> FloatArray:
-        """Variance of the squares by what maps miss, of the squares and of the forces that lead there, (n, P) [mm⁴]."""
-        maps, n = self.sensor.maps, len(self.state_n)
-        assert maps is not None
-        forces_n2, squares_mm4 = np.split(maps.misfit_variance(self.state_n), [N_AXES], axis=2)
-        by_forces = (self._by_force**2 @ forces_n2.reshape(n, -1, 1))[..., 0]
-        return np.asarray(squares_mm4.reshape(n, -1) + by_forces)
-
-    @cached_property
-    def by_parameters(self) -> FloatArray:
-        """Change of the squares by the parameters, then by the resistivity, (n, P, k + 1) [mm²]."""
-        expected, (n, P, C) = self.expected, self.by_vector.shape
-        k = len(expected.names)
-        moved = (self.state_n @ expected.by_influence.reshape(-1, expected.n_forces).T).reshape(n, k, P, C)
-        by = np.einsum("npc,nkpc->npk", self.by_vector, moved + expected.by_rest_mm)
-        by += self.squares[..., None] * expected.by_log_c.T
-        if expected.by_weights is not None:
-            maps = self.sensor.maps
-            assert maps is not None
-            changed = replace(maps, weights=expected.by_weights.reshape(N_FEATURES, -1))
-            values = changed.values(self.state_n).reshape(n, expected.n_units, k, -1).swapaxes(1, 2)
-            by += values[..., N_AXES:].reshape(n, k, P).swapaxes(1, 2)
-            by -= self.along(values[..., :N_AXES].reshape(n, k, -1))
-        return np.concatenate([by, expected.widths.resistivity * self.squares[..., None]], axis=2)
-
-    def far_from_folds(self) -> NDArray[np.bool_]:
-        """Where a state is known that a deviation of a parameter moves little, (n,)."""
-        if self.sensor.maps is None:
-            return self.there
-        by_rest = np.abs(self.by_parameters).max(axis=2) / self.expected.rest_ohm * self.expected.forward.ohm_per_mm2
-        return self.there & (by_rest.max(axis=1) < FOLDED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,21 +71,24 @@ class Linear:
 
     def __init__(self, expected: Expectation, readings: Readings, state: State) -> None:
         self.expected, self.readings, self.state = expected, readings, state
-        self.shown = shown = Shown(expected, state, readings.forces(expected.parts(state.shared)[3]))
-        c, ohms = shown.sensor.ohm_per_mm2, readings.resistance_ohm
-        self.read = readings.read & shown.far_from_folds()[:, None]
-        misfit_ohm2 = (expected.widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
+        sensor = expected.sensor(state)
+        self.at = at = sensor.under(readings.forces(expected.parts(state.shared)[3]))
+        c, ohms, by_parameters = sensor.ohm_per_mm2, readings.resistance_ohm, expected.by_parameters(at)
+        misfit_ohm2 = (expected.widths.misfit * (ohms - sensor.linear.at_rest_ohm())) ** 2
         variance = readings.deviation_ohm**2 + (MIN_NOISE * ohms) ** 2 + misfit_ohm2
-        if shown.sensor.maps is not None:
-            variance += c**2 * shown.missed_by_maps
+        self.read = readings.read & at.there[:, None]
+        if sensor.maps is not None:
+            by_rest = np.abs(by_parameters).max(axis=2) / expected.rest_ohm * expected.forward.ohm_per_mm2
+            self.read &= (by_rest.max(axis=1) < FOLDED)[:, None]
+            variance += c**2 * _missed_by_maps(at)
         #: one over the deviation of each reading, (n, P) [1/Ω], 0 where not read; misfit's fraction of the variance
         self.weight = self.read / (np.sqrt(variance) * readings.scale[:, None])
         self.unsure = self.read * misfit_ohm2 / variance
-        self._misfit = self.weight * (ohms - shown.resistance_ohm)
+        self._misfit = self.weight * (ohms - at.resistance_ohm)
         self._by_squares = c * self.weight
-        self._by_gain = expected.widths.gain * self._by_squares * shown.squares / expected.gain(state)
-        self._by_parameters = self._by_squares[..., None] * shown.by_parameters
-        along = shown.along(readings.unknown_n[:, None], readings.pair)[..., 0]
+        self._by_gain = expected.widths.gain * self._by_squares * at.squares / expected.gain(state)
+        self._by_parameters = self._by_squares[..., None] * by_parameters
+        along = at.along(readings.unknown_n[:, None], readings.pair)[..., 0]
         self._by_unknown = self._by_squares[readings.pair] * along  # (n_unknown, P)
         self.N, self.rhs = np.eye(len(state.shared)), -state.shared
         self.known, self.left = np.empty((expected.n_pillars, 3)), np.empty(self.weight.shape)
@@ -185,7 +110,7 @@ class Linear:
 
     def pillar(self, p: int) -> Pillar:
         """Pillar number p."""
-        expected, shown, widths = self.expected, self.shown, self.expected.widths
+        expected, at, widths = self.expected, self.at, self.expected.widths
         n, Q, k, pair = len(self.weight), expected.n_forces, len(expected.names), self.readings.pair
         n_axes, kinds, n_near = Q // expected.n_units, expected.n_pillars // expected.n_units, expected.near.shape[1]
         unit, kind = divmod(p, kinds)
@@ -195,8 +120,8 @@ class Linear:
         J = np.empty((n, 2 + 3 * Q))
         J[:, 0] = self._by_gain[:, p]
         J[:, 1] = widths.offset * expected.rest_ohm[p] * self.weight[:, p]
-        slope = self._by_squares[:, p, None] * shown.by_vector[:, p, :3]
-        moved = shown.state_n * (expected.sizes[p] * widths.own * expected.reached[p])
+        slope = self._by_squares[:, p, None] * at.by_vector[:, p, :3]
+        moved = at.state_n * (expected.sizes[p] * widths.own * expected.reached[p])
         np.multiply(slope[..., None], moved[:, None], out=J[:, 2:].reshape(n, 3, Q))
         near = np.flatnonzero(expected.near[unit] >= 0)
         forces = (expected.near[unit, near, None] * n_axes + np.arange(n_axes)).ravel()
@@ -220,3 +145,12 @@ class Linear:
         for p, half in enumerate(self._half):
             pillar = self.pillar(p)
             yield p, pillar, Marginal(pillar.J, half)
+
+
+def _missed_by_maps(at: PredictedReadings) -> FloatArray:
+    """Variance of the squares by what maps miss, of the squares and of the forces that lead there, (n, P) [mm⁴]."""
+    maps, n = at.sensor.maps, len(at.state_n)
+    assert maps is not None
+    forces_n2, squares_mm4 = np.split(maps.misfit_variance(at.state_n), [N_AXES], axis=2)
+    by_force = at.along(np.broadcast_to(np.eye(at.state_n.shape[1]), at.slopes[1].shape))
+    return np.asarray(squares_mm4.reshape(n, -1) + (by_force**2 @ forces_n2.reshape(n, -1, 1))[..., 0])

@@ -14,17 +14,15 @@ class Marginal:
     """
 
     def __init__(self, J: FloatArray, half: FloatArray | None = None) -> None:
-        n, m = J.shape
-        self.J, self.dual = J, n <= m
-        self.half = self._factored() if half is None else half  # halfᵀ half is the inverse
-
-    def _factored(self) -> FloatArray:
-        M = self.J @ self.J.T if self.dual else self.J.T @ self.J
-        M.flat[:: len(M) + 1] += 1.0
-        lower, failed = dpotrf(M.T, lower=1, overwrite_a=1)
-        if failed:
-            raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
-        return np.tril(dtrtri(lower, lower=1, overwrite_c=1)[0])
+        self.J, self.dual = J, len(J) <= J.shape[1]
+        if half is None:
+            M = J @ J.T if self.dual else J.T @ J
+            M.flat[:: len(M) + 1] += 1.0
+            lower, failed = dpotrf(M.T, lower=1, overwrite_a=1)
+            if failed:
+                raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
+            half = np.tril(dtrtri(lower, lower=1, overwrite_c=1)[0])
+        self.half = half  # halfᵀ half is the inverse
 
     def _inverse(self, X: FloatArray) -> FloatArray:
         return np.asarray(self.half.T @ (self.half @ X))
@@ -51,17 +49,14 @@ class Marginal:
         H = self.half[:, columns]
         return np.asarray(np.eye(len(columns)) - H.T @ H)
 
-    def left(self) -> FloatArray:
-        """Diagonal of S⁻¹, (n,): what is left of each reading; the mean of all with more readings than unknowns."""
+    def left(self, which: np.ndarray | None = None) -> FloatArray:
+        """Diagonal of S⁻¹ of some or all readings: what is left of each; of all, if more than unknowns, their mean."""
         n, m = self.J.shape
         if self.dual:
-            return np.asarray((self.half**2).sum(axis=0))
-        return np.full(n, 1.0 - (m - (self.half**2).sum()) / n)
-
-    def left_of(self, which: np.ndarray) -> FloatArray:
-        """Diagonal of S⁻¹ of some readings."""
-        if self.dual:
-            return self.left()[which]
+            left = np.asarray((self.half**2).sum(axis=0))
+            return left if which is None else left[which]
+        if which is None:
+            return np.full(n, 1.0 - (m - (self.half**2).sum()) / n)
         return np.asarray(1.0 - ((self.half @ self.J[which].T) ** 2).sum(axis=0))
 
     def known(self, alone: int) -> FloatArray:

@@ -19,7 +19,6 @@ from decoupler.data.load_table import NOISE as READ_NOISE
 from decoupler.data.load_table import UNITS_N, KnownLoad, known_forces, quantity_of
 from decoupler.data.pairs import Pairs
 from decoupler.twin.expectation import Expectation, State
-from decoupler.twin.linearised import Shown
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -52,18 +51,18 @@ class Knowledge:
         And deviations of noise, converter's steps and what the unknowns do not explain, (P,) [Ω].
         """
         expected, widths, gain = self.expected, self.expected.widths, self.expected.gain(self.state)
-        shown = Shown(expected, self.state, force_n[None])
-        c, ohms = shown.sensor.ohm_per_mm2, shown.resistance_ohm[0]
-        shared = c[:, None] * shown.by_parameters[0]
-        own = np.diag(widths.gain * c * shown.squares[0] / gain), np.diag(widths.offset * expected.rest_ohm)
-        by_force = c[:, None] * shown.along(np.eye(len(force_n))[None])[0]
-        reading = self.errors.deviation(ohms)
-        corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * shown.state_n, axis=1)
-        corrected_mm = corrected_mm * expected.reached
-        by_vector = c * np.linalg.norm(shown.by_vector[0], axis=1)
-        variance = reading**2 + (by_vector * corrected_mm) ** 2
-        variance += (widths.misfit * (ohms - shown.sensor.linear.at_rest_ohm())) ** 2
-        return np.column_stack([shared, *own]), by_force, np.sqrt(variance)
+        at = expected.sensor(self.state).under(force_n[None])
+        c, ohms = at.sensor.ohm_per_mm2, at.resistance_ohm[0]
+        shared, by_force = (
+            c[:, None] * expected.by_parameters(at)[0],
+            c[:, None] * at.along(np.eye(len(force_n))[None])[0],
+        )
+        own = np.diag(widths.gain * c * at.squares[0] / gain), np.diag(widths.offset * expected.rest_ohm)
+        corrected_mm = np.hypot(widths.own, widths.shared) * np.linalg.norm(expected.sizes * at.state_n, axis=1)
+        by_correction = c * np.linalg.norm(at.by_vector[0], axis=1) * corrected_mm * expected.reached
+        misfit = widths.misfit * (ohms - at.sensor.linear.at_rest_ohm())
+        deviation = np.sqrt(self.errors.deviation(ohms) ** 2 + by_correction**2 + misfit**2)
+        return np.column_stack([shared, *own]), by_force, deviation
 
     def fall(self, force_n: FloatArray, unknown_n: FloatArray) -> FloatArray:
         """K, (u, P): a pair of a load (Q,), known but for directions (k, Q) [N], takes K Kᵀ off the covariance."""

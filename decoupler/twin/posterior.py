@@ -17,7 +17,7 @@ from dataset.samples import SampleError
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.ensemble import Ensemble
 from decoupler.twin.expectation import Expectation, State, Widths
-from decoupler.twin.linearised import Linear, Readings, Shown
+from decoupler.twin.linearised import Linear, Readings
 from geometry.layout import FloatArray
 
 MAX_STEPS = 10  #: of Gauss-Newton; widths are estimated anew at each
@@ -96,45 +96,24 @@ def infer(
     stated, state = expected.widths, expected.mean(len(readings.pair))
     for _ in range(MAX_STEPS):
         progress(1.0 / (MAX_STEPS + 1))
-        state, evidence = _improved(expected, readings, state)
-        old, widths = expected.widths, evidence.widths(stated, expected.widths)
-        readings = replace(readings, scale=np.maximum(readings.scale * evidence.scale, 1.0))
-        change = max(abs(getattr(widths, name) / getattr(old, name) - 1.0) for name in evidence.known)
+        old, before = expected.widths, state
+        state, widths, scale = _improved(Linear(expected, readings, state), stated)
+        moved = max(float(np.abs(getattr(state, name) - getattr(before, name)).max()) for name in ("shared", "own"))
+        change = max(abs(width / getattr(old, name) - 1.0) for name, width in vars(widths).items() if width)
+        readings = replace(readings, scale=np.maximum(readings.scale * scale, 1.0))
         expected = replace(expected, widths=widths)
         state = state.rescaled(expected, old)
-        if max(change, evidence.moved) < CONVERGED:
+        if max(change, moved) < CONVERGED:
             break
     return _drawn(expected, readings, state, draws)
 
 
-def predicted(found: Specimen, force_n: FloatArray) -> FloatArray:
-    """Resistances (n, P) [Ω] of the most probable sensor under forces (n, Q) [N]."""
-    return Shown(found.expected, found.state, force_n).resistance_ohm
+def _improved(linear: Linear, stated: Widths) -> tuple[State, Widths, FloatArray]:
+    """The state after a Gauss-Newton step, widths that the pairs make more probable, and the size of their errors.
 
-
-@dataclass(kw_only=True)
-class _Evidence:
-    """Sums over pillars that tell the widths: squares of unknowns, and how many of them the pairs determine."""
-
-    squares: dict[str, float]
-    known: dict[str, float]
-    scale: FloatArray  #: (n,): size of each pair's errors, over the expected one
-    moved: float  #: largest step of an unknown, in standard deviations
-
-    def widths(self, stated: Widths, now: Widths) -> Widths:
-        """Widths that the pairs make more probable."""
-        changed = {}
-        for name, known in self.known.items():
-            start, width = getattr(stated, name), getattr(now, name)
-            belief = BELIEF[name]
-            ratio = (self.squares[name] + belief * (start / width) ** 2) / (known + belief)
-            changed[name] = min(width * float(np.sqrt(ratio)), max(start, WIDEST[name]))
-        return replace(now, **changed)
-
-
-def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[State, _Evidence]:
-    """The state after a Gauss-Newton step, and what the step says of the widths."""
-    linear = Linear(expected, readings, state)
+    The latter is over the expected one, (n,).
+    """
+    expected, state = linear.expected, linear.state
     if not linear.read.any():
         raise SampleError("no pair has forces that this design bears at finite strain: are they in newtons?")
     own, n_first = state.own, len(expected.names) + 1
@@ -149,27 +128,30 @@ def _improved(expected: Expectation, readings: Readings, state: State) -> tuple[
         noise[:, p], found[p] = marginal.solved(pillar.misfit + pillar.J @ own[p] - pillar.by_shared(step))
     squares = {"misfit": float((linear.unsure * noise**2).sum()), "own": float((found[:, 2:] ** 2).sum())}
     squares["gain"], squares["offset"] = (found[:, :2] ** 2).sum(axis=0).tolist()
-    errors = BELIEF_IN_PAIRS + (noise**2).sum(axis=1)
     moved = replace(state, shared=state.shared + step)
     if expected.n_corrections:
         half = solve_triangular(factor[0], np.eye(len(linear.N)), lower=True, check_finite=False)  # N⁻¹ = halfᵀ half
         of_shared = slice(n_first, n_first + expected.n_corrections)
         known["shared"] = float(expected.n_corrections - (half[:, of_shared] ** 2).sum())
         squares["shared"] = float((moved.shared[of_shared] ** 2).sum())
-    improved = _descended(linear, moved, found)
-    farthest = max(float(np.abs(step).max()), float(np.abs(improved.own - own).max()))
-    return improved, _Evidence(squares=squares, known=known, scale=np.sqrt(errors / expected_errors), moved=farthest)
+    widths = {}
+    for name, number in known.items():
+        start, width = getattr(stated, name), getattr(expected.widths, name)
+        ratio = (squares[name] + BELIEF[name] * (start / width) ** 2) / (number + BELIEF[name])
+        widths[name] = min(width * float(np.sqrt(ratio)), max(start, WIDEST[name]))
+    scale = np.sqrt((BELIEF_IN_PAIRS + (noise**2).sum(axis=1)) / expected_errors)
+    return _descended(linear, moved, found), replace(expected.widths, **widths), scale
 
 
 def _descended(linear: Linear, state: State, found: FloatArray) -> State:
     """The state with each pillar's own unknowns on the way to those `found`, as far as its misfit falls."""
     expected, readings, own = linear.expected, linear.readings, state.own
     force_n = readings.forces(expected.parts(state.shared)[3])
-    state_n = Shown(expected, state, force_n).state_n  # the same for all unknowns of a pillar's own
+    state_n = expected.sensor(state).under(force_n).state_n  # the same for all unknowns of a pillar's own
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        shown = Shown(expected, replace(state, own=unknowns), force_n, state_n)
-        misfit = linear.weight * (readings.resistance_ohm - shown.resistance_ohm)
+        at = expected.sensor(replace(state, own=unknowns)).at(state_n)
+        misfit = linear.weight * (readings.resistance_ohm - at.resistance_ohm)
         return np.asarray((misfit**2).sum(axis=0) + (unknowns**2).sum(axis=1))
 
     size, before = np.ones((len(own), 1)), cost(own)
@@ -233,7 +215,7 @@ def without_each(found: Specimen, readings: Readings, which: NDArray[np.int64]) 
         r = pillar.misfit + pillar.J @ found.state.own[p] - A @ step[pillar.places]
         X = marginal.solved(np.column_stack([A, r]))[0][which]
         by_shared[:, p], noise[:, p] = X[:, :-1] @ half[:, pillar.places].T, X[:, -1]
-        left[:, p] = marginal.left_of(which)
+        left[:, p] = marginal.left(which)
     C = -by_shared @ by_shared.swapaxes(1, 2)
     diagonal = np.arange(shape[1])
     C[:, diagonal, diagonal] += left
@@ -249,15 +231,15 @@ def _ensemble(expected: Expectation, state: State, own: FloatArray, shared: Floa
     """Draws (P, m, draws) and (g, draws) of what pillars have alone and together, as changes of their resistances."""
     widths = expected.widths
     parameters, resistivity, corrections, _ = expected.parts(shared)
-    influence = np.tensordot(parameters.T, expected.by_influence[:, :, :3], axes=1)
+    influence = np.tensordot(parameters.T, expected.by.influence[:, :, :3], axes=1)
     for draw, (alone, together) in enumerate(zip(np.moveaxis(own, 2, 0), corrections.T, strict=True)):
-        influence[draw] += expected.own_influence(alone[:, 2:]) + expected.shared_influence(together)
-    resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by_log_c).T
+        influence[draw] += expected.correction(alone[:, 2:], together)
+    resistance = widths.gain * own[:, 0] / expected.gain(state)[:, None] + (parameters.T @ expected.by.resistance).T
     return Ensemble(
         resistance=(resistance + widths.resistivity * resistivity).T,
         offset_ohm=widths.offset * expected.rest_ohm * own[:, 1].T,
-        rest_mm=np.tensordot(parameters.T, expected.by_rest_mm[..., :3], axes=1),
+        rest_mm=np.tensordot(parameters.T, expected.by.rest_mm[..., :3], axes=1),
         influence=influence.astype(np.float32),
-        parameters=None if expected.by_weights is None else parameters.T,
-        by_weights=expected.by_weights,
+        parameters=None if expected.by.by_weights is None else parameters.T,
+        by_weights=expected.by.by_weights,
     )

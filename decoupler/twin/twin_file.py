@@ -16,6 +16,7 @@ from common.errors import DesignError
 from common.storage.files import digest, write_bytes
 from common.storage.seal import BLANK, require_intact, sealed
 from common.storage.text_file import read_text, tables_of
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from decoupler.model_file import read_network
 from decoupler.twin.identification import Twin
@@ -38,25 +39,21 @@ class TwinFile:
     def read_decoder(self) -> Decoupler:
         """The decoder; `DesignError` if the file is another one than the twin was written with."""
         decoder = read_network(self.decoder)
-        if file_hash(self.decoder) != self.decoder_hash:
+        if digest(self.decoder.read_bytes()) != self.decoder_hash:
             raise DesignError(f"{self.decoder} is not the decoder that the twin was written with: identify it again.")
         return decoder
 
-
-def file_hash(path: Path) -> str:
-    """Hash of a file's content."""
-    return digest(Path(path).read_bytes())
-
-
-def most_probable(twin: Twin) -> SensorDesign:
-    """The design of a twin at its most probable values, resistivity included."""
-    values = {name: value for name, (value, _) in twin.parameters.items()}
-    return nearest(twin.design, {**values, RESISTIVITY: twin.design.resistivity_ohm_mm * twin.posterior.resistivity})
+    @property
+    def is_at_strain(self) -> bool:
+        """It is of a sensor at finite strain."""
+        return isinstance(self.read_decoder(), DecouplerAtStrain)
 
 
 def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
     """Write a twin file, whole or not at all; `decoder` is the model file of its decoder, already written."""
-    design, path, found = most_probable(twin), Path(path), twin.posterior
+    path, found = Path(path), twin.posterior
+    probable = {name: value for name, (value, _) in twin.parameters.items()}
+    design = nearest(twin.design, {**probable, RESISTIVITY: twin.design.resistivity_ohm_mm * found.resistivity})
     pillars = [design.unit.layout.pillar_names[pillar] for pillar in twin.decoder.pillars]
     deviation = np.sqrt(found.covariance.diagonal())
     correlations = found.covariance / np.outer(deviation, deviation)
@@ -67,7 +64,7 @@ def write_twin(twin: Twin, path: Path, decoder: Path) -> None:
         f"pairs = {twin.n_pairs}  # measured",
         f"misfit = {found.excess:.4g}  # χ² of the readings over their number: 1 if all is as modelled",
         f"decoder = {_text(_seen_from(path.parent, decoder))}  # its response and draws of it, seen from here",
-        f"decoder_hash = {_text(file_hash(decoder))}",
+        f"decoder_hash = {_text(digest(Path(decoder).read_bytes()))}",
         "\n[twin.parameters]  # most probable value and standard deviation, in the key's unit",
         *(f"{_text(name)} = [{value:.7g}, {sd:.3g}]" for name, (value, sd) in twin.parameters.items()),
         "\n[twin.correlations]  # with the parameters, in the order above",

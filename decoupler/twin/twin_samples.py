@@ -9,6 +9,7 @@ import numpy as np
 
 from common.errors import DesignError
 from common.storage.files import digest
+from dataset.finite_strain import borne
 from dataset.imperfections import Imperfections
 from dataset.measurement import Readout
 from dataset.samples import Samples
@@ -16,6 +17,7 @@ from dataset.settings import DatasetSettings
 from dataset.simulation import read_resistances, read_through, simulate_part
 from decoupler.data.columns import force_columns
 from decoupler.model.at_strain import DecouplerAtStrain
+from decoupler.twin.strained_draws import StrainedDraws
 from decoupler.twin.twin_file import TwinFile
 from fem.array.response import ArrayResponse
 
@@ -30,7 +32,8 @@ def simulate_twin(
 ) -> Samples:
     """Simulate labelled samples of a sensor that is known as far as its pairs tell: of draws of its posterior in turn.
 
-    Displacements and lengths are left out, since a twin knows its pillars by their resistances alone.
+    Displacements and lengths are left out, since a twin knows its pillars by their resistances alone. Those of a twin
+    at finite strain are at finite strain.
 
     Parameters
     ----------
@@ -45,36 +48,44 @@ def simulate_twin(
     Raises
     ------
     DesignError
-        If gains or offsets are asked for, or loads along an axis that the twin's decoder does not tell.
+        If gains, offsets or a history are asked for, or loads along an axis that the twin's decoder does not tell.
+    LoadError
+        If loads strain a pillar too much, or at finite strain have no state that the twin knows, draw after draw.
     """
     for name in ("gain_spread", "offset_ohm", "specimen"):
         value = getattr(settings, name)
         if value:
             raise DesignError(f"{name}={value:g}: a twin has its own gains and offsets: leave it out.")
+    if settings.moments is not None:
+        raise DesignError(f"history_s={settings.history_s:g} moves the rubber of a design: leave it out for a twin.")
     decoder = twin.read_decoder()
-    if isinstance(decoder, DecouplerAtStrain):
-        raise DesignError("a twin at finite strain draws no samples yet: identify the sensor without finite strain.")
+    forward, ensemble = decoder.forward, decoder.ensemble
     axes = [axis for axis in settings.on_pads.axes if axis not in decoder.component.axes]
-    if axes or decoder.inverse is None or not len(decoder.ensemble):
-        known = ", ".join(decoder.component.forces)
+    if axes or forward is None or not len(ensemble):
+        told = ", ".join(decoder.component.forces)
         raise DesignError(
-            f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {known}: choose another."
+            f"protocol='{settings.protocol}' has loads along other axes than this twin tells, {told}: choose another."
         )
-    settings = settings.suited(response)
-    exact = replace(settings, **vars(Imperfections()))
     numbers = numbers or range(settings.samples)
-    samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
-    force_n = force_columns(samples.force_n, decoder.component)
-    forward = decoder.inverse.forward
-    sensors = (numbers.start + np.arange(len(force_n))) % len(decoder.ensemble)
-    drawn = decoder.ensemble.readings(forward, force_n, sensors)
-    exact_ohm = samples.resistance_ohm.copy()  # pillars that the decoder does not read are as designed
-    exact_ohm[..., decoder.pillars] = drawn.reshape(*exact_ohm.shape[:3], -1)
+    if isinstance(decoder, DecouplerAtStrain):
+        draws = StrainedDraws(decoder, response)
+        settings = borne(response, settings, draws.answered)[0].suited(response)
+        samples = draws.samples(settings, numbers, progress)
+    else:
+        settings = settings.suited(response)
+        exact = replace(settings, **vars(Imperfections()))
+        samples = simulate_part(response, exact, numbers, progress, threads=os.cpu_count() or 1)
+        force_n, sensors = force_columns(samples.force_n, decoder.component), np.asarray(numbers) % len(ensemble)
+        drawn = ensemble.readings(forward, force_n, sensors)
+        # pillars that the decoder does not read are as designed
+        samples.resistance_ohm[..., decoder.pillars] = drawn.reshape(*samples.resistance_ohm.shape[:3], -1)
     # contacts are in the twin's own offsets
     design = replace(twin.design, electrics=twin.design.electrics.by_four_wires)
     return replace(
         samples,
-        resistance_ohm=read_resistances(exact_ohm, settings, settings.seed, readout, design, numbers.start),
+        resistance_ohm=read_resistances(
+            samples.resistance_ohm, settings, settings.seed, readout, design, numbers.start
+        ),
         displacement_mm=None,
         length_mm=None,
         **settings.of_samples(design),

@@ -16,7 +16,7 @@ from common.storage.files import write_text
 from common.storage.seal import opened_json, sealed_json
 from common.storage.text_file import read_text
 from dataset.imperfections import OPEN_OHM
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM
+from decoupler.readings import MIN_WHOLE_OHM
 from geometry.layout import SONG2018, FloatArray, Layout
 from geometry.layout_file import layout_from_text, layout_text
 from hardware.link.frames import Info

@@ -6,7 +6,7 @@ Every tensor has the environments first: e sensors of one design live side by si
 import logging
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -21,11 +21,12 @@ from dataset.measurement import SENSE_OHM
 from dataset.resistance import conducted_lengths, exact_resistances, pillar_lengths
 from dataset.simulation import require_conducted
 from decoupler.data.columns import COMPONENTS, DEAD_OHM
-from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, SensorModel
+from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoder import Decoder
 from decoupler.model.tensors import decoded_by, in_torch
 from decoupler.model_file import read_model
+from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.touch.presses import Grid
 from decoupler.twin.twin_file import TwinFile, read_twin
 from fem.array.solving import ResponseSettings, array_response
@@ -196,13 +197,17 @@ class VirtualSensor:
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
-            if isinstance(decoder, DecouplerAtStrain):
-                raise DesignError("a twin at finite strain tells no other sensors: give its design, and its model.")
-            if decoder.component.axes != AXES or decoder.inverse is None or not len(decoder.ensemble):
+            known = decoder.forward
+            if decoder.component.axes != AXES or known is None or not len(decoder.ensemble):
                 told = ", ".join(decoder.component.forces)
                 raise DesignError(f"this twin tells {told} alone: identify one of all forces.")
-            self._forward = self._shape = in_torch(decoder.inverse.forward, self._like)
             self._twin = in_torch(decoder.ensemble, self._like)
+            if isinstance(decoder, DecouplerAtStrain):
+                self._forward = self._shape = StrainedSensor(known, self._like)
+                self._readings = partial(self._forward.of_sensors, self._twin)
+            else:
+                self._forward = self._shape = in_torch(known, self._like)
+                self._readings = partial(self._twin.readings, self._forward)
         self._gain = self._like.new_ones((environments, *self._pillars))
         self._offset = torch.zeros_like(self._gain)
         self.dead = torch.zeros_like(self._gain, dtype=torch.bool)  #: which pillars are broken, (e, rows, cols, P)
@@ -288,7 +293,7 @@ class VirtualSensor:
         self._require(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
-            ohms = self._twin.readings(self._forward, columns, self._member).reshape(self._gain.shape)
+            ohms = self._readings(columns, self._member).reshape(self._gain.shape)
         else:
             ohms = self._forward.resistances(columns).reshape(self._gain.shape)
         return self._remembered(ohms, lambda: self._shape.lengths(columns).reshape(self._gain.shape), seconds)

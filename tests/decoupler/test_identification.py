@@ -12,7 +12,7 @@ from decoupler import component_named, train
 from decoupler.data.pairs import Pairs
 from decoupler.twin import identify
 from decoupler.twin.identification import readings_of
-from decoupler.twin.posterior import predicted, without_each
+from decoupler.twin.posterior import without_each
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign
 from geometry.tolerances import usual_deviations, with_values
@@ -95,7 +95,7 @@ def test_a_pair_left_out_errs_as_if_the_others_alone_were_measured():
     error_ohm, covariance = without_each(twin_of("made", 10).posterior, whole, np.arange(2))
     for k in range(2):
         others = identified(pairs[np.delete(np.arange(10), k)]).posterior
-        refitted = whole.resistance_ohm[k] - predicted(others, whole.force_n[[k]])[0]
+        refitted = whole.resistance_ohm[k] - others.sensor.resistances(whole.force_n[[k]])[0]
         assert np.linalg.norm(error_ohm[k] - refitted) < 0.2 * np.linalg.norm(refitted)
         deviation = np.sqrt(covariance[k].diagonal() + (NOISE * whole.resistance_ohm[k]) ** 2)
         assert 0.5 < np.sqrt(np.mean((error_ohm[k] / deviation) ** 2)) < 2.0

@@ -13,7 +13,8 @@ from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import doubt
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ENOUGH, ModelInverse, SensorModel
-from decoupler.touch.sensing import Pillars, Sensing
+from decoupler.readings import Pillars
+from decoupler.touch.sensing import Sensing
 from decoupler.twin import identify
 from decoupler.twin.expectation import Expectation, State
 from decoupler.twin.identification import readings_of
@@ -117,11 +118,17 @@ def test_a_wrong_order_of_pillars_is_named(layout):
 
 @pytest.mark.parametrize("layout", EVERY)
 def test_touch_reads_squared_lengths_by_every_electrode(layout):
+    """And by conduction the sum of its components' squares, with their signs."""
     design = design_of(layout)
     sensing = Sensing(design=design, pillars=Pillars.designed(design))
     moved = np.random.default_rng(0).uniform(-1.0, 1.0, (4, design.n_units, len(design.unit.layout.upper), 3))
     squares = pillar_lengths(moved, design.unit).reshape(4, -1) ** 2
     assert sensing.reading(moved.reshape(4, -1)) == pytest.approx(squares - sensing.rest_mm2, abs=1e-12)
+    rest_mm, m = np.random.default_rng(1).uniform(1.0, 9.0, (5, squares.shape[1])), np.sin(np.arange(5.0))[:, None]
+    conducting = replace(sensing.pillars, rest_mm=rest_mm, sign=np.where(rest_mm < 3.0, -1.0, 1.0))
+    sensing = Sensing(design=design, pillars=conducting)
+    changed = conducting.squares((rest_mm + m)[None]) - sensing.rest_mm2
+    assert sensing.reading(np.tile(m.T, squares.shape[1])) == pytest.approx(changed, abs=1e-11)
 
 
 def test_what_pairs_leave_open_of_a_sensor_moves_no_reference():

@@ -12,9 +12,9 @@ from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
 from decoupler.evaluation.faults import FaultTest
 from decoupler.model_file import read_model, write_model
+from decoupler.readings import Pillars
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
-from decoupler.touch.sensing import Pillars
 from fem.array.conducted import conducted_pillars
 from fem.contact import Flat, Sphere, SurfaceCompliance, about_z, press
 from fem.contact.tiles import cell_rectangles, tiles_per_pitch

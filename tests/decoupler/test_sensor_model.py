@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths
 from decoupler import NetworkConfig, SampleError, component_named
 from decoupler.data.columns import COMPONENTS, Columns, force_columns
+from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.training.suited import explaining, suited
+from decoupler.twin import identify
 from fem.array.response import ArrayResponse, ConductedPillars
 from geometry.layout import pillar_ends
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, softness
 
 SENSOR = sensor(2, 3)
 RESPONSE = response(SENSOR)
@@ -67,6 +70,32 @@ def test_derivatives_of_lengths_are_those_of_the_forces(given):
         newtons = DATA.force_n.reshape(len(DATA), -1, 3) * np.array([1.0, 1.0, -1.0])
         by_dataset = conducted_lengths(given.conducted, newtons).reshape(len(DATA), -1)
         np.testing.assert_allclose(by_dataset, forward.lengths(FORCES), rtol=1e-12)
+
+
+@pytest.mark.parametrize("given", [RESPONSE, conducted(0.5)], ids=["eq. 1", "conduction"])
+def test_what_readings_err_by_is_what_squares_err_by(given):
+    """As differences of squares of lengths that resistances stand for, which are linear in these: rounding only."""
+    errors, deviation_ohm = ReadingError(noise=1e-3, bits=12, drift=0.005), np.full(FORWARD.n_pillars, 30.0)
+    sensor = replace(SensorModel.of(given, ALL), deviation_ohm=deviation_ohm)
+    at = sensor.at(FORCES[:4])
+    ohms, (own, shared) = at.resistance_ohm, sensor.errors_mm2(at.resistance_ohm, errors, DATA.shape)
+    np.testing.assert_allclose(sensor.squares_of(ohms), at.squares, rtol=1e-14)
+    off_ohm = np.hypot(errors.deviation(ohms), deviation_ohm)
+    np.testing.assert_allclose(own, sensor.squares_of(ohms + off_ohm) - at.squares, rtol=1e-9)
+    drifted = ohms + errors.shared(ohms, *DATA.shape)[..., 0]
+    np.testing.assert_allclose(shared[..., 0], sensor.squares_of(drifted) - at.squares, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["fz", "all"])
+def test_a_sensor_that_conducts_is_identified_whatever_its_forces(name):
+    """By one axis, whose pillar alone has components, as by all: twice the 1.6 N that noise leaves of up to 720 N."""
+    given, component = conducted(0.5), component_named(name)
+    data = labelled(SENSOR, "".join(component.axes), 60, seed=0)
+    ohms = SensorModel.of(given, ALL).resistances(data.force_n.reshape(60, -1)).reshape(data.resistance_ohm.shape)
+    data = noisy(replace(data, resistance_ohm=1.1 * ohms), 1e-3)
+    found = identify(Pairs.of(data[:20]), given, softness(SENSOR), name).decoder
+    off_n = found.forces(data[20:].resistance_ohm)[..., -1] - data[20:].force_n[..., 2]
+    assert np.sqrt(np.mean(off_n**2)) < 3.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-2])

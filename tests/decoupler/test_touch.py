@@ -10,6 +10,7 @@ from common.errors import FileFormatError
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
 from decoupler.model_file import read_model, write_model
+from decoupler.readings import Pillars
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.bare import BareDecoder
 from decoupler.touch.library import presses_of, touch_library
@@ -18,7 +19,7 @@ from decoupler.touch.morph import PRIOR, Part, fitted
 from decoupler.touch.plates import PlateResponse
 from decoupler.touch.presses import Grid, middles
 from decoupler.touch.regression import NEAREST
-from decoupler.touch.sensing import Pillars, Whitening
+from decoupler.touch.sensing import Whitening
 from fem.array.solving import ResponseSettings, solve_response
 from fem.contact import Cylinder, about_z, press, surface_compliance
 from geometry.design import Array, Pad, SensorDesign, Unit
@@ -95,7 +96,7 @@ def test_a_changed_press_is_found_again(decoder):
     part = decoder._starts([0], 1)[0]
     true = 0.4 * PRIOR[None] * np.resize([1, -1, 1, 1, -1, 1, 1, -1, 1], len(PRIOR))
     reading = decoder.sensing.reading(part.moved(true))[0]
-    white = Whitening.of(decoder.sensing.deviation(reading, READ) / 10, np.zeros((len(reading), 0)))
+    white = Whitening.of(decoder.sensing.whitening(reading, READ).deviation / 10, np.zeros((len(reading), 0)))
     (fit,) = fitted(reading, white, [([part], np.zeros((1, len(PRIOR))))], 20)
     assert fit.cost < ((true / PRIOR) ** 2).sum()  # which is the cost of the truth: of exact readings, by its prior
     (again,) = fitted(reading, white, [(fit.parts, fit.q)], 0)
@@ -167,7 +168,7 @@ def test_two_contacts_are_told_apart(decoder):
     found = decoder.touched(decoder.sensing.reading(moved)[0])
     expected = sum(one.force_n for one in both).reshape(-1, 3)
     assert any(len(fit.parts) == 2 for fit in found.fits)
-    assert (np.abs(found.force_n - expected) < 3 * found.deviation_n).all()
+    assert (np.abs(found.force_n - expected) < 3 * found.deviation[:, :3]).all()
     assert set(np.argsort(found.force_n[:, 2])[-2:]) == {0, 8}
     for one, solved in zip(sorted(found.contacts, key=lambda one: one.centre_mm[0]), both, strict=True):
         assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)

@@ -5,8 +5,8 @@ import pytest
 
 from dataset import measured
 from dataset.measurement import ReadingError
+from decoupler.readings import Pillars
 from decoupler.touch.plates import PlateDecoder, PlateResponse
-from decoupler.touch.sensing import Pillars
 from geometry.design import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from hardware.link.frames import Info, ScanMode

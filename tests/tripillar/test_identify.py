@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from common.errors import DesignError
-from dataset import DatasetSettings, Samples, simulate
+from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model_file import read_model
+from decoupler.model_file import read_model, write_model
+from decoupler.twin import write_twin
 from geometry.design_file import design_to_toml
 from tests.decoupler.synthetic_sensor import response, sensor, softness
+from tests.decoupler.test_finite_strain import identified
 from tests.house import House
-from tripillar.face import identifying
+from tripillar.face import identifying, stages
 from tripillar.face.caller import Caller, called_by
 
 DESIGN = sensor(3, 3)
@@ -130,3 +132,21 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     with called_by(Caller(say=said.append)):
         assert identifying.identify(many, DESIGN).n_pairs == 7
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
+
+
+def test_a_twin_at_finite_strain_makes_samples_of_its_rubber(house, monkeypatch):
+    """As a file and as a directory, under the same loads; of a sensor of another rubber there are none."""
+    twin, *_ = identified()
+    write_model(twin.decoder, house.folder / "own.safetensors")
+    write_twin(twin, house.folder / "twin.toml", house.folder / "own.safetensors")
+    known = response(twin.design)
+    monkeypatch.setattr(stages, "respond", lambda design, bars: (None, replace(known, design=design)))
+    words = ("dataset", "--design", "twin.toml", "--protocol", "three-axis", "--samples", "9", "-q", "-o")
+    for out in ("own.nc", "own.zarr"):
+        house.result(*words, out)
+    samples, again = (read_samples(house.folder / name)[:] for name in ("own.nc", "own.zarr"))
+    assert samples.is_finite.all()
+    assert samples.made_from["strain"] == "finite"
+    assert np.array_equal(again.resistance_ohm, samples.resistance_ohm)
+    said = house.refusal(*words, "linear.nc", "--strain", "linear")
+    assert "a twin's samples are of the rubber that it was identified with: leave it out" in said

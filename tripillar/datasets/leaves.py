@@ -88,8 +88,9 @@ class LeafJob:
 
 def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
     """Make a leaf, in a worker; it, and how often its samples were redrawn."""
-    # products of a twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
-    samples = job.part(number * job.leaf_size, job.leaf_size if job.twin is not None else job.size(number))
+    # products of a linear twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
+    is_whole = job.twin is not None and not job.twin.is_at_strain
+    samples = job.part(number * job.leaf_size, job.leaf_size if is_whole else job.size(number))
     arrays = {name: values[: job.size(number)] for name, values in samples.arrays().items()}
     chunk = min(job.leaf_size, job.settings.samples)
     return packed(arrays, number, chunk, job.dtype), samples.made_from["redrawn"]

@@ -308,7 +308,9 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
         )
     solids = [stages.read_solid(Path(shape)) for shape in shapes]
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
-    pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
+    pillars = stages.Pillars.designed(design)
+    if twin is not None:
+        pillars = stages.identified_pillars(pillars, twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
     errors = stages.ReadingError(**READ).with_drifts_of(design.electrics)
     of_sensor: dict[str, Any] = {"design": design, "errors": errors}

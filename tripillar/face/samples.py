@@ -107,7 +107,7 @@ def dataset(
         Correct the crossbar's crosstalk, as a live sensor does.
     strain : str, optional
         Model: linear, or finite strain (stiff pads; linear rubber is taken for neo-Hookean); default: the design's
-        materials'.
+        materials', or the twin's.
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
@@ -161,8 +161,14 @@ def dataset(
     settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
     wires = WIRES.of(more) | ({} if sense_ohm is None else {"sense_ohm": sense_ohm})
     readout = _readout(sensor, crossbar, settings.bits, correct, wires)
-    is_finite = strain == "finite" or (strain is None and sensor.matrix_material.model != "linear")
-    if not (is_finite or in_leaves):
+    usual = sensor.matrix_material.model != "linear" if twin is None else twin.is_at_strain
+    is_finite = usual if strain is None else strain == "finite"
+    if twin is not None and is_finite != usual:
+        raise DesignError(
+            f"strain={strain!r}: a twin's samples are of the rubber that it was identified with: leave it out."
+        )
+    is_solved = is_finite and twin is None
+    if not (is_solved or in_leaves):
         if workers is not None or scheduler is not None:
             raise DesignError("workers= and scheduler= belong to strain='finite' and to directories, out=data.zarr.")
         stages.require_memory(sensor, settings, names)
@@ -172,19 +178,19 @@ def dataset(
         stages.require_pressable(sensor)
     if history is not None and (is_finite or twin is not None):
         raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
-    if is_finite and twin is not None:
-        raise DesignError("a twin is identified by linear rubber: leave strain='finite' out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
-    if is_finite:
+    if is_solved:
         stages.require_finite(sensor)
-        settings, factor = stages.borne(solved, settings)
+    if is_finite:
+        answered = None if twin is None else stages.StrainedDraws(twin.read_decoder(), solved).answered
+        settings, factor = stages.borne(solved, settings, answered)
         if factor < 1.0:
             caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
     said, settings = _loads_said(settings, solved), settings.suited(solved)
     made: stages.Samples | stages.StoredSamples
     story: dict[str, Any] = {}
-    if is_finite:
+    if is_solved:
         advance = caller.bars.begin("dataset", total=stages.n_groups(samples))
         made = stages.simulate_finite(solved, settings, readout, workers, scheduler, advance)
         made = made if names is None else made.only(*names)

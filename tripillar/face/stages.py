@@ -47,7 +47,8 @@ if TYPE_CHECKING:
     from decoupler.touch.decoder import TouchDecoder
     from decoupler.touch.library import OWN, PRESSES, touch_library
     from decoupler.touch.plates import PlateDecoder, plate_response
-    from decoupler.touch.sensing import Pillars
+    from decoupler.touch.sensing import identified_pillars
+    from decoupler.readings import Pillars
     from decoupler.model.decoder import Decoder
     from decoupler.training.finite_strain import posterior_of
     from decoupler.training.suited import suited, without_stuck
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
+    from decoupler.twin.strained_draws import StrainedDraws
     from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
