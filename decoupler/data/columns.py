@@ -186,8 +186,11 @@ def load_numbers(force_n: FloatArray) -> NDArray[np.int64]:
 
 
 def namespace(values: Any) -> Any:
-    """The module whose functions take these values: numpy, or torch of tensors (see `model.tensors`)."""
-    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
+    """The module whose functions take these values: numpy, or torch of tensors (see `model.tensors`).
+
+    NumPy's functions also take what only looks like its arrays (see `export.traced`).
+    """
+    return np if hasattr(values, "__array_function__") else sys.modules["torch"]
 
 
 def eye(n: int, like: Any) -> Any:

@@ -12,9 +12,11 @@ from common.errors import MissingPackageError
 from decoupler import write_model
 from decoupler.export import checked, export_model
 from decoupler.export.c_header import header_text
-from decoupler.export.portable import ExportError
+from decoupler.export.checked import facts_of, traced
+from decoupler.export.onnx_file import onnx_model
+from decoupler.export.traced import ExportError, Traced
 from geometry import DesignError
-from tests.decoupler.exported import STRICT
+from tests.decoupler.exported import CC, STRICT, by_header, by_onnx
 from tests.decoupler.test_contract import made
 from tests.house import House
 
@@ -33,7 +35,8 @@ def test_onnx_says_what_it_is(tmp_path):
 
 def test_a_header_states_its_size_and_is_cpp_too(tmp_path):
     """Bytes of constants as counted from the arrays in the text: floats of 4, shorts of 2. A sketch is C++."""
-    header = header_text(made("dead-inverse").model, np.float32)
+    case = made("dead-inverse")
+    header = header_text(traced(case.model, case.test.resistance_ohm.astype(np.float32)), facts_of(case.model))
     arrays = re.findall(r"^static const (float|short) \w+((?:\[\d+\])+)", header, re.MULTILINE)
     sizes = [{"float": 4, "short": 2}[kind] * np.prod([*map(int, re.findall(r"\d+", size))]) for kind, size in arrays]
     assert f"Flash: {sum(sizes)} bytes" in header
@@ -69,3 +72,56 @@ def test_on_the_command_line(tmp_path):
     result = House(tmp_path).result("export", "--model", "model.safetensors", "--out", "model.h")
     assert (result["precision"], result["deviation"] < 1e-4) == ("float", True)
     assert (tmp_path / result["file"]).exists()
+
+
+SHAPE = 3, 4, 3  #: rows, columns and pillars of a made-up sensor
+GENERATOR = np.random.default_rng(0)
+W1, W2, LIMIT = (GENERATOR.normal(size=size) for size in ((27, 5), (8, 2), 5))
+
+
+def convolved(ohms):
+    """A network that no file knows: a 3 × 3 convolution over units, and a linear layer that sees all pillars, too."""
+    n, units = len(ohms), np.pad(np.arange(12).reshape(3, 4), 1, constant_values=12)
+    near = np.array([units[row : row + 3, col : col + 3].reshape(-1) for row in range(3) for col in range(4)])
+    x = (ohms**0.5 / 100.0 - 1.0).reshape(n, 12, 3)
+    beside = np.concatenate([x, np.zeros_like(x[:, :1])], axis=1)[:, near].reshape(n, 12, 27)
+    hidden = np.minimum(np.tanh(beside @ W1 + 0.1).clip(-0.5), LIMIT)
+    hidden *= (abs(hidden) > 0.2) & ~(x[..., :1] < -0.2) & (LIMIT > -1.0)
+    hidden = hidden + (LIMIT > 0.0)
+    pooled = np.sum(hidden.swapaxes(1, 2) ** 2, axis=-1) / 12.0
+    forces = 2.0 * (np.concatenate([hidden * np.exp(-pooled)[:, None], x], axis=2) @ W2 + 1.0) + 0.5
+    return (forces + (x @ x.swapaxes(1, 2)) @ forces)[:, ::-1].reshape(n, 3, 4, 2)
+
+
+def test_a_network_is_exported_as_it_is_written():
+    """Another order of sums rounds by some 1e-15 of the largest force."""
+    scans = np.random.default_rng(1).uniform(5e3, 2e4, (5, *SHAPE))
+    expected, graph = convolved(scans), convolved(Traced(scans, scans.dtype))
+    forms = [graph.values, by_onnx(onnx_model(graph, {}).SerializeToString(), scans, np.float64)]
+    forms += [by_header(header_text(graph, {}), scans, np.float64)] if CC is not None else []
+    for found in forms:
+        np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("network", "said"),
+    [
+        (lambda x: np.linalg.inv(x[..., 0]), "inv"),
+        (lambda x: np.sort(x, axis=1), "sort"),
+        (lambda x: np.einsum("nrcp->nrc", x), "einsum"),
+        (lambda x: np.hypot(x, 1.0), "hypot"),
+        (lambda x: x.cumsum(axis=1), "cumsum"),
+        (lambda x: np.maximum.reduce(x, axis=1), "maximum.reduce"),
+        (lambda x: x[0, 0, 0, 0] * x, "a move of elements from scan to scan"),
+        (lambda x: x if x.sum(axis=3) > 1.0 else 2.0 * x, "a decision by what is read"),
+        (lambda x: x - x.sum(axis=0), "a sum over scans"),
+        (lambda x: x[::-1], "a move of elements from scan to scan"),
+        (lambda x: x.reshape(-1, 3), "a move of elements from scan to scan"),
+        (lambda x: x[:, :1, :1, :1] + x[:, 0, 0, :1], "an operation that mixes scans"),
+        (lambda x: x * np.arange(len(x))[:, None, None, None], "an operation that tells scans apart"),
+        (lambda x: np.ones((7, 7)) @ x[:, 0, 0], "a matrix product that mixes scans"),
+    ],
+)
+def test_what_no_file_can_do_is_refused_by_its_name(network, said):
+    with pytest.raises(ExportError, match=f"models that need {said} are not exported"):
+        network(Traced(np.ones((7, *SHAPE)), np.dtype(float)))
