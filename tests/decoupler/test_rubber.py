@@ -127,7 +127,7 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
 
 def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found, series):
     """Forces 3 N off all along are right, as are resistances times 2; noise of 1 % of the force's range is 1 %."""
-    true = replace(series, force_n=found.force(series.strain, series.seconds))
+    true = replace(series, force_n=found.elastic.force(series.strain, series.seconds))
     off = 0.01 * np.ptp(true.force_n) * np.random.default_rng(0).standard_normal(len(series))
     judged = checked(found, replace(true, force_n=true.force_n + 3.0 + off, resistance_ohm=2 * series.resistance_ohm))
     assert judged.force_from_strain_nrmse_pct == pytest.approx(1.0, abs=0.1)
