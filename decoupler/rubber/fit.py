@@ -91,8 +91,7 @@ def fit_elastic(series: Series) -> tuple[Elastic, float]:
 
     Of neo-Hookean, Mooney and Rivlin's and Yeoh's law that of the least −2 ln likelihood with k ln n for its numbers.
     """
-    if (every := len(series) // ROWS) > 1:
-        series = series.averaged(every, "")
+    series = series.averaged(max(1, len(series) // ROWS))
     size = max(float(np.ptp(series.force_n)), 1e-12)
     fits = {name: _fit_force(series, parts, size) for name, parts in LAWS.items()}
     count = min(fit.count for fit in fits.values())
