@@ -68,12 +68,6 @@ class SensorFilter:
         """A state that has seen nothing yet."""
         return SensorFollower(self, pillars)
 
-    def followed(self, time_s: FloatArray, log_ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Strains and their standard deviations, both (time, n), of readings ln R/R₀ (time, n) in their order."""
-        follower, steps = self.start(log_ratio.shape[1]), np.diff(time_s, prepend=time_s[:1])
-        found = [follower.step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
-        return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
-
 
 class SensorFollower:
     """The state of a filter for n pillars: bounded, whatever comes."""
@@ -165,33 +159,31 @@ class SensorFollower:
 
     def _looked(self, y: FloatArray) -> None:
         """Judge the laws by readings (n,), some time after the last look."""
-        look = (y, self._law.broken)
-        if self._look is None:
-            self._look, self._since_s = look, 0.0
+        look, before = (y, self._law.broken), self._look
+        (self._look, self._since_s), since_s = (look, 0.0), self._since_s
+        if before is None:
             return
-        change = y - self._look[0]
-        squares = float(change @ change)
-        rising = float((np.maximum(change, 0.0) ** 2).sum())
+        change = y - before[0]
+        squares, rising = float(change @ change), float((np.maximum(change, 0.0) ** 2).sum())
         self._noise = max(min(squares, CREEP * self._noise), len(y) * 1e-8)
         floor = 2.0 * self._noise
         moves = rising - floor > RISING * squares or squares > SUDDEN * self._squares + floor
+        settles = not moves and squares + floor < SLOWER * self._fastest  # the look may have seen the end of a motion
+        if moves or settles:
+            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
         if moves and self._held is not None:
             log = self._log_belief + self._told
-            self._log_belief, self._told = np.maximum(log - log.max(), -FLOOR), np.zeros(len(log))
-            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
-            self._held = None
-        elif not moves and squares + floor < SLOWER * self._fastest:  # the look may have seen the end of a motion
-            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
+            self._log_belief, self._told, self._held = np.maximum(log - log.max(), -FLOOR), np.zeros(len(log)), None
+        elif settles:
             self._held, self._held_s, self._told = look, 0.0, np.zeros(len(self._told))
         elif self._held is not None:
             first = self._held_s == 0.0
-            self._held_s += self._since_s
+            self._held_s += since_s
             told = self._evidence(y)
             worst = told if first else np.minimum(told, self._told)
             self._told = np.where(worst < -0.5, worst, told)
         self._believe()
         self._squares, self._fastest = squares, max(squares, self._fastest * (self._held is None))
-        self._look, self._since_s = look, 0.0
 
     def _believe(self) -> None:
         log = self._log_belief + self._told + self._resting
