@@ -102,9 +102,10 @@ class SensorFollower:
         if self._unread_s >= READ_S or self._look is None:
             self._read(log_ratio, self._unread_s)
             self._unread_s = 0.0
+        if not self.is_tested:
+            return np.expm1(0.5 * log_ratio), self._deviation
         change = (log_ratio - self._last) / self._law.slopes
-        by_law = self.belief.dot(self._strain + change * self._moving)
-        return by_law if self.is_tested else np.expm1(0.5 * log_ratio), self._deviation
+        return self.belief.dot(self._strain + change * self._moving), self._deviation
 
     def _read(self, y: FloatArray, seconds: float) -> None:
         """Follow all laws to readings (n,)."""

@@ -65,15 +65,15 @@ def read_rubber(path: Path) -> Rubber:
     except (KeyError, TypeError, ValueError) as error:
         raise DesignError(f"{path}: [rubber] lacks {error}, or it is no number: {MEND}.") from None
 
-    def filled(kind: Any, own: dict[str, Any], **beside: Any) -> Any:
+    def filled(kind: Any, name: str, own: dict[str, Any], **beside: Any) -> Any:
         stated = {spec.name: spec for spec in fields(kind) if "meaning" in spec.metadata and spec.name not in beside}
-        needed = [name for name, spec in stated.items() if spec.default is not None]
-        return STRICT.filled(f"{path}: [rubber]", partial(kind, **beside), own, stated, needed)
+        needed = [key for key, spec in stated.items() if spec.default is not None]
+        return STRICT.filled(f"{path}: [{name}]", partial(kind, **beside), own, stated, needed)
 
     return filled(
-        Rubber, {key: value for key, value in table.items() if key not in TABLES},
+        Rubber, "rubber", {key: value for key, value in table.items() if key not in TABLES},
         memory=material.memory, covariance=covariance, unknown=tuple(unknown.items()),
-        elastic=filled(Elastic, elastic, prony=material.prony),
+        elastic=filled(Elastic, "rubber.elastic", elastic, prony=material.prony),
     )  # fmt: skip
 
 

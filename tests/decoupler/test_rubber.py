@@ -120,9 +120,16 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     loading = replace(found, memory=replace(found.memory, direction="loading"))
     write_rubber(loading, tmp_path / "loading.toml")
     assert SensorFilter.of_rubber(read_rubber(tmp_path / "loading.toml")).memory.direction == "loading"
-    (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
-    with pytest.raises(DesignError, match="lacks 'tau2_s'"):
-        read_rubber(tmp_path / "cut.toml")
+    text = (tmp_path / "rubber.toml").read_text()
+    for there, instead, said in (
+        ("tau2_s = [", "tau3_s = [", "lacks 'tau2_s'"),
+        ("rest_ohm = ", "rest_ohm = nan # ", "rest_ohm=nan must be a finite number"),
+        ("stiffness_n", "stiffness", r"unknown key 'stiffness' in .*cut.toml: \[rubber.elastic\]"),
+        ("model = 'yeoh'", "model = 'ogden'", "model='ogden' must be one of linear"),
+    ):
+        (tmp_path / "cut.toml").write_text(text.replace(there, instead))
+        with pytest.raises(DesignError, match=said):
+            read_rubber(tmp_path / "cut.toml")
 
 
 def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found, series):
