@@ -1,12 +1,12 @@
 """A rubber as a series showed it: the numbers of its memory and of its force, and how well they are known."""
 
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field
 
 import numpy as np
 
 from common.quantity import Sound, quantity
 from dataset.memory import broken_contacts, log_rise, relaxed_forces
-from geometry.design import MODELS, Memory, Prony
+from geometry.design import LOG_RISES, MODELS, RATES, Memory, Prony
 from geometry.layout import FloatArray
 
 #: numbers of the memory in the order of a covariance; rates and times by their logarithms
@@ -16,12 +16,10 @@ LINEAR = 4  #: so many are no logarithms
 
 def memory_of(numbers: FloatArray) -> Memory:
     """The memory of numbers (8,) in the order of `NAMES`; what no rubber has is cut off."""
-    g1, g2, a1, a2, *logs = np.asarray(numbers, dtype=float)
-    b_lengthen, b_shorten, tau1, tau2 = np.exp(np.clip(logs, -18, 18))
-    wide = {spec.name: spec.metadata["within"] for spec in fields(Memory) if spec.metadata.get("within")}
-    values = {"a": (a1, a2), "b_lengthen": b_lengthen, "b_shorten": b_shorten, "g1": g1, "g2": g2}
-    cut = {name: np.clip(value, *wide[name]) for name, value in values.items()}
-    return Memory(**cut, tau_s=(tau1, tau2))
+    g1, g2, a1, a2 = np.clip(numbers[:LINEAR], *LOG_RISES)
+    b_lengthen, b_shorten, *tau_s = np.exp(np.clip(numbers[LINEAR:], -18, 18))
+    b_lengthen, b_shorten = np.clip([b_lengthen, b_shorten], *RATES)
+    return Memory(a=(a1, a2), b_lengthen=b_lengthen, b_shorten=b_shorten, g1=g1, g2=g2, tau_s=tuple(tau_s))
 
 
 def numbers_of(memory: Memory) -> FloatArray:
