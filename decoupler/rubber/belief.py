@@ -208,8 +208,7 @@ class SensorFollower:
         noise, alike = 2.0 * FAST**2 + slow * SLOW**2, slow * (COMMON * healed.sum(axis=1) / size) ** 2
         series = self._known.unsure[0] / 2 + float(self._unseen[0].max())
         unsure = SPREAD**2 + series + noise / size + alike
-        wide, miss = unsure + 1.0, 0.5 * (factor - 1.0) ** 2
-        told = 0.5 * np.log(wide / unsure) - miss * (1.0 / unsure - 1.0 / wide)
+        told = _word(unsure, 0.5 * (factor - 1.0) ** 2, 1.0)
         told[-1] = 0.0
         if not self.is_tested:
             self._ratio = _memory_ratio(change, held, healed[:-1], noise, COMMON * np.sqrt(slow))
@@ -246,9 +245,9 @@ def _likelihood(left: FloatArray, variance: FloatArray, along: FloatArray) -> Fl
     return np.asarray(-0.5 * (squares + np.linalg.slogdet(wide)[1]))
 
 
-def _word(variance: FloatArray, square: FloatArray) -> FloatArray:
-    """Logarithms (k, n) by which rest is likelier than load, of strains so large: `square` is half of theirs."""
-    wide = variance + PRESSED**2
+def _word(variance: FloatArray, square: FloatArray, width: float = PRESSED) -> FloatArray:
+    """Logarithms (...) by which values are likelier 0 than spread by `width`; half their squares, errors' variance."""
+    wide = variance + width**2
     return np.asarray(0.5 * np.log(wide / variance) - square * (1.0 / variance - 1.0 / wide))
 
 
