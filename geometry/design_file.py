@@ -60,10 +60,11 @@ def _inline(values: dict[str, Any]) -> str:
 
 
 def table_lines(values: Any, name: str, meaning: str) -> list[str]:
-    """Lines of a table, and of those in it that are not as by default."""
-    inner = [spec for spec in _keys(values) if is_dataclass(getattr(values, spec.name))]
+    """Lines of a table but for what is None, and of those in it that are not as by default."""
+    keys = [spec for spec in _keys(values) if getattr(values, spec.name) is not None]
+    inner = [spec for spec in keys if is_dataclass(getattr(values, spec.name))]
     lines = [f"\n[{name}]  # {meaning}"]
-    lines += [_key_line(values, key) for key in _keys(values) if key not in inner]
+    lines += [_key_line(values, key) for key in keys if key not in inner]
     lines += [f"# {note}" for note in getattr(values, "NOTES", ())]
     for spec in inner:
         if getattr(values, spec.name) != spec.default:

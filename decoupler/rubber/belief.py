@@ -68,12 +68,6 @@ class SensorFilter:
         """A state that has seen nothing yet."""
         return SensorFollower(self, pillars)
 
-    def followed(self, time_s: FloatArray, log_ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Strains and their standard deviations, both (time, n), of readings ln R/R₀ (time, n) in their order."""
-        follower, steps = self.start(log_ratio.shape[1]), np.diff(time_s, prepend=time_s[:1])
-        found = [follower.step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
-        return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
-
 
 class SensorFollower:
     """The state of a filter for n pillars: bounded, whatever comes."""
@@ -108,9 +102,10 @@ class SensorFollower:
         if self._unread_s >= READ_S or self._look is None:
             self._read(log_ratio, self._unread_s)
             self._unread_s = 0.0
+        if not self.is_tested:
+            return np.expm1(0.5 * log_ratio), self._deviation
         change = (log_ratio - self._last) / self._law.slopes
-        by_law = self.belief.dot(self._strain + change * self._moving)
-        return by_law if self.is_tested else np.expm1(0.5 * log_ratio), self._deviation
+        return self.belief.dot(self._strain + change * self._moving), self._deviation
 
     def _read(self, y: FloatArray, seconds: float) -> None:
         """Follow all laws to readings (n,)."""
@@ -165,33 +160,31 @@ class SensorFollower:
 
     def _looked(self, y: FloatArray) -> None:
         """Judge the laws by readings (n,), some time after the last look."""
-        look = (y, self._law.broken)
-        if self._look is None:
-            self._look, self._since_s = look, 0.0
+        look, before = (y, self._law.broken), self._look
+        (self._look, self._since_s), since_s = (look, 0.0), self._since_s
+        if before is None:
             return
-        change = y - self._look[0]
-        squares = float(change @ change)
-        rising = float((np.maximum(change, 0.0) ** 2).sum())
+        change = y - before[0]
+        squares, rising = float(change @ change), float((np.maximum(change, 0.0) ** 2).sum())
         self._noise = max(min(squares, CREEP * self._noise), len(y) * 1e-8)
         floor = 2.0 * self._noise
         moves = rising - floor > RISING * squares or squares > SUDDEN * self._squares + floor
+        settles = not moves and squares + floor < SLOWER * self._fastest  # the look may have seen the end of a motion
+        if moves or settles:
+            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
         if moves and self._held is not None:
             log = self._log_belief + self._told
-            self._log_belief, self._told = np.maximum(log - log.max(), -FLOOR), np.zeros(len(log))
-            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
-            self._held = None
-        elif not moves and squares + floor < SLOWER * self._fastest:  # the look may have seen the end of a motion
-            self._past_ratio, self._ratio = max(self._past_ratio + self._ratio, -DECISIVE), 0.0
+            self._log_belief, self._told, self._held = np.maximum(log - log.max(), -FLOOR), np.zeros(len(log)), None
+        elif settles:
             self._held, self._held_s, self._told = look, 0.0, np.zeros(len(self._told))
         elif self._held is not None:
             first = self._held_s == 0.0
-            self._held_s += self._since_s
+            self._held_s += since_s
             told = self._evidence(y)
             worst = told if first else np.minimum(told, self._told)
             self._told = np.where(worst < -0.5, worst, told)
         self._believe()
         self._squares, self._fastest = squares, max(squares, self._fastest * (self._held is None))
-        self._look, self._since_s = look, 0.0
 
     def _believe(self) -> None:
         log = self._log_belief + self._told + self._resting
@@ -215,8 +208,7 @@ class SensorFollower:
         noise, alike = 2.0 * FAST**2 + slow * SLOW**2, slow * (COMMON * healed.sum(axis=1) / size) ** 2
         series = self._known.unsure[0] / 2 + float(self._unseen[0].max())
         unsure = SPREAD**2 + series + noise / size + alike
-        wide, miss = unsure + 1.0, 0.5 * (factor - 1.0) ** 2
-        told = 0.5 * np.log(wide / unsure) - miss * (1.0 / unsure - 1.0 / wide)
+        told = _word(unsure, 0.5 * (factor - 1.0) ** 2, 1.0)
         told[-1] = 0.0
         if not self.is_tested:
             self._ratio = _memory_ratio(change, held, healed[:-1], noise, COMMON * np.sqrt(slow))
@@ -253,9 +245,9 @@ def _likelihood(left: FloatArray, variance: FloatArray, along: FloatArray) -> Fl
     return np.asarray(-0.5 * (squares + np.linalg.slogdet(wide)[1]))
 
 
-def _word(variance: FloatArray, square: FloatArray) -> FloatArray:
-    """Logarithms (k, n) by which rest is likelier than load, of strains so large: `square` is half of theirs."""
-    wide = variance + PRESSED**2
+def _word(variance: FloatArray, square: FloatArray, width: float = PRESSED) -> FloatArray:
+    """Logarithms (...) by which values are likelier 0 than spread by `width`; half their squares, errors' variance."""
+    wide = variance + width**2
     return np.asarray(0.5 * np.log(wide / variance) - square * (1.0 / variance - 1.0 / wide))
 
 

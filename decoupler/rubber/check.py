@@ -19,7 +19,7 @@ class RubberCheck:
 
 def checked(rubber: Rubber, series: Series) -> RubberCheck:
     """Errors of a rubber's law on a series."""
-    force_n = rubber.force(series.strain, series.seconds)
+    force_n = rubber.elastic.force(series.strain, series.seconds)
     return RubberCheck(
         resistance_nrmse_pct=of_range(resistance_from_strain(rubber, series), series.resistance_ohm),
         force_from_strain_nrmse_pct=of_range(force_n + (series.force_n - force_n).mean(), series.force_n),

@@ -8,7 +8,7 @@ import numpy as np
 
 from dataset.memory import broken_contacts, relaxed_forces
 from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_stress
-from decoupler.rubber.separable import Fit, Prior, fitted
+from decoupler.rubber.separable import Fit, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
 from geometry.design import SECOND_RATIO, Prony
@@ -22,8 +22,14 @@ STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, i
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
 RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
-
 ROWS = 3000  #: that a force's law is found from
+#: laws of forces: (stiffening, second) of each of their parts; the first part's number is the stiffness
+LAWS = {"neo-hookean": [(0.0, 0.0)], "mooney-rivlin": [(0.0, SECOND_RATIO)], "yeoh": [(0.0, 0.0), (1.0, 0.0)]}
+
+#: from fitted numbers to those of `law.NAMES`: ln b of shortening is that of lengthening and of their ratio
+STATED = np.eye(8)
+STATED[5, 4] = 1.0
+PRIOR_COVARIANCE = STATED @ np.diag(np.r_[LINEAR_PRIOR, OTHER_PRIOR][:, 1] ** 2) @ STATED.T  #: of these, (8, 8)
 
 
 def identified(
@@ -39,19 +45,20 @@ def identified(
     """
     fit = fit_memory(series)
     elastic, force_noise_n = fit_elastic(series)
-    numbers, covariance = as_stated(fit.numbers, fit.covariance)
-    least, most = float(series.strain.min()), float(series.strain.max())
+    own = np.r_[:LINEAR, -4:0]  # what a series begins with is no rubber's
+    covariance = STATED @ fit.covariance[np.ix_(own, own)] @ STATED.T
+    strains = float(series.strain.min()), float(series.strain.max())
     contact_ohm, contact_spread = None, None
     if series.two_wire_ohm is not None and electrodes_mm and length_mm:
         contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
         contact_ohm = max(float(np.median(contacts_ohm)), 0.0)
         contact_spread = float(np.std(contacts_ohm)) / contact_ohm if contact_ohm else 0.0
     return Rubber(
-        memory=memory_of(numbers), covariance=covariance, noise=fit.noise, correlation_s=fit.correlation_s,
-        elastic=elastic, force_noise_n=force_noise_n, max_strain=most, min_strain=least,
-        rest_ohm=float(np.exp(fit.numbers[LINEAR])), wires=wires,
+        memory=memory_of(STATED @ fit.numbers[own]), covariance=covariance,
+        noise=fit.noise, correlation_s=fit.correlation_s, elastic=elastic, force_noise_n=force_noise_n,
+        min_strain=strains[0], max_strain=strains[1], rest_ohm=float(np.exp(fit.numbers[LINEAR])), wires=wires,
         section_mm2=section_mm2, electrodes_mm=electrodes_mm, contact_ohm=contact_ohm, contact_spread=contact_spread,
-        unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, (least, most))),
+        unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, strains)),
     )  # fmt: skip
 
 
@@ -60,16 +67,15 @@ def fit_memory(series: Series) -> Fit:
 
     Of a series that does not begin at rest there are two more after ln R₀: what it has of both q then.
     """
-    strain, seconds, states = series.strain, series.seconds, 0 if series.settled else 2
-    known = [*LINEAR_PRIOR, [np.log(series.resistance_ohm).mean(), ANY], *[[0.0, STATE]] * states]
-    prior = np.array([*known, *OTHER_PRIOR])
+    strain, seconds = series.strain, series.seconds
+    states = [] if series.settled else [[0.0, STATE]] * 2
+    prior = np.array([*LINEAR_PRIOR, [np.log(series.resistance_ohm).mean(), ANY], *states, *OTHER_PRIOR])
     bare = np.stack([strain, strain**2, np.ones_like(strain)], axis=1)
     moved = np.diff(strain)
 
     def columns(others: FloatArray) -> FloatArray:
-        memory = memory_of(np.r_[np.zeros(LINEAR), others[0], others[0] + others[1], others[2:]])
-        q = broken_contacts(strain, seconds, memory)
-        parts = [bare[:, :2], q.T, bare[:, 2:]]
+        memory = memory_of(np.r_[np.zeros(LINEAR), STATED[LINEAR:, LINEAR:] @ others])
+        parts = [bare[:, :2], broken_contacts(strain, seconds, memory).T, bare[:, 2:]]
         if states:
             rate = memory.b_lengthen * moved.clip(min=0.0) - memory.b_shorten * moved.clip(max=0.0)
             left = [np.exp(-np.r_[0.0, np.cumsum(rate + seconds / tau_s)]) for tau_s in memory.tau_s]
@@ -77,23 +83,7 @@ def fit_memory(series: Series) -> Fit:
         return np.concatenate(parts, axis=1)
 
     starts = OTHER_PRIOR[:, 0] + np.log([(1.0, 1.0, *times) for times in TIMES])
-    known_before = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=LINEAR + 1 + states)
-    return fitted(columns, np.log(series.resistance_ohm) - 2 * np.log1p(strain), seconds, known_before, starts)
-
-
-def as_stated(numbers: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Numbers (8,) and their covariance (8, 8), in the order of `law.NAMES`, of those (p,) of `fit_memory`."""
-    p = len(numbers)
-    turn = np.zeros((8, p))
-    turn[range(LINEAR), range(LINEAR)] = 1.0
-    turn[range(4, 8), range(p - 4, p)] = 1.0
-    turn[5, p - 4] = 1.0  # ln b of shortening: that of lengthening and of their ratio
-    return turn @ numbers, turn @ covariance @ turn.T
-
-
-PRIOR_COVARIANCE = as_stated(
-    np.r_[LINEAR_PRIOR[:, 0], OTHER_PRIOR[:, 0]], np.diag(np.r_[LINEAR_PRIOR, OTHER_PRIOR][:, 1] ** 2)
-)[1]
+    return fitted(columns, np.log(series.resistance_ohm) - 2 * np.log1p(strain), seconds, prior, starts)
 
 
 def fit_elastic(series: Series) -> tuple[Elastic, float]:
@@ -101,29 +91,26 @@ def fit_elastic(series: Series) -> tuple[Elastic, float]:
 
     Of neo-Hookean, Mooney and Rivlin's and Yeoh's law that of the least −2 ln likelihood with k ln n for its numbers.
     """
-    every = max(1, len(series) // ROWS)
-    series = series.averaged(every, "") if every > 1 else series
+    series = series.averaged(max(1, len(series) // ROWS))
     size = max(float(np.ptp(series.force_n)), 1e-12)
-    kinds = {"neo-hookean": [(0.0, 0.0)], "mooney-rivlin": [(0.0, SECOND_RATIO)], "yeoh": [(0.0, 0.0), (1.0, 0.0)]}
-    fits = {name: _fit_force(series, kind, size) for name, kind in kinds.items()}
+    fits = {name: _fit_force(series, parts, size) for name, parts in LAWS.items()}
     count = min(fit.count for fit in fits.values())
-    costs = {name: count * np.log(fit.noise**2) + len(kinds[name]) * np.log(count) for name, fit in fits.items()}
+    costs = {name: count * np.log(fit.noise**2) + len(LAWS[name]) * np.log(count) for name, fit in fits.items()}
     model = min(costs, key=lambda name: costs[name])
-    fit, n = fits[model], len(kinds[model])
+    fit, n = fits[model], len(LAWS[model])
     stiffness, *more = fit.numbers[:n] * size
     shares, times = np.exp(fit.numbers[-4:]).reshape(2, 2)
     elastic = Elastic(
         model=model, stiffness_n=float(stiffness), stiffening=float(more[0] / stiffness) if more else 0.0,
-        second=kinds[model][0][1], prony=Prony(share=tuple(shares), tau_s=tuple(times)),
+        second=LAWS[model][0][1], prony=Prony(share=tuple(shares), tau_s=tuple(times)),
     )  # fmt: skip
     return elastic, fit.noise * size
 
 
-def _fit_force(series: Series, kinds: list[tuple[float, float]], size: float) -> Fit:
+def _fit_force(series: Series, parts: list[tuple[float, float]], size: float) -> Fit:
     """Stiffnesses and an offset over `size`, logarithms of the shares and the times of relaxation."""
-    stretched = [settled_stress(series.strain, *kinds[0])]
-    stretched += [settled_stress(series.strain, *kind) - stretched[0] for kind in kinds[1:]]
-    settled = np.stack(stretched, axis=1)
+    first, *others = (settled_stress(series.strain, *part) for part in parts)
+    settled = np.stack([first, *(other - first for other in others)], axis=1)
     seconds, ones = series.seconds, np.ones((len(series), 1))
 
     def columns(others: FloatArray) -> FloatArray:
@@ -131,6 +118,5 @@ def _fit_force(series: Series, kinds: list[tuple[float, float]], size: float) ->
         prony = Prony(share=tuple(np.minimum(shares, 10.0)), tau_s=tuple(times))
         return np.concatenate([relaxed_forces(settled, seconds, prony), ones], axis=1)
 
-    prior = np.concatenate([[[0.0, ANY]] * (len(kinds) + 1), RELAXING])
-    known = Prior(mean=prior[:, 0], deviation=prior[:, 1], linear=len(kinds) + 1)
-    return fitted(columns, series.force_n / size, seconds, known, RELAXING[None, :, 0])
+    prior = np.concatenate([[[0.0, ANY]] * (len(parts) + 1), RELAXING])
+    return fitted(columns, series.force_n / size, seconds, prior, RELAXING[None, :, 0])

@@ -6,7 +6,6 @@ step explains what follows: then the least large one is taken that does.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from geometry.layout import FloatArray
 STILL_BAND, BAND = 0.01, 0.003  #: of ln R that is no motion, of pillars that rest and that move: noise breaks contacts
 MOVING_S = 0.6  #: for which a pillar that has moved is one that moves
 JUMP = 0.03  #: of ln R that no small step explains, from which a large one is looked for
-STEPS = 0.004 * 1.45 ** np.arange(13)  #: large changes of strain
+STEPS = np.outer([1.0, -1.0], 0.004 * 1.45 ** np.arange(13)).reshape(-1, 1, 1, 1)  #: large changes of strain
 STILL_S = 1.0  #: after which a pillar rests
 CLOSE = 0.01  #: strain below which a pillar can be loaded either way; one that rests beyond is on its way home
 MIN_SLOPE = 0.7  #: of ln R by strain that is divided by
@@ -36,24 +35,26 @@ class LawInverse:
     def __init__(self, memories: Sequence[Memory], pillars: int) -> None:
         shape = (len(memories), pillars)
         self.still_s, self._way = np.full(shape, 1e3), np.zeros(shape)
-        lengthen, shorten = (
-            _column([getattr(each, name) for each in memories]) for name in ("b_lengthen", "b_shorten")
+        names = ("b_lengthen", "b_shorten", "g1", "g2")
+        lengthen, shorten, self._g1, self._g2 = (
+            np.array([[getattr(each, name)] for each in memories], dtype=float) for name in names
         )
         self._rates = (lengthen + shorten) / 2.0, (lengthen - shorten) / 2.0  # of both ways, and by way
-        self._g1, self._g2 = (_column([getattr(each, name) for each in memories]) for name in ("g1", "g2"))
-        self.a = np.stack([_column([each.a[i] for each in memories]) for i in (0, 1)])
-        self.tau_s = np.stack([_column([each.tau_s[i] for each in memories]) for i in (0, 1)])
+        self.a, self.tau_s = (
+            np.array([[[getattr(each, name)[i]] for each in memories] for i in (0, 1)]) for name in ("a", "tau_s")
+        )
         self._all = self.a[0] + self.a[1]
-        self._by_size = _column([each.direction == "loading" for each in memories]) > 0
-        self._decay = 0.0, np.ones_like(self.tau_s)
-        self.strain, self.broken = np.zeros(shape), np.zeros((2, *shape))
-        self._static, self.slopes = self._unbroken(self.strain), self._slope(self.strain)
+        self._by_size = np.array([[each.direction == "loading"] for each in memories])
+        self.settle(np.zeros(shape), np.zeros((2, *shape)))
+
+    def settle(self, strain: FloatArray, broken: FloatArray) -> None:
+        """Take strains (k, n) and shares of broken contacts (2, k, n) for what they are."""
+        self.strain, self.broken, self._static = strain, broken, self._unbroken(strain)
+        self.slopes = np.maximum(self._slope(strain), 0.5)  #: of ln R by strain while no contact breaks
 
     def step(self, log_ratio: FloatArray, seconds: float) -> FloatArray:
         """Strains (k, n) by readings ln R/R₀ (n,) so many seconds after the last ones."""
-        if seconds != self._decay[0]:
-            self._decay = seconds, np.exp(-seconds / self.tau_s)
-        rested = self.broken * self._decay[1]
+        rested = self.broken * np.exp(-seconds / self.tau_s)
         left = log_ratio - self._static - self._risen(rested)
         moves = np.abs(left) > BAND + (STILL_BAND - BAND) * (self.still_s >= MOVING_S)
         if moves.any():
@@ -61,12 +62,6 @@ class LawInverse:
         else:
             self.broken, self.still_s = rested, self.still_s + seconds
         return np.asarray(_within(self.strain + left / self.slopes, BOUNDS))
-
-    def settle(self, strain: FloatArray, broken: FloatArray) -> None:
-        """Take strains (k, n) and shares of broken contacts (2, k, n) for what they are."""
-        self.strain, self.broken = strain, broken
-        self._static = self._unbroken(strain)
-        self.slopes = np.maximum(self._slope(strain), 0.5)  #: of ln R by strain while no contact breaks
 
     def _unbroken(self, strain: FloatArray) -> Any:
         """ln R/R₀ of strains (k, n) with no contact broken."""
@@ -83,15 +78,15 @@ class LawInverse:
         both, apart = self._rates
         return both + apart * (way * (1.0 - 2.0 * (self._by_size & (strain < 0.0))))
 
-    def _after(self, strain: FloatArray, seconds: float) -> FloatArray:
-        """Shares of broken contacts (2, k, n) after strains have changed to these."""
+    def _after(self, strain: FloatArray, seconds: float, pillars: Any = slice(None)) -> FloatArray:
+        """Shares of broken contacts (2, k, n) after strains of some pillars have changed to these."""
         both, apart = self._rates
-        change = strain - self.strain
-        grown = np.where(self._by_size, np.abs(strain) - np.abs(self.strain), change)
+        before = self.strain[:, pillars]
+        grown = np.where(self._by_size, np.abs(strain) - np.abs(before), strain - before)
         rate = both * np.abs(grown) + apart * grown
         total = rate + seconds / self.tau_s
         keep = np.exp(-total)
-        return np.asarray(keep * self.broken + rate / total * (1.0 - keep))
+        return np.asarray(keep * self.broken[..., pillars] + rate / total * (1.0 - keep))
 
     def _moved(self, y: FloatArray, left: FloatArray, moves: Any, rested: FloatArray, seconds: float) -> FloatArray:
         """What readings (n,) still miss (k, n) once pillars have moved that do."""
@@ -115,7 +110,14 @@ class LawInverse:
             if (np.abs(left) * goes).max() < NEAR:
                 break
         if (stuck := moves & (way == 0.0) & (np.abs(left) > JUMP)).any():
-            strain = self._jumped(y, left, stuck, strain, seconds)
+            some = np.flatnonzero(stuck.any(axis=0))
+            tried = _within(before[:, some] + STEPS, BOUNDS)  # (26, 1, k, s)
+            broken, tried = np.moveaxis(self._after(tried, seconds, some), 1, 0), tried[:, 0]
+            missing = y[some] - self._unbroken(tried) - self._risen(broken)
+            explains = (missing * left[:, some] <= 0) & stuck[:, some]
+            least = np.where(explains, np.abs(STEPS[:, 0]), np.inf).argmin(axis=0)[None]
+            jumped = np.take_along_axis(tried, least, axis=0)[0]
+            strain[:, some] = np.where(explains.any(axis=0), jumped, strain[:, some])
             broken = self._after(strain, seconds)
             left = y - self._unbroken(strain) - self._risen(broken)
         change = strain - before
@@ -124,28 +126,6 @@ class LawInverse:
         self._way = np.where(moved, np.sign(change), self._way)
         self.settle(strain, broken)
         return left
-
-    def _jumped(self, y: FloatArray, left: FloatArray, stuck: Any, strain: FloatArray, seconds: float) -> FloatArray:
-        """Strains of which those that are stuck take the least large step that explains their readings."""
-        rows, pillars = np.nonzero(stuck)
-        some = copy(self)
-        for name in ("_g1", "_g2", "_by_size"):
-            setattr(some, name, getattr(self, name)[rows, 0])
-        some._rates = self._rates[0][rows, 0], self._rates[1][rows, 0]
-        some.a, some.tau_s = self.a[:, rows, 0][:, None], self.tau_s[:, rows, 0][:, None]
-        some.strain, some.broken = self.strain[rows, pillars], self.broken[:, rows, pillars][:, None]
-        steps = np.concatenate([STEPS, -STEPS])[:, None]
-        tried = _within(some.strain + steps, BOUNDS)
-        missing = y[pillars] - some._unbroken(tried) - some._risen(some._after(tried, seconds))
-        explains = missing * left[rows, pillars] <= 0
-        chosen = np.where(explains, np.abs(steps), np.inf).argmin(axis=0)
-        strain = strain.copy()
-        strain[rows, pillars] = np.where(explains.any(axis=0), tried[chosen, np.arange(len(rows))], some.strain)
-        return strain
-
-
-def _column(values: Sequence[float]) -> FloatArray:
-    return np.array(values, dtype=float)[:, None]
 
 
 def _within(values: Any, limits: tuple[float, float]) -> Any:

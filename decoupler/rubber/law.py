@@ -1,11 +1,12 @@
 """A rubber as a series showed it: the numbers of its memory and of its force, and how well they are known."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field
 
 import numpy as np
 
+from common.quantity import Sound, quantity
 from dataset.memory import broken_contacts, log_rise, relaxed_forces
-from geometry.design import Memory, Prony
+from geometry.design import LOG_RISES, MODELS, RATES, Memory, Prony
 from geometry.layout import FloatArray
 
 #: numbers of the memory in the order of a covariance; rates and times by their logarithms
@@ -15,12 +16,10 @@ LINEAR = 4  #: so many are no logarithms
 
 def memory_of(numbers: FloatArray) -> Memory:
     """The memory of numbers (8,) in the order of `NAMES`; what no rubber has is cut off."""
-    g1, g2, a1, a2, *logs = np.asarray(numbers, dtype=float)
-    b_lengthen, b_shorten, tau1, tau2 = np.exp(np.clip(logs, -18, 18))
-    wide = {spec.name: spec.metadata["within"] for spec in fields(Memory) if spec.metadata.get("within")}
-    values = {"a": (a1, a2), "b_lengthen": b_lengthen, "b_shorten": b_shorten, "g1": g1, "g2": g2}
-    cut = {name: np.clip(value, *wide[name]) for name, value in values.items()}
-    return Memory(**cut, tau_s=(tau1, tau2))
+    g1, g2, a1, a2 = np.clip(numbers[:LINEAR], *LOG_RISES)
+    b_lengthen, b_shorten, *tau_s = np.exp(np.clip(numbers[LINEAR:], -18, 18))
+    b_lengthen, b_shorten = np.clip([b_lengthen, b_shorten], *RATES)
+    return Memory(a=(a1, a2), b_lengthen=b_lengthen, b_shorten=b_shorten, g1=g1, g2=g2, tau_s=tuple(tau_s))
 
 
 def numbers_of(memory: Memory) -> FloatArray:
@@ -46,42 +45,39 @@ def settled_stress(strain: FloatArray, stiffening: float = 0.0, second: float = 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Elastic:
+class Elastic(Sound):
     """The force of a strip: a law of its rubber, how stiff it is, and how it relaxes."""
 
-    model: str  #: of `geometry.design.MODELS`
-    stiffness_n: float  #: shear modulus μ times section [N]
-    stiffening: float = 0.0  #: c₂/c₁ of Yeoh's law
-    second: float = 0.0  #: share of the second invariant, of Mooney's and Rivlin's
+    model: str = quantity(MISSING, "law of the rubber", of=MODELS)
+    stiffness_n: float = quantity(MISSING, "shear modulus μ times section [N]")
+    stiffening: float = quantity(0.0, "c₂/c₁ of Yeoh's law")
+    second: float = quantity(0.0, "share of the second invariant, of Mooney's and Rivlin's law")
     prony: Prony = field(default_factory=Prony)
 
     def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
         """Force (time, ...) [N] under strains (time, ...) from rest on; it pulls where the strip is longer."""
-        return relaxed_forces(self.settled(strain), seconds, self.prony)
-
-    def settled(self, strain: FloatArray) -> FloatArray:
-        """The force (...) [N] that it settles to under strains (...)."""
-        return self.stiffness_n * settled_stress(strain, self.stiffening, self.second)
+        settled_n = self.stiffness_n * settled_stress(strain, self.stiffening, self.second)
+        return relaxed_forces(settled_n, seconds, self.prony)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rubber:
-    """A rubber as a series showed it."""
+class Rubber(Sound):
+    """A rubber as a series showed it; what has a meaning here stands in the table [rubber] of its file."""
 
     memory: Memory
     covariance: FloatArray  #: (8, 8) of the memory's numbers, in the order of `NAMES`
-    noise: float  #: standard deviation of ln R about the law
-    correlation_s: float  #: time over which these errors are alike [s]
-    elastic: Elastic
-    force_noise_n: float  #: standard deviation of the force about its law [N]
-    max_strain: float  #: largest of the series
-    min_strain: float  #: least
-    rest_ohm: float  #: resistance of the specimen at rest
-    wires: int = 4
-    section_mm2: float | None = None
-    electrodes_mm: float | None = None  #: distance of those that read
-    contact_ohm: float | None = None  #: of one of the specimen's contacts, where both ways of reading tell it
-    contact_spread: float | None = None  #: of its changes over the series, relative
+    noise: float = quantity(MISSING, "standard deviation of ln R about the law")
+    correlation_s: float = quantity(MISSING, "time over which these errors are alike [s]")
+    force_noise_n: float = quantity(MISSING, "standard deviation of the force about its law [N]")
+    min_strain: float = quantity(MISSING, "least and largest strain of the series")
+    max_strain: float = quantity(MISSING, "beyond, nothing was measured")
+    rest_ohm: float = quantity(MISSING, "resistance of the specimen at rest [Ω]")
+    wires: int = quantity(4, "that it was read by: with 2 contacts are in it")
+    section_mm2: float | None = quantity(None, "of the specimen [mm²]")
+    electrodes_mm: float | None = quantity(None, "distance of the electrodes that read [mm]")
+    contact_ohm: float | None = quantity(None, "of one of the specimen's contacts, median of the series [Ω]")
+    contact_spread: float | None = quantity(None, "standard deviation of its changes, relative")
+    elastic: Elastic = quantity(MISSING, "law of the force, which relaxes as [pillar_material.prony] says")
     unknown: tuple[tuple[str, str], ...] = ()  #: what the series does not tell, and which test would
 
     @property
@@ -107,10 +103,6 @@ class Rubber:
         values = np.r_[self.numbers[:LINEAR], np.exp(self.numbers[LINEAR:])]
         deviations = np.sqrt(self.covariance.diagonal()) * np.r_[np.ones(LINEAR), values[LINEAR:]]
         return {name: (float(v), float(d)) for name, v, d in zip(NAMES, values, deviations, strict=True)}
-
-    def force(self, strain: FloatArray, seconds: FloatArray | float) -> FloatArray:
-        """Force (time, ...) [N] of the specimen under strains (time, ...) from rest on."""
-        return self.elastic.force(strain, seconds)
 
     def memories(self, count: int, generator: np.random.Generator) -> list[Memory]:
         """So many memories that the series leaves possible."""

@@ -41,7 +41,7 @@ def draw_rubber(rubber: Rubber, series: Series, path: Path) -> None:
     electric.plot(times, np.exp(log_ratio(strain, seconds, rubber.memory)), color=ORANGE, label="with memory")
     electric.plot(times, (1 + strain) ** 2, color=INK, ls=":", label="eq. 1")
     electric.set(xlabel="time [s]", ylabel="R / R at rest", title=f"a strain of {most:.3g}, held and let go")
-    settled = rubber.force(strain, seconds)
+    settled = rubber.elastic.force(strain, seconds)
     forced.plot(times, settled, color=BLUE, label=f"{rubber.elastic.model}, relaxing")
     forced.set(xlabel="time [s]", ylabel="force [N]")
     for axes in (electric, forced):

@@ -51,13 +51,9 @@ def next_test(rubber: Rubber | None = None) -> tuple[FloatArray, FloatArray]:
     """
     most = 0.3 if rubber is None else max(rubber.max_strain, rubber.min_strain, key=abs)
     wait_s = HOLD_S if rubber is None else float(np.clip(2 * max(rubber.memory.tau_s), 120.0, 600.0))
-    time_s, strain = [0.0, REST_S], [0.0, 0.0]
-    for speed in SPEEDS:
-        for level in LEVELS:
-            ramp_s = level * abs(most) / speed
-            for seconds, value in ((ramp_s, level), (wait_s, level), (ramp_s, 0.0), (wait_s, 0.0)):
-                time_s.append(time_s[-1] + seconds)
-                strain.append(most * value)
+    pulses = [(level * abs(most) / speed, level) for speed in SPEEDS for level in LEVELS]
+    time_s = np.cumsum([0.0, REST_S, *(each for ramp_s, _ in pulses for each in (ramp_s, wait_s, ramp_s, wait_s))])
+    strain = most * np.array([0.0, 0.0, *(each for _, level in pulses for each in (level, level, 0.0, 0.0))])
     begin = time_s[-1] + 1 / RATE_HZ
     t = np.arange(round(MULTISINE_S * RATE_HZ)) / RATE_HZ
     wave = np.sin(2 * np.pi * np.outer(t, TONES_HZ) + 2.4 * np.arange(len(TONES_HZ))).sum(axis=1)

@@ -82,20 +82,27 @@ class Pressed:
 
     def row(self, ours: SensorFilter, log_ratio: FloatArray) -> dict[str, float]:
         """Errors by a filter, and how often deviations of 95 % hold: always, and within 1 s and a minute of a start."""
-        found = [ours.followed(self.time_s, log_ratio[:, k]) for k in range(log_ratio.shape[1])]
+        found = [followed(ours, self.time_s, log_ratio[:, k]) for k in range(log_ratio.shape[1])]
         strain, deviation = (np.stack(each, axis=1) for each in zip(*found, strict=True))
         held = np.abs(strain - self.strain) < 1.96 * deviation
         row = self.errors(strain) | {"held [%]": 100 * float(held.mean())}
         early = []
         for start_s in STARTS_S:
             seen = slice(round(start_s / APART_S), round((start_s + 60.0) / APART_S))
-            anew, wide = ours.followed(self.time_s[seen], log_ratio[seen, 0])
+            anew, wide = followed(ours, self.time_s[seen], log_ratio[seen, 0])
             early.append(np.abs(anew - self.strain[seen, 0]) < 1.96 * wide)
         first = [each[: round(1.0 / APART_S)].mean() for each in early]
         return row | {
             "1 s after a start": 100 * float(np.mean(first)),
             "a minute": 100 * float(np.concatenate(early).mean()),
         }
+
+
+def followed(ours: SensorFilter, time_s: FloatArray, log_ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Strains and their standard deviations, both (time, n), of readings ln R/R₀ (time, n) in their order."""
+    follower, steps = ours.start(log_ratio.shape[1]), np.diff(time_s, prepend=time_s[:1])
+    found = [follower.step(*each) for each in zip(log_ratio, steps.tolist(), strict=True)]
+    return np.stack([strain for strain, _ in found]), np.stack([deviation for _, deviation in found])
 
 
 def static_strain(log_ratio: FloatArray, memory: Memory) -> FloatArray:

@@ -9,6 +9,7 @@ from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.belief import READ_S, SensorFilter
 from decoupler.rubber.inversion import LawInverse
 from geometry.design import Memory
+from studies.real_rubber.array import followed
 
 MEMORY = Memory(a=(0.575, 0.204), b_lengthen=2.47, b_shorten=9.52, tau_s=(2.2, 165.0), g1=1.88)
 #: other rubbers: slow contacts (10 % carbon black), and ones that break less and heal in no time
@@ -46,7 +47,7 @@ def size(errors):
 def test_memory_is_followed_by_the_law_that_holds(stated):
     """What is left: pillars' spread of 15 %, and doubt; ten seconds after the release the sensor is known to rest."""
     strain, y = shown(MEMORY)
-    found, deviation = SensorFilter(memory=stated).followed(TIME_S, y)
+    found, deviation = followed(SensorFilter(memory=stated), TIME_S, y)
     left = size(found - strain) / size(ignoring(y, MEMORY) - strain)
     assert left[0] < 0.3
     assert left[-1] < 0.05
@@ -70,7 +71,7 @@ def test_a_wrong_rubber_costs_no_more_than_ignoring_memory(name, stated):
     for truth, file in ((OTHERS[name], stated), (MEMORY, replace(OTHERS[name], direction=stated.direction))):
         strain, y = shown(truth)
         for is_tested, ignored in ((True, ignoring(y, file)), (False, np.expm1(y / 2))):
-            found, deviation = SensorFilter(memory=file, is_tested=is_tested).followed(TIME_S, y)
+            found, deviation = followed(SensorFilter(memory=file, is_tested=is_tested), TIME_S, y)
             assert (size(found - strain) < 1.1 * size(ignored - strain) + 1e-3).all()
             assert (np.abs(found - strain) < 1.96 * deviation).mean() > 0.9
 
@@ -91,7 +92,7 @@ def test_a_rubber_that_the_sensor_does_not_have_is_never_applied(creep):
     for course in (slid, held):
         time_s, y = loaded(*course)
         for memory in (MEMORY, *OTHERS.values()):
-            found, _ = SensorFilter(memory=replace(memory, direction="loading")).followed(time_s, y)
+            found, _ = followed(SensorFilter(memory=replace(memory, direction="loading")), time_s, y)
             assert found == pytest.approx(np.expm1(y / 2), abs=1e-15)
 
 
@@ -112,10 +113,10 @@ def test_a_law_is_applied_once_a_hold_or_a_rest_has_tested_it():
 def test_after_a_start_in_the_middle_deviations_hold_until_it_knows_again():
     strain, y = shown(MEMORY)
     known = SensorFilter(memory=LOADING)
-    narrow = np.median(known.followed(TIME_S, y)[1][-1])
+    narrow = np.median(followed(known, TIME_S, y)[1][-1])
     for start_s in (8.0, 40.0, 72.0):
         begin = round(start_s / APART_S)
-        found, deviation = known.followed(TIME_S[begin:], y[begin:])
+        found, deviation = followed(known, TIME_S[begin:], y[begin:])
         held = np.abs(found - strain[begin:]) < 1.96 * deviation
         assert held[:10].mean() > 0.95
         assert held.mean() > 0.9

@@ -120,14 +120,21 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     loading = replace(found, memory=replace(found.memory, direction="loading"))
     write_rubber(loading, tmp_path / "loading.toml")
     assert SensorFilter.of_rubber(read_rubber(tmp_path / "loading.toml")).memory.direction == "loading"
-    (tmp_path / "cut.toml").write_text((tmp_path / "rubber.toml").read_text().replace("tau2_s = [", "tau3_s = ["))
-    with pytest.raises(DesignError, match="lacks 'tau2_s'"):
-        read_rubber(tmp_path / "cut.toml")
+    text = (tmp_path / "rubber.toml").read_text()
+    for there, instead, said in (
+        ("tau2_s = [", "tau3_s = [", "lacks 'tau2_s'"),
+        ("rest_ohm = ", "rest_ohm = nan # ", "rest_ohm=nan must be a finite number"),
+        ("stiffness_n", "stiffness", r"unknown key 'stiffness' in .*cut.toml: \[rubber.elastic\]"),
+        ("model = 'yeoh'", "model = 'ogden'", "model='ogden' must be one of linear"),
+    ):
+        (tmp_path / "cut.toml").write_text(text.replace(there, instead))
+        with pytest.raises(DesignError, match=said):
+            read_rubber(tmp_path / "cut.toml")
 
 
 def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found, series):
     """Forces 3 N off all along are right, as are resistances times 2; noise of 1 % of the force's range is 1 %."""
-    true = replace(series, force_n=found.force(series.strain, series.seconds))
+    true = replace(series, force_n=found.elastic.force(series.strain, series.seconds))
     off = 0.01 * np.ptp(true.force_n) * np.random.default_rng(0).standard_normal(len(series))
     judged = checked(found, replace(true, force_n=true.force_n + 3.0 + off, resistance_ohm=2 * series.resistance_ohm))
     assert judged.force_from_strain_nrmse_pct == pytest.approx(1.0, abs=0.1)
@@ -137,10 +144,10 @@ def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found
 def test_two_ways_of_reading_tell_contacts(series):
     """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
     read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
-    found = identified(read.averaged(16, ""), electrodes_mm=20.0, length_mm=40.0)
+    found = identified(read.averaged(16), electrodes_mm=20.0, length_mm=40.0)
     assert found.contact_ohm == pytest.approx(15e3)
     assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
-    assert identified(read.averaged(16, "")).contact_ohm is None
+    assert identified(read.averaged(16)).contact_ohm is None
 
 
 def test_forces_are_those_of_the_laws_of_solids():
@@ -205,6 +212,12 @@ def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
     assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
 
 
+def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
+    """Fewer than a part that may be at rest: the jitter of strain is that of them all."""
+    few = series.part(slice(440, 590))
+    assert len(read_series(written(tmp_path / "s.csv", few, resistance_ohm=swung(few)))) == 75
+
+
 def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
     rest = series.part((series.time_s < 20) | (series.time_s > 60))
     assert "in which strain stayed: bridged" in read_series(written(tmp_path / "a.csv", rest)).notes[0]
@@ -213,6 +226,34 @@ def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
     assert (kept.time_s[0], kept.settled) == (300.5, False)
     assert "only the longest part" in kept.notes[0]
     assert "begins at a strain of 0.1" in kept.notes[1]
+
+
+def logged(path, series, *runs):
+    """A table of runs of a series, each from a time to another [s] on a clock that starts again."""
+    rows = [np.flatnonzero((series.time_s >= begin_s) & (series.time_s < end_s)) for begin_s, end_s in runs]
+    time_s = np.concatenate([series.time_s[own] - series.time_s[own[0]] for own in rows])
+    return written(path, series.part(np.concatenate(rows)), time_s=time_s)
+
+
+@pytest.mark.parametrize(("runs", "kept"), [([(0, 900), (900, 3000)], 1), ([(0, 1600), (1600, 3000)], 0)])
+def test_of_a_clock_that_started_again_the_longest_run_is_used(series, runs, kept, tmp_path):
+    """Sorted by time both would mingle. Of one after another what it remembers is found with the rest."""
+    found = read_series(logged(tmp_path / "s.csv", series, *runs))
+    begin_s, end_s = runs[kept]
+    rows = (series.time_s >= begin_s) & (series.time_s < end_s)
+    assert found.time_s == pytest.approx(series.time_s[rows] - begin_s)
+    assert found.strain == pytest.approx(series.strain[rows], abs=1e-7)  # digits of the table
+    assert found.notes[0] == "its clock steps back 1 time, first to 0 s: only the longest run is used"
+    assert (found.settled, len(found.notes)) == (kept == 0, 1 + kept)
+
+
+def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
+    """Halves pasted the wrong way round, and rows that were logged a little late."""
+    half, n = len(series) // 2, len(series) // 2 * 2
+    for order in (np.r_[half:n, :half], np.arange(n) ^ 1):
+        found = read_series(written(tmp_path / "s.csv", series.part(order)))
+        assert found.notes == ("rows put in the order of time",)
+        assert found.strain == pytest.approx(series.strain[:n], abs=1e-7)
 
 
 REFUSED = {
@@ -241,6 +282,11 @@ def test_a_series_with_gaps_in_motion_throughout_is_refused(series, tmp_path):
     holes = series.part(series.time_s % 60 < 30)
     with pytest.raises(FileFormatError, match="record it again without gaps"):
         read_series(written(tmp_path / "s.csv", holes))
+
+
+def test_runs_of_a_clock_that_are_all_short_are_refused(series, tmp_path):
+    with pytest.raises(FileFormatError, match="no run has 100 rows: record it again in one go"):
+        read_series(logged(tmp_path / "s.csv", series, *((t, t + 40) for t in range(200, 500, 40))))
 
 
 def test_names_are_those_of_the_memory():
