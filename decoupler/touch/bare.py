@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, log_ndtr, ndtri
 
+from decoupler.model.foretold import Foretold
 from decoupler.model.usual import FALSE_ALARMS
 from decoupler.touch.decoder import AT_REST, WIDTHS, TouchContact, TouchDecoder, Touched
 from decoupler.touch.morph import PRIOR, BareSensing, Fit, Part, fitted
@@ -76,17 +77,17 @@ class BareDecoder(TouchDecoder):
         """A reading (m,) with what is left out as the others would have it, by the library's linear regression."""
         if self.left_out is None:
             return reading
-        return np.where(self.missing, reading @ self._foretold, reading)
+        found = reading.copy()
+        found[self._foretold.which] = self._foretold.told(reading[None])[0]
+        return found
 
     @cached_property
-    def _foretold(self) -> FloatArray:
-        """Weights (m, m) of the readings that are read in those that are not."""
+    def _foretold(self) -> Foretold:
+        """Readings that are not read."""
         x, _, _ = self.regression.known
-        S, read = (x.T @ x).astype(float) / len(x), np.flatnonzero(~self.missing)
+        S = (x.T @ x).astype(float) / len(x)
         S += FORETOLD * np.trace(S) / len(S) * np.eye(len(S))
-        weights = np.zeros_like(S)
-        weights[read] = np.linalg.solve(S[np.ix_(read, read)], S[read])
-        return weights
+        return Foretold.by(np.linalg.inv(S), np.flatnonzero(self.missing), np.zeros(len(S)))
 
     def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """The best fits of the scan before go on, if they still hold."""
