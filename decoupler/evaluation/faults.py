@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from dataset.measurement import ReadingError
 from decoupler.model.decoder import BEYOND as LONGER
 from decoupler.model.decoder import Decoder
+from decoupler.model.foretold import Foretold
 from geometry.layout import FloatArray, Layout
-from geometry.wiring import crossings, pillar_of_crossing
+from geometry.wiring import pillar_at
 
 WINDOW = 40  #: scans that are looked at together
 FEWEST = 8  #: scans, below which nothing is named
@@ -64,6 +65,7 @@ class _Hypothesis(NamedTuple):
     place: str
     which: Indices  #: (k,): its pillars among P
     ratio: float  #: log-likelihood ratio to none, no scan above `ONE_SCAN`
+    whole: float  #: the same, uncapped
     order: Indices | None = None  #: (P,): of the pillars that swaps wires back
 
 
@@ -159,11 +161,9 @@ class FaultTest:
     @cached_property
     def _boards(self) -> tuple[tuple[str, int, Indices], ...]:
         """Of rows and of columns: name, number and the pillars of each wire, (wires, wires across), -1 for none."""
-        at = np.full(self.rows * self.cols * len(self.layout.pillars), -1)
+        at = np.full(self.rows * self.cols * len(self.layout.pillars) + 1, -1)
         at[self.pillars] = np.arange(len(self.pillars))
-        wires = crossings(self.rows, self.cols, self.layout)
-        board = np.full(wires.max(axis=0) + 1, -1)
-        board[tuple(wires.T)] = at[pillar_of_crossing(self.rows, self.cols, self.layout)]
+        board = at[pillar_at(self.rows, self.cols, self.layout)]
         return ("row", self.rows, board), ("column", self.cols, board.T)
 
     @cached_property
@@ -196,110 +196,54 @@ class FaultTest:
         return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @cached_property
-    def _groups(self) -> "list[_Groups]":
+    def _groups(self) -> list[tuple[list[str], Foretold]]:
         """Each pillar and each wire beside which others are left, those of as many pillars together."""
         each = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
         by_size: dict[int, list[tuple[str, Indices]]] = {}
         for place, which in (*each, *self.wires):
             if len(which) < len(self.pillars):
                 by_size.setdefault(len(which), []).append((place, which))
-        return [_Groups(self, groups) for groups in by_size.values()]
+        return [
+            ([place for place, _ in groups], Foretold.by(self.precision, np.stack([which for _, which in groups])))
+            for groups in by_size.values()
+        ]
 
     def _likeliest(self, y: FloatArray) -> _Hypothesis | None:
-        """The fault that explains readings (n, P) best, of those that are decidedly likelier than none."""
-        y = y - y.mean(axis=0)
-        passing = sorted(self._hypotheses(y), key=lambda one: one.ratio)
-        passing = [one for one in passing if one.ratio > -math.log(FALSE_ALARMS)]
-        # of swaps, whose caps leave ties, all are compared
-        best = {len(one.which) > 1 if one.order is None else one.place: one for one in passing}
-        return max(best.values(), key=lambda one: self._gain(one, y), default=None)
-
-    def _gain(self, fault: _Hypothesis, y: FloatArray) -> float:
-        """Log-likelihood ratio of a fault to none by all readings (n, P) about their means, none of them capped."""
-        if fault.order is not None:
-            return self._log_density(y[:, fault.order]) - self._log_density(y)
-        still = self.covariance.copy()
-        still[fault.which] = still[:, fault.which] = 0.0
-        still[fault.which, fault.which] = self.noise[fault.which] ** 2
-        return replace(self, covariance=still)._log_density(y) - self._log_density(y)
-
-    def _log_density(self, y: FloatArray) -> float:
-        """Log-density of readings (n, P) but for a constant, each scan by the likeliest size of its loads."""
-        spread, U = self._independent
-        squares = (y / self.noise @ U) ** 2
-        each = [1.0 + size**2 * np.maximum(spread, 0.0) for size in SIZES]
-        by_size = [-0.5 * (squares @ (1.0 / one) + np.log(one).sum()) for one in each]
-        return float(np.max(by_size, axis=0).sum()) - len(y) * float(np.log(self.noise).sum())
-
-    @cached_property
-    def _independent(self) -> tuple[FloatArray, FloatArray]:
-        """Variances (P,) and directions (P, P) of independent loads, over those of noise."""
-        return np.linalg.eigh(self.covariance / np.outer(self.noise, self.noise) - np.eye(len(self.noise)))
+        """The fault that explains readings (n, P) best, if one at least is decidedly likelier than none."""
+        likelier = [one for one in self._hypotheses(y - y.mean(axis=0)) if one.ratio > 0.0]
+        decided = any(one.ratio > -math.log(FALSE_ALARMS) for one in likelier)
+        return max(likelier, key=lambda one: one.whole) if decided else None
 
     def _hypotheses(self, y: FloatArray) -> Iterator[_Hypothesis]:
         """All faults, by readings (n, P) about their means."""
-        u = y @ self.precision
-        squares, steps = (y**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
-        for groups in self._groups:
-            ratios = groups.stuck(y, u, _news(squares, steps, groups.near[..., 0]))
-            for place, which, ratio in zip(groups.places, groups.which, ratios, strict=True):
-                yield _Hypothesis("stuck", place, which, float(ratio))
-        energy, P = (u * y).sum(axis=1), y.shape[1]
-        news = float(_news(squares, steps, self.noise**-2.0))
+        u, P = y @ self.precision, y.shape[1]
+        energy, noise2 = (u * y).sum(axis=1), self.noise**2
+        steps, total = (np.diff(y, axis=0) ** 2).sum(axis=0) @ (1/noise2), 2.0 * (y**2).sum(axis=0) @ (1/noise2)
+        news = min(steps / total, 1.0) if total else 0.0
+        for places, foretold in self._groups:
+            which, V = foretold.which, foretold.covariance
+            own = y[:, which].swapaxes(0, 1)  # (g, n, k)
+            r = own - y @ foretold.weights
+            W = foretold.weights.swapaxes(1, 2)
+            B = (W * noise2) @ W.swapaxes(1, 2) + noise2[which][:, :, None] * np.eye(which.shape[1])
+            solved = np.linalg.inv(V)
+            left = energy - ((r @ solved) * r).sum(axis=2)  # (g, n): χ² of the others
+            by_noise = self.precision.diagonal() @ noise2 - (solved * B).sum(axis=(1, 2))
+            size = np.maximum((left - by_noise[:, None]) / (P - which.shape[1] - by_noise)[:, None], 0.0)  # a²
+            own_noise = np.einsum("gkk->gk", B)[:, None]
+            usual = size[:, :, None] * (np.einsum("gkk->gk", V)[:, None] - own_noise) + own_noise
+            ratio = _log_normal(own, noise2[which][:, None]) - _log_normal(r, usual)
+            moved = (own - r) ** 2 > CLEAR**2 * own_noise
+            capped = news * _total(_where_told(moved, ratio))
+            whole = news * ratio.sum(axis=(1, 2))
+            for place, one, by_scan, uncapped in zip(places, which, capped.tolist(), whole.tolist(), strict=True):
+                yield _Hypothesis("stuck", place, one, by_scan, uncapped)
         for place, order in self.swaps:
             back = y[:, order]
             other = ((back @ self.precision) * back).sum(axis=1)
             ratio, tells = 0.5 * (energy - other), (energy > P) & (other < USUAL * P)
             capped = news * float(_total(_where_told(tells, ratio)[:, None]))
-            yield _Hypothesis("swapped", place, np.flatnonzero(order != np.arange(P)), capped, order)
-
-
-def _news(squares: FloatArray, steps: FloatArray, weights: FloatArray) -> FloatArray:
-    """Ratio of von Neumann, 1 if each scan has a load of its own, near 0 if all have one; weights (..., P) of pillars.
-
-    `squares` and `steps` (P,) are sums of squares of readings about their means and of differences from scan to scan.
-    """
-    total = 2.0 * weights @ squares
-    return np.minimum(np.divide(weights @ steps, total, out=np.zeros_like(total), where=total > 0), 1.0)
-
-
-class _Groups:
-    """g groups of k pillars that may fail together, and what the others say of them."""
-
-    def __init__(self, test: FaultTest, groups: list[tuple[str, Indices]]) -> None:
-        K = test.precision
-        self.places = [place for place, _ in groups]
-        self.which = here = np.stack([which for _, which in groups])  # (g, k)
-        self.noise = test.noise[here]
-        self.across = K[here]  # K_gq, (g, k, P)
-        self.solved = V = np.asarray(np.linalg.inv(K[here[:, :, None], here[:, None]]))  # K_gg⁻¹, (g, k, k)
-        mine = V @ K[here]
-        self.by_noise = np.einsum("gkk->gk", (mine * test.noise**2) @ mine.swapaxes(1, 2))
-        self.by_loads = np.einsum("gkk->gk", V) - self.by_noise
-        # (K y)_q without the group: its variance, and what part of that is noise, (g, P)
-        without = K - K[here].swapaxes(1, 2) @ mine
-        self.scale = np.maximum(np.einsum("gpp->gp", without), 1e-12 * K.diagonal())
-        self.noise_share = np.minimum(((without * test.noise) ** 2).sum(axis=2) / self.scale, 0.99)
-        # (g, P, 3): 1 for others of the same units, of those around, for all; the next, where there is none
-        rows, cols = np.divmod(test.pillars // len(test.layout.pillars), test.cols)
-        far = np.maximum(np.abs(rows - rows[here][..., None]), np.abs(cols - cols[here][..., None])).min(axis=1)
-        other = ~(here[..., None] == np.arange(len(K))).any(axis=1)
-        near = np.stack([other & (far <= most) for most in (0, 1, len(K))], axis=-1)
-        for k in (1, 0):
-            near[..., k] |= near[..., k + 1] & ~near[..., k].any(axis=1, keepdims=True)
-        self.near = near.astype(np.float64)
-
-    def stuck(self, y: FloatArray, u: FloatArray, news: FloatArray) -> FloatArray:
-        """Log-likelihood ratios of readings (n, P) that do not move to such that do as usual, (g,)."""
-        r = u[:, self.which].swapaxes(0, 1) @ self.solved  # (g, n, k)
-        squares = (u - r @ self.across) ** 2 / self.scale[:, None] - self.noise_share[:, None]
-        free = (1.0 - self.noise_share)[:, None] @ self.near
-        sizes = np.maximum(squares @ self.near / free, 0.0)[:, :, None]  # a² by each of `near`, (g, n, 1, 3)
-        own, by_noise = y[:, self.which].swapaxes(0, 1), self.by_noise[:, None]
-        usual = sizes * self.by_loads[:, None, :, None] + by_noise[..., None]
-        ratio = _log_normal(own, self.noise[:, None] ** 2) - _log_normal(r[..., None], usual).max(axis=-1)
-        moved = (own - r) ** 2 > CLEAR**2 * by_noise
-        return news * _total(_where_told(moved, ratio))
+            yield _Hypothesis("swapped", place, np.flatnonzero(order != np.arange(P)), capped, news * ratio.sum(), order)
 
 
 def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:

@@ -24,13 +24,13 @@ class Foretold:
     covariance: FloatArray  #: (..., k, k): of what the others leave open
 
     @classmethod
-    def by(cls, precision: FloatArray, which: NDArray[np.intp], mean: FloatArray) -> Self:
+    def by(cls, precision: FloatArray, which: NDArray[np.intp], mean: FloatArray | None = None) -> Self:
         """By K (P, P)."""
         mine, own = precision[which], which[..., None, :]
         covariance = np.asarray(np.linalg.inv(np.take_along_axis(mine, own, axis=-1)), dtype=np.float64)
         weights = -covariance @ mine
         np.put_along_axis(weights, own, 0.0, axis=-1)
-        return cls(which, mean, weights.swapaxes(-1, -2), covariance)
+        return cls(which, np.zeros(len(precision)) if mean is None else mean, weights.swapaxes(-1, -2), covariance)
 
     def told(self, values: FloatArray) -> FloatArray:
         """The k (n, k) by values (n, P), of which those of the k may be any numbers; also tensors of torch."""
