@@ -1,18 +1,18 @@
 """Faults of pillars and wires, named from a window of scans by what usual loads let readings do.
 
 Readings y are logarithms of resistances about their mean over the window, so that gains fall out. Under usual loads
-their covariance S is that of training, and the readings of any group g of pillars are foretold by all others: with
-K = S⁻¹ the residual r = K_gg⁻¹ (K y)_g has the covariance V = K_gg⁻¹, of which the readings' noise makes N. Loads of
-another size a have a²(V − N) + N; a is that of the other pillars of the same units, of the units around or of the whole
-array, whichever makes no fault likeliest. Faults then are:
+their covariance S is that of training, and a group of pillars is off by r from what all others foretell (`Foretold`)
+with the covariance V, of which the readings' noise makes N. Loads of another size a have a²(V − N) + N; a² is what χ²
+of the others has beyond noise, over what usual loads give it. Faults then are:
 
 - stuck: readings stay within their noise in scans in which the prediction moves;
 - swapped: readings are likelier after two wires are swapped back;
 - open or shorted: a resistance is beyond what any load makes of it.
 
-Loads that follow one another slowly count as often as they are new, by the ratio of von Neumann: the squares of
-differences from scan to scan over twice those from the mean. What no window tells: an error that a force on the same
-pad makes as well, such as a wrong gain of one pillar.
+Once one of them is decidedly likelier than none, the likeliest of all is named. Loads that follow one another slowly
+count as often as they are new, by the ratio of von Neumann: the squares of differences from scan to scan over twice
+those from the mean. What no window tells: an error that a force on the same pad makes as well, such as a wrong gain of
+one pillar.
 """
 
 import math
@@ -39,7 +39,6 @@ FALSE_ALARMS = 1e-5  #: of a hypothesis: a likelihood ratio passes 1/α with a p
 ONE_SCAN = 5.0  #: largest log-likelihood ratio of one scan that counts: loads have longer tails than normal ones
 MAX_NAMED = 3  #: faults of one window
 BEYOND = LONGER**2  #: ratio to the mean resistance in training, either way, at which no load arrives
-SIZES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  #: of loads over the usual ones, that are tried for a whole scan
 USUAL = 4.0  #: largest mean square of readings of usual loads, over the mean, after wires are swapped back
 CLEAR = 5.0  #: deviations by noise, by which a prediction must move before a pillar that does not is stuck
 MAX_WINDOWS = 50  #: of a recording, spread over it, that are looked at
@@ -64,8 +63,8 @@ class _Hypothesis(NamedTuple):
     kind: str
     place: str
     which: Indices  #: (k,): its pillars among P
-    ratio: float  #: log-likelihood ratio to none, no scan above `ONE_SCAN`
-    whole: float  #: the same, uncapped
+    ratio: float  #: log-likelihood ratio to none of half of the pillars, no scan above `ONE_SCAN`
+    whole: float  #: the same of all, none capped
     order: Indices | None = None  #: (P,): of the pillars that swaps wires back
 
 
@@ -113,12 +112,11 @@ class FaultTest:
         y = np.clip(np.nan_to_num(y, nan=np.inf), -math.log(BEYOND), math.log(BEYOND))
         found: list[Fault] = []
         broken = np.zeros(len(self.pillars), dtype=bool)
-        for kind, beyond in (("open", y >= math.log(BEYOND)), ("shorted", y <= -math.log(BEYOND))):
-            is_so = beyond.mean(axis=0) > 0.5
+        for kind, sign in (("open", 1.0), ("shorted", -1.0)):
+            is_so = (sign * y >= math.log(BEYOND)).mean(axis=0) > 0.5
             found += self._broken(kind, is_so)
             broken |= is_so
-        test = self._without(np.flatnonzero(broken))
-        y = y[:, ~broken]
+        test, y = self._without(np.flatnonzero(broken)), y[:, ~broken]
         while len(y) >= FEWEST and len(found) < MAX_NAMED and (one := test._likeliest(y)) is not None:
             found.append(test._fault(one.kind, one.place, one.which))
             if one.order is None:
@@ -145,18 +143,25 @@ class FaultTest:
     def _broken(self, kind: str, is_so: NDArray[np.bool_]) -> list[Fault]:
         """Faults of pillars that are open or shorted, (P,): wires if all of theirs are, and what is left."""
         wires = [(place, which) for place, which in self.wires if is_so[which].all()]
-        left = np.setdiff1d(np.flatnonzero(is_so), np.concatenate([[], *(which for _, which in wires)]))
-        pillars = [(self._name(p), np.array([p])) for p in left.tolist()]
-        return [self._fault(kind, place, which) for place, which in wires + pillars]
+        in_wires = {k for _, which in wires for k in which.tolist()}
+        alone = [each for k, each in enumerate(self._alone) if is_so[k] and k not in in_wires]
+        return [self._fault(kind, place, which) for place, which in wires + alone]
 
     def _fault(self, kind: str, place: str, which: Indices) -> Fault:
-        names = self.layout.pillar_names
-        rows, cols, numbers = np.unravel_index(self.pillars[which], (self.rows, self.cols, len(names)))
-        return Fault(kind, place, tuple(zip(rows.tolist(), cols.tolist(), (names[k] for k in numbers), strict=True)))
+        return Fault(kind, place, tuple(self._places[k] for k in which.tolist()))
 
-    def _name(self, pillar: int) -> str:
-        ((row, col, name),) = self._fault("", "", np.array([pillar])).pillars
-        return f"pillar {name} of row {row}, col {col}"
+    @cached_property
+    def _places(self) -> list[tuple[int, int, str]]:
+        """Row, col and name of each of the P."""
+        names = self.layout.pillar_names
+        at = (np.unravel_index(p, (self.rows, self.cols, len(names))) for p in self.pillars)
+        return [(int(row), int(col), names[k]) for row, col, k in at]
+
+    @cached_property
+    def _alone(self) -> list[tuple[str, Indices]]:
+        """Each pillar, in words and as a number among P."""
+        every = enumerate(self._places)
+        return [(f"pillar {name} of row {row}, col {col}", np.array([k])) for k, (row, col, name) in every]
 
     @cached_property
     def _boards(self) -> tuple[tuple[str, int, Indices], ...]:
@@ -198,52 +203,45 @@ class FaultTest:
     @cached_property
     def _groups(self) -> list[tuple[list[str], Foretold]]:
         """Each pillar and each wire beside which others are left, those of as many pillars together."""
-        each = [(self._name(p), np.array([p])) for p in range(len(self.pillars))]
         by_size: dict[int, list[tuple[str, Indices]]] = {}
-        for place, which in (*each, *self.wires):
+        for place, which in self._alone + self.wires:
             if len(which) < len(self.pillars):
                 by_size.setdefault(len(which), []).append((place, which))
-        return [
-            ([place for place, _ in groups], Foretold.by(self.precision, np.stack([which for _, which in groups])))
-            for groups in by_size.values()
-        ]
+        found = [tuple(zip(*groups, strict=True)) for groups in by_size.values()]
+        return [(list(places), Foretold.by(self.precision, np.stack(which))) for places, which in found]
 
     def _likeliest(self, y: FloatArray) -> _Hypothesis | None:
         """The fault that explains readings (n, P) best, if one at least is decidedly likelier than none."""
         likelier = [one for one in self._hypotheses(y - y.mean(axis=0)) if one.ratio > 0.0]
-        decided = any(one.ratio > -math.log(FALSE_ALARMS) for one in likelier)
-        return max(likelier, key=lambda one: one.whole) if decided else None
+        is_decided = any(one.ratio > -math.log(FALSE_ALARMS) for one in likelier)
+        return max(likelier, key=lambda one: one.whole) if is_decided else None
 
     def _hypotheses(self, y: FloatArray) -> Iterator[_Hypothesis]:
         """All faults, by readings (n, P) about their means."""
-        u, P = y @ self.precision, y.shape[1]
-        energy, noise2 = (u * y).sum(axis=1), self.noise**2
-        steps, total = (np.diff(y, axis=0) ** 2).sum(axis=0) @ (1/noise2), 2.0 * (y**2).sum(axis=0) @ (1/noise2)
-        news = min(steps / total, 1.0) if total else 0.0
-        for places, foretold in self._groups:
-            which, V = foretold.which, foretold.covariance
-            own = y[:, which].swapaxes(0, 1)  # (g, n, k)
-            r = own - y @ foretold.weights
-            W = foretold.weights.swapaxes(1, 2)
-            B = (W * noise2) @ W.swapaxes(1, 2) + noise2[which][:, :, None] * np.eye(which.shape[1])
-            solved = np.linalg.inv(V)
-            left = energy - ((r @ solved) * r).sum(axis=2)  # (g, n): χ² of the others
-            by_noise = self.precision.diagonal() @ noise2 - (solved * B).sum(axis=(1, 2))
-            size = np.maximum((left - by_noise[:, None]) / (P - which.shape[1] - by_noise)[:, None], 0.0)  # a²
-            own_noise = np.einsum("gkk->gk", B)[:, None]
-            usual = size[:, :, None] * (np.einsum("gkk->gk", V)[:, None] - own_noise) + own_noise
-            ratio = _log_normal(own, noise2[which][:, None]) - _log_normal(r, usual)
-            moved = (own - r) ** 2 > CLEAR**2 * own_noise
-            capped = news * _total(_where_told(moved, ratio))
-            whole = news * ratio.sum(axis=(1, 2))
-            for place, one, by_scan, uncapped in zip(places, which, capped.tolist(), whole.tolist(), strict=True):
-                yield _Hypothesis("stuck", place, one, by_scan, uncapped)
+        K, P, noise2 = self.precision, y.shape[1], self.noise**2
+        steps, squares = (float((each**2 / noise2).sum()) for each in (np.diff(y, axis=0), y))
+        news = min(0.5 * steps / squares, 1.0) if squares else 0.0
+        chi2 = ((y @ K) * y).sum(axis=1)
+        for places, known in self._groups:
+            W, V, k = known.weights.swapaxes(1, 2), known.covariance, known.which.shape[1]
+            N = (W * noise2) @ W.swapaxes(1, 2) + noise2[known.which][:, None] * np.eye(k)
+            own = y[:, known.which].swapaxes(0, 1)  # (groups, n, k)
+            r = own - y @ known.weights
+            V_inverse = np.linalg.inv(V)
+            others = chi2 - ((r @ V_inverse) * r).sum(axis=2)
+            by_noise = (K.diagonal() @ noise2 - (V_inverse * N).sum(axis=(1, 2)))[:, None]
+            size2 = np.maximum((others - by_noise) / (P - k - by_noise), 0.0)[..., None]
+            V, N = (np.einsum("gkk->gk", each)[:, None] for each in (V, N))
+            ratio = _log_normal(own, noise2[known.which][:, None]) - _log_normal(r, size2 * (V - N) + N)
+            weighed = _weighed((own - r) ** 2 > CLEAR**2 * N, ratio)
+            for place, which, half, whole in zip(places, known.which, *weighed, strict=True):
+                yield _Hypothesis("stuck", place, which, news * float(half), news * float(whole))
         for place, order in self.swaps:
             back = y[:, order]
-            other = ((back @ self.precision) * back).sum(axis=1)
-            ratio, tells = 0.5 * (energy - other), (energy > P) & (other < USUAL * P)
-            capped = news * float(_total(_where_told(tells, ratio)[:, None]))
-            yield _Hypothesis("swapped", place, np.flatnonzero(order != np.arange(P)), capped, news * ratio.sum(), order)
+            other = ((back @ K) * back).sum(axis=1)
+            tells, which = (chi2 > P) & (other < USUAL * P), np.flatnonzero(order != np.arange(P))
+            half, whole = _weighed(tells[:, None], 0.5 * (chi2 - other)[:, None])
+            yield _Hypothesis("swapped", place, which, news * float(half), news * float(whole), order)
 
 
 def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
@@ -251,12 +249,10 @@ def _log_normal(values: FloatArray, variance: FloatArray) -> FloatArray:
     return -0.5 * (values**2 / variance + np.log(variance))
 
 
-def _where_told(tells: NDArray[np.bool_], ratio: FloatArray) -> FloatArray:
-    """Log-likelihood ratios, of which only those of some scans may speak for a fault; all may speak against it."""
-    return np.where(tells, ratio, np.minimum(ratio, 0.0))
+def _weighed(tells: NDArray[np.bool_], ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log-likelihood ratios (..., n, k) of n scans, of k pillars: what half of the k say, as if it were one, and all.
 
-
-def _total(ratio: FloatArray) -> FloatArray:
-    """Log-likelihood ratios (..., n, k) of n scans: what half of the k pillars or parts say, as if it were one."""
-    each = np.sort(np.minimum(ratio, ONE_SCAN).sum(axis=-2), axis=-1)
-    return np.asarray(each[..., (each.shape[-1] - 1) // 2])
+    For a fault only some scans may speak in the first, each up to `ONE_SCAN`; all may speak against it.
+    """
+    each = np.sort(np.minimum(ratio, np.where(tells, ONE_SCAN, 0.0)).sum(axis=-2), axis=-1)
+    return each[..., (each.shape[-1] - 1) // 2], ratio.sum(axis=(-2, -1))

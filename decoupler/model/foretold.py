@@ -25,7 +25,7 @@ class Foretold:
 
     @classmethod
     def by(cls, precision: FloatArray, which: NDArray[np.intp], mean: FloatArray | None = None) -> Self:
-        """By K (P, P)."""
+        """By K (P, P); without a mean, of distances from it."""
         mine, own = precision[which], which[..., None, :]
         covariance = np.asarray(np.linalg.inv(np.take_along_axis(mine, own, axis=-1)), dtype=np.float64)
         weights = -covariance @ mine

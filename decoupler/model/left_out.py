@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class LeftOut:
         if usual.log_ohm_covariance is not None:
             errors = _relative_errors(decoder, np.exp(usual.log_ohm)) * decoder.readable[:, None]
             S = np.where(np.outer(decoder.readable, decoder.readable), usual.log_ohm_covariance, S) + errors @ errors.T
-        return cls(decoder, Foretold.by(np.linalg.inv(S), np.flatnonzero(missing), usual.log_ohm), usual)
+        return cls(decoder, Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(missing), usual.log_ohm), usual)
 
     def filled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with what is left out filled in."""
@@ -149,7 +149,7 @@ class LeftOut:
         return covariance @ told, covariance @ usual
 
 
-def first_filled(foretold: Foretold, columns_ohm: FloatArray) -> FloatArray:
+def first_filled(foretold: Foretold, columns_ohm: Any) -> Any:
     """Readings (n, n_in) [Ω] with what the others foretell in the places of some; also tensors of torch."""
     found, xp = columns_ohm * 1.0, namespace(columns_ohm)
     found[:, foretold.which] = xp.exp(foretold.told(xp.log(columns_ohm)))

@@ -87,7 +87,7 @@ class BareDecoder(TouchDecoder):
         x, _, _ = self.regression.known
         S = (x.T @ x).astype(float) / len(x)
         S += FORETOLD * np.trace(S) / len(S) * np.eye(len(S))
-        return Foretold.by(np.linalg.inv(S), np.flatnonzero(self.missing), np.zeros(len(S)))
+        return Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(self.missing))
 
     def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """The best fits of the scan before go on, if they still hold."""
