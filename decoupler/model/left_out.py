@@ -12,7 +12,7 @@ from decoupler.data.columns import DEAD_OHM, namespace, rowwise
 from decoupler.inverse.sensor_model import MIN_WHOLE_OHM, ModelInverse
 from decoupler.model.decoder import MANY
 from decoupler.model.foretold import Foretold
-from decoupler.model.usual import UsualLoads
+from decoupler.model.usual import MIN_NOISE, UsualLoads
 from decoupler.solve import descended
 from geometry.layout import FloatArray
 
@@ -25,7 +25,6 @@ MOST = 0.5  #: change of the logarithm of a reading by one of them
 GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
 DRAWN = 200  #: loads that say how far the response and the decoder agree
 DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
-MIN_NOISE = 1e-5  #: relative, of a reading
 
 
 @dataclass(frozen=True, eq=False)
