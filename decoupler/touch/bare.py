@@ -111,7 +111,7 @@ class BareDecoder(TouchDecoder):
             starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
             fits += fitted(reading, white, starts, FOLLOWED_STEPS)
             return replace(self._weighed(white.n, at_rest, fits, *near), wait=wait, sought_cost=last.sought_cost)
-        found = self._weighed(white.n, at_rest, self._fits(reading, white, rows), *near)
+        found = self._weighed(white.n, at_rest, self.fits(reading, white, rows), *near)
         sought_cost = min(fit.cost for fit in found.fits)
         return replace(found, wait=PAUSES[int(found.chi2 > SECOND)], sought_cost=sought_cost)
 
@@ -159,7 +159,7 @@ class BareDecoder(TouchDecoder):
         spread_mm = self.design.array.pitch_mm / np.sqrt(12.0)
         return np.diag(np.column_stack([deviation_n, spread_mm * deviation_n[:, [2, 2]]]).ravel())
 
-    def _fits(self, reading: FloatArray, white: Whitening, rows: Any) -> list[Fit]:
+    def fits(self, reading: FloatArray, white: Whitening, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
         starts = [([part], nothing) for part in self._starts(rows, STARTS)]

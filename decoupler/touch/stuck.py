@@ -5,13 +5,15 @@ itself: first of the nearest presses of the library, by their own mean and covar
 doubt, of presses fitted to the other readings alone.
 """
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
-from decoupler.touch.morph import BareSensing, Fit, weights_of
+from decoupler.model.usual import FALSE_ALARMS
+from decoupler.touch.morph import weights_of
+from decoupler.touch.regression import NEAREST
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -52,22 +54,19 @@ def _is_clear(decoder: "BareDecoder", pillar: int, readings: FloatArray, errors:
     left_out = np.arange(readings.shape[1]).reshape(decoder.rows, decoder.cols, -1) == pillar
     without, told = decoder.without(left_out), []
     for reading, error in zip(readings, errors, strict=True):
-        touched = without.touched(reading)
-        if touched.chi2 <= touched.limit:
-            mean, spread = _read(decoder.sensing, touched.fits, pillar)
-            told.append((mean, np.hypot(spread, error), reading[pillar]))
+        others = np.where(left_out.ravel(), 0.0, reading)
+        white = without.white(others, decoder.of_model * np.abs(others).max())
+        fits = without.fits(others, white, decoder.regression.nearest(without.filled(others), NEAREST))
+        if min(fit.chi2 for fit in fits) <= chdtri(white.n, FALSE_ALARMS):
+            values, weights = (
+                decoder.sensing.reading(np.stack([fit.moved_mm for fit in fits]))[:, pillar],
+                weights_of(fits),
+            )
+            mean = weights @ values
+            told.append((mean, np.sqrt(weights @ (values - mean) ** 2 + error**2), reading[pillar]))
     if len(told) < 2:
         return False
     mean, deviation, reading = np.array(told).T
     high, low = (mean / deviation).argmax(), (mean / deviation).argmin()
     moved = (mean[high] - mean[low]) / np.hypot(deviation[high], deviation[low])
     return bool(min(np.sort(np.abs(reading - mean) / deviation)[-2], moved) > CLEAR)
-
-
-def _read(sensing: BareSensing, fits: Sequence[Fit], pillar: int) -> tuple[float, float]:
-    """Mean and deviation of a pillar's readings [mm²] under weighted fits; 0 at rest."""
-    if not fits:
-        return 0.0, 0.0
-    values, weights = sensing.reading(np.stack([fit.moved_mm for fit in fits]))[:, pillar], weights_of(fits)
-    mean = weights @ values
-    return float(mean), float(np.sqrt(weights @ (values - mean) ** 2))
