@@ -39,7 +39,7 @@ def wires(rows: int, cols: int, layout: Layout) -> tuple[int, int]:
     return rows * row, cols * column
 
 
-def _pillar_at(rows: int, cols: int, layout: Layout) -> NDArray[np.intp]:
+def pillar_at(rows: int, cols: int, layout: Layout) -> NDArray[np.intp]:
     """Place in a flattened (rows, cols, n_pillars) array of the pillar of every crossing, -1 where there is none.
 
     Shape (row wires, column wires).
@@ -56,7 +56,7 @@ def crossings(rows: int, cols: int, layout: Layout = SONG2018) -> NDArray[np.int
     >>> crossings(1, 1).tolist()
     [[0, 0], [0, 1], [1, 0]]
     """
-    return np.argwhere(_pillar_at(rows, cols, layout) >= 0)
+    return np.argwhere(pillar_at(rows, cols, layout) >= 0)
 
 
 def pillar_of_crossing(rows: int, cols: int, layout: Layout = SONG2018) -> NDArray[np.intp]:
@@ -65,7 +65,7 @@ def pillar_of_crossing(rows: int, cols: int, layout: Layout = SONG2018) -> NDArr
     >>> pillar_of_crossing(1, 2).tolist()  # z and x of both units along U1's wire, then y of both along U2's
     [0, 1, 3, 4, 2, 5]
     """
-    places = _pillar_at(rows, cols, layout)
+    places = pillar_at(rows, cols, layout)
     return places[places >= 0]
 
 
@@ -85,7 +85,7 @@ def pillars_of_wires(rows: int, cols: int, layout: Layout = SONG2018) -> list[ND
     >>> [each.tolist() for each in pillars_of_wires(1, 2)]
     [[0, 1, 3, 4], [2, 5], [0, 2], [1], [3, 5], [4]]
     """
-    board = _pillar_at(rows, cols, layout)
+    board = pillar_at(rows, cols, layout)
     return [wire[wire >= 0] for wire in (*board, *board.T)]
 
 

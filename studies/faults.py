@@ -29,10 +29,10 @@ def pillar(kind: str, name: str) -> Break:
     """A pillar of this name that is stuck, open, or has another gain."""
 
     def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
-        unit, number = int(generator.integers(test.rows * test.cols)), NAMES.index(name)
+        unit, number = int(generator.integers(test.decoder.rows * test.decoder.cols)), NAMES.index(name)
         spoilt(kind, ohms, [len(NAMES) * unit + number], generator)
         said = "" if kind == "gain" else kind
-        return ohms, said and f"pillar {name} of row {unit // test.cols}, col {unit % test.cols} {said}"
+        return ohms, said and f"pillar {name} of row {unit // test.decoder.cols}, col {unit % test.decoder.cols} {said}"
 
     return broken
 

@@ -110,10 +110,17 @@ class Decoder(ABC):
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
         """Mean (P,) and covariance (P, P) of ln R of all P pillars under usual loads, noise apart.
 
-        Of pillars that are not read they may be anything. None if unknown, and on bare rubber: light presses at one
-        place follow no covariance of all, and named faults where there were none in 9 of 240 windows.
+        Of pillars that are not read they may be anything. None if unknown, and on bare rubber, where light presses at
+        one place follow no covariance of all: `stuck` says instead what it can.
         """
         return None
+
+    def stuck(self, resistance_ohm: FloatArray) -> NDArray[np.intp]:
+        """Numbers of pillars that stay in scans (n, rows, cols, n_pillars) [Ω] in which they should move.
+
+        None but on bare rubber: of others `usual_readings` tell.
+        """
+        return np.array([], dtype=np.intp)
 
     @abstractmethod
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:

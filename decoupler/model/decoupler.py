@@ -179,15 +179,14 @@ class Decoupler(Decoder):
     def consistency(
         self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray] | None:
-        """By how far forces are outside the usual loads (`LoadTest`)."""
+        """By how far forces are outside the usual loads, or readings outside theirs (`LoadTest`)."""
         if self.load_test is None:
             return None
         told_n = self.forces(resistance_ohm) if force_n is None else force_n
 
         def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             assert by.load_test is not None
-            found = by.load_test.chi2(told_n[which].reshape(len(ohms), -1))
-            return found, np.full_like(found, by.load_test.limit)
+            return by.load_test.tested(told_n[which].reshape(len(ohms), -1), by.columns(ohms))
 
         chi2, limit = self.each(resistance_ohm, ask)
         return chi2, limit

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from decoupler.data.columns import DEAD_OHM, namespace, rowwise
 from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.decoder import MANY
-from decoupler.model.usual import UsualLoads
+from decoupler.model.foretold import Foretold
+from decoupler.model.usual import MIN_NOISE, UsualLoads
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import descended
 from geometry.layout import FloatArray
@@ -24,45 +25,6 @@ MOST = 0.5  #: change of the logarithm of a reading by one of them
 GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
 DRAWN = 200  #: loads that say how far the response and the decoder agree
 DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
-MIN_NOISE = 1e-5  #: relative, of a reading
-
-
-@dataclass(frozen=True, eq=False)
-class Foretold:
-    """What k of P readings are when they are not read, by the others: normal, as logarithms."""
-
-    missing: FloatArray  #: (P,): 1 of what is not read, 0 of the others
-    mean: FloatArray  #: (P,): of ln R under usual loads
-    weights: FloatArray  #: (P, P): of the others' distances from it, in those of the k; 0 of all else
-    covariance: FloatArray  #: (k, k): of what that leaves
-
-    @cached_property
-    def which(self) -> NDArray[np.intp]:
-        """Numbers of the k."""
-        return np.flatnonzero(self.missing)
-
-    @classmethod
-    def by(cls, usual: UsualLoads, missing: NDArray[np.bool_], read: NDArray[np.bool_], errors: FloatArray) -> Self:
-        """Those `missing` (P,), by the others of those that a decoder reads; `errors` (P, m) change the logarithms.
-
-        Without a covariance, of few samples, nothing is foretold but the mean, and that it may be off by `SPREAD`.
-        """
-        mean, which = usual.log_ohm, np.flatnonzero(missing)
-        assert mean is not None
-        weights, covariance = np.zeros((len(mean), len(mean))), SPREAD**2 * np.eye(len(which))
-        others = np.flatnonzero(read & ~missing)
-        if usual.log_ohm_covariance is not None:
-            S = usual.log_ohm_covariance + errors @ errors.T
-            by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
-            weights[np.ix_(others, which)] = by_others
-            covariance = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
-        return cls(missing.astype(float), mean, weights, covariance)
-
-    def filled(self, columns_ohm: FloatArray) -> FloatArray:
-        """Readings (n, P) [Ω] with those that are foretold in their places; also tensors of torch."""
-        xp = namespace(columns_ohm)
-        found = xp.exp(rowwise(xp.log(columns_ohm) - self.mean, self.weights) + self.mean)
-        return columns_ohm * (1.0 - self.missing) + found * self.missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +41,7 @@ class LeftOut:
     """
 
     decoder: "Decoupler"
-    foretold: Foretold
+    foretold: Foretold  #: logarithms of readings; without a covariance, of few samples, the mean, off by `SPREAD`
     usual: UsualLoads
 
     @classmethod
@@ -88,12 +50,15 @@ class LeftOut:
         usual = decoder.usual
         if not missing.any() or usual.log_ohm is None:
             return None
-        errors = _relative_errors(decoder, np.exp(usual.log_ohm))
-        return cls(decoder, Foretold.by(usual, missing, decoder.readable, errors), usual)
+        S = SPREAD**2 * np.eye(len(missing))
+        if usual.log_ohm_covariance is not None:
+            errors = _relative_errors(decoder, np.exp(usual.log_ohm)) * decoder.readable[:, None]
+            S = np.where(np.outer(decoder.readable, decoder.readable), usual.log_ohm_covariance, S) + errors @ errors.T
+        return cls(decoder, Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(missing), usual.log_ohm), usual)
 
     def filled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with what is left out filled in."""
-        here, which = self.foretold.filled(columns_ohm), self.foretold.which
+        here, which = first_filled(self.foretold, columns_ohm), self.foretold.which
         if self._agreement is None:
             return here
         known, first = self._agreement, np.log(here[:, which])
@@ -117,7 +82,8 @@ class LeftOut:
 
     def by_read(self, columns_ohm: FloatArray, slopes: FloatArray) -> FloatArray:
         """Derivatives of the forces (n, n_out, n_in) [N/Ω], which move what is left out as well; 0 by that."""
-        which, by_read = self.foretold.which, slopes * (1.0 - self.foretold.missing)
+        which, by_read = self.foretold.which, slopes.copy()
+        by_read[:, :, which] = 0.0
         if self._agreement is not None:
             by_missed = self._steps(columns_ohm, self._missed(columns_ohm))[0] @ self._agreement.by_force
             by_read += (slopes[:, :, which] * columns_ohm[:, None, which]) @ by_missed @ by_read
@@ -180,6 +146,13 @@ class LeftOut:
             H += (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(len(usual))
         covariance = np.linalg.inv(H)
         return covariance @ told, covariance @ usual
+
+
+def first_filled(foretold: Foretold, columns_ohm: Any) -> Any:
+    """Readings (n, n_in) [Ω] with what the others foretell in the places of some; also tensors of torch."""
+    found, xp = columns_ohm * 1.0, namespace(columns_ohm)
+    found[:, foretold.which] = xp.exp(foretold.told(xp.log(columns_ohm)))
+    return found
 
 
 def _relative_errors(decoder: "Decoupler", ohm: FloatArray) -> FloatArray:

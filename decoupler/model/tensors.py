@@ -9,6 +9,7 @@ import numpy as np
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
+from decoupler.model.left_out import first_filled
 from geometry.design import SensorDesign
 from geometry.layout import Layout
 
@@ -27,7 +28,7 @@ def in_torch(part: Any, like: "Tensor") -> Any:
 def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
     """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
     if decoder.filling is not None:
-        columns_ohm = in_torch(decoder.filling.foretold, columns_ohm).filled(columns_ohm)
+        columns_ohm = first_filled(in_torch(decoder.filling.foretold, columns_ohm), columns_ohm)
     if not isinstance(decoder, DecouplerAtStrain):
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())

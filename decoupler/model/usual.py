@@ -1,6 +1,6 @@
 """Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -20,6 +20,8 @@ SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear 
 SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
+FURTHER = 2.0  #: times the largest χ² of readings in training, up to which those of usual loads may come
+MIN_NOISE = 1e-5  #: relative, of a reading
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +33,8 @@ class UsualLoads:
     friction: FloatArray  #: (1,); 0 where any shear is known
     log_ohm: FloatArray | None = None  #: (n_in,): mean of ln R under them
     log_ohm_covariance: FloatArray | None = None  #: (n_in, n_in); None of too few samples
+    log_ohm_at_rest: FloatArray | None = None  #: (n_in,): by a line through √R, nearly straight in forces, to no force
+    max_chi2: FloatArray | None = None  #: (1,): largest `readings_chi2` of training
 
     @classmethod
     def of(cls, data: Columns) -> Self:
@@ -43,16 +47,35 @@ class UsualLoads:
             shear = np.hypot(pads[:, 0], pads[:, 1])
             if (shear > np.maximum(FRICTION * pads[:, 2], SLIGHT * shear.max())).mean() <= RARE:
                 friction = FRICTION
-        log_ohm, covariance = np.log(columns_ohm), None
-        if len(columns_ohm) >= SAMPLES * columns_ohm.shape[1]:
-            covariance = np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
-        return cls(
+        log_ohm = np.log(columns_ohm)
+        found = cls(
             low_n=(1.0 + MARGIN) * low,
             high_n=(1.0 + MARGIN) * high,
             friction=np.array([friction]),
             log_ohm=log_ohm.mean(axis=0),
-            log_ohm_covariance=covariance,
         )
+        if len(columns_ohm) < SAMPLES * columns_ohm.shape[1]:
+            return found
+        by_force = np.column_stack([np.ones(len(log_ohm)), data.force_n])
+        root_at_rest = np.linalg.lstsq(by_force, np.sqrt(columns_ohm), rcond=None)[0][0]
+        covariance = np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
+        at_rest = 2.0 * np.log(np.maximum(root_at_rest, 1.0))
+        found = replace(found, log_ohm_covariance=covariance, log_ohm_at_rest=at_rest)
+        return replace(found, max_chi2=found.readings_chi2(columns_ohm, 0.0).max(keepdims=True))
+
+    def readings_chi2(self, columns_ohm: FloatArray, errors: FloatArray | float) -> FloatArray:
+        """χ² of readings over their number, (n, n_in) [Ω] -> (n,), by the load between usual ones and rest that suits.
+
+        Logarithms differ from those of training by errors of this covariance (n_in, n_in) besides.
+        """
+        assert self.log_ohm is not None
+        assert self.log_ohm_covariance is not None
+        assert self.log_ohm_at_rest is not None
+        K = np.linalg.inv(self.log_ohm_covariance + errors + MIN_NOISE**2 * np.eye(len(self.log_ohm)))
+        off, towards = np.log(columns_ohm) - self.log_ohm, self.log_ohm_at_rest - self.log_ohm
+        along = np.clip(off @ K @ towards / np.maximum(towards @ K @ towards, MIN_NOISE), 0.0, 1.0)
+        off -= along[:, None] * towards
+        return np.asarray(((off @ K) * off).sum(axis=1) / len(K))
 
     def readings(self, places: NDArray[np.int64], n: int) -> tuple[FloatArray, FloatArray] | None:
         """Mean (n,) and covariance (n, n) of ln R of n pillars, of which those at `places` (n_in,) are known."""
@@ -88,6 +111,7 @@ class LoadTest:
     usual: UsualLoads
     deviation_n: FloatArray  #: σ, (n_forces,) [N]
     limit: float  #: of χ²/n, that `FALSE_ALARMS` of readings are beyond if all errors lead out of the usual loads
+    errors: FloatArray | None = None  #: covariance of errors of ln R (n_in, n_in); None where readings are not tested
 
     @classmethod
     def of(cls, decoder: "Decoupler") -> "LoadTest | None":
@@ -107,7 +131,11 @@ class LoadTest:
         covariance.flat[:: len(covariance) + 1] = np.maximum(deviation_n**2, covariance.diagonal())
         if inverse is not None:
             deviation_n = np.maximum(deviation_n, decoder.half_widths_of(pressed)[0][0])
-        return cls.by(usual, covariance, deviation_n)
+        found = cls.by(usual, covariance, deviation_n)
+        if inverse is None and decoder.posterior is None and usual.max_chi2 is not None:
+            relative = np.hstack([np.diag(deviation), shared]) / rest[0][:, None]
+            found = replace(found, errors=relative @ relative.T)
+        return found
 
     @classmethod
     def by(cls, usual: UsualLoads, covariance_n2: FloatArray, deviation_n: FloatArray) -> Self:
@@ -130,3 +158,16 @@ class LoadTest:
         """χ² over its degrees of freedom, (n, n_forces) [N] -> (n,)."""
         beyond = (force_n - self.usual.nearest(force_n)) / self.deviation_n
         return np.asarray(np.einsum("nf,nf->n", beyond, beyond) / force_n.shape[1])
+
+    def tested(self, force_n: FloatArray, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """χ² and limit, (n,) each, of forces (n, n_forces) [N], or of their readings (n, n_in) [Ω] if further beyond.
+
+        Readings are tested without a response: whatever they are, the forces of a net alone hardly leave its range.
+        """
+        chi2, usual = self.chi2(force_n), self.usual
+        limit = np.full_like(chi2, self.limit)
+        if self.errors is None or usual.max_chi2 is None:
+            return chi2, limit
+        of_readings, most = usual.readings_chi2(columns_ohm, self.errors), FURTHER * float(usual.max_chi2[0])
+        is_further = of_readings / most > chi2 / limit
+        return np.where(is_further, of_readings, chi2), np.where(is_further, most, limit)

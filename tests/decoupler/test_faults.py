@@ -8,6 +8,7 @@ from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
 from tests.decoupler.synthetic_sensor import response, sensor
@@ -110,6 +111,32 @@ def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
     assert np.less(*model.consistency(broken)).mean() > 0.9
     for reading in (1.02 * readings(rest[:200], bits=None), *beyond):
         assert np.greater(*model.consistency(reading)).all()
+
+
+@pytest.mark.parametrize("layout", ["song2018", "six-pillar"])
+def test_a_net_without_a_response_tells_another_sensor_by_its_readings(layout):
+    """Gains of 0.9 to 1.1 of each pillar; its own under usual and light loads, at rest and without a pillar pass."""
+    design = sensor(3, 3, layout)
+    forward = SensorModel.of(response(design), component_named("all"))
+
+    def read_ohm(force_n, seed):
+        return measured(
+            forward.resistances(force_n).reshape(len(force_n), 3, 3, -1), NOISE, 12, np.random.default_rng(seed)
+        )
+
+    force_n, unseen_n = presses(400, 5), presses(1000, 6)
+    data = Samples(
+        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=read_ohm(force_n, 1), design=design, noise=NOISE, bits=12
+    )
+    model = train(data, "all", NetworkConfig(hidden=4, net="plain", feature="root"))
+    own = read_ohm(unseen_n, 2)
+    broken = own[:100].copy()
+    broken[:, 1, 1, 0] = 1e9
+    passing = own, read_ohm(0.1 * unseen_n, 3), read_ohm(0.0 * unseen_n, 4), broken
+    assert [np.greater(*model.consistency(ohms)).mean() <= 3 * FALSE_ALARMS for ohms in passing] == [True] * 4
+    for seed in range(4):
+        gains = np.random.default_rng(seed).uniform(0.9, 1.1, own.shape[1:])
+        assert np.greater(*model.consistency(gains * own[:200])).mean() > 0.95
 
 
 @pytest.mark.parametrize("common", [0.0, 0.5, 0.99])

@@ -183,7 +183,9 @@ def dataset(
     if is_solved:
         stages.require_finite(sensor)
     if is_finite:
-        answered = None if twin is None else stages.StrainedDraws(twin.read_decoder(), solved).answered
+        answered = None
+        if twin is not None and isinstance(decoder := twin.read_decoder(), stages.DecouplerAtStrain):
+            answered = stages.StrainedDraws(decoder, solved).answered
         settings, factor = stages.borne(solved, settings, answered)
         if factor < 1.0:
             caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
