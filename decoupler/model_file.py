@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 FORMAT = "tripillar-model-3"  #: of a network; 2 had parts that may be missing
-TOUCH = "tripillar-touch-2"  #: of a decoder of touch
+TOUCH = "tripillar-touch-3"  #: of a decoder of touch
 METHOD = 9  #: raise when the same settings train another file, so that old models are not reused
 HEADER = "tripillar"  #: the entry of the file's metadata that holds all of ours
 _MEND = "give a file made by 'tripillar train'"

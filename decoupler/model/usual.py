@@ -132,7 +132,7 @@ class LoadTest:
         if inverse is not None:
             deviation_n = np.maximum(deviation_n, decoder.half_widths_of(pressed)[0][0])
         found = cls.by(usual, covariance, deviation_n)
-        if inverse is None and decoder.posterior is None and usual.max_chi2 is not None:
+        if decoder.forward is None and usual.max_chi2 is not None:
             relative = np.hstack([np.diag(deviation), shared]) / rest[0][:, None]
             found = replace(found, errors=relative @ relative.T)
         return found
