@@ -47,7 +47,7 @@ def model_cache_key(
     response: "ArrayResponse | None" = None,
 ) -> str:
     """Hash of all that a network depends on; a file whose ``made_from["recipe"]`` equals it is current."""
-    known = response.content_hash if response is not None and network.feature == "inverse" else ""
+    known = response.content_hash if response is not None and network.feature in ("inverse", "auto") else ""
     dead = data.dead if data.dead is not None and data.dead.any() else None
     parts = (FORMAT, METHOD, data.content_hash, data.noise, data.bits, dead, component, network, training, known)
     later = [data.is_finite] if data.is_finite.any() else []

@@ -29,7 +29,7 @@ CLEAR = 4.0  #: deviations that fits must be off by in two scans, and that they 
 def stuck_pillars(decoder: "BareDecoder", resistance_ohm: FloatArray) -> NDArray[np.intp]:
     """Numbers of the pillars that are stuck in scans (n, rows, cols, n_pillars) [Ω]."""
     every = decoder.columns(resistance_ohm)
-    noise = decoder.white_at_rest.deviation
+    noise = decoder.sensing.whitening(np.zeros(every.shape[1]), decoder.errors).deviation
     still = (every.var(axis=0) <= STILL * noise**2) & ~decoder.missing
     readings = every[EVERY // 2 :: EVERY]
     errors = np.hypot(noise, decoder.of_model * np.abs(readings).max(axis=1, keepdims=True))

@@ -90,7 +90,7 @@ def train(
     else:
         trained = fitted_network(*asked[:3], few.design, asked.forward, progress, judged)
     story = {
-        "recipe": model_cache_key(data, name, asked.form, asked.training, response),
+        "recipe": model_cache_key(data, name, network or NetworkConfig(), asked.training, response),
         "data_hash": data.content_hash,
         "n_samples": n,
     }
