@@ -74,18 +74,20 @@ def test_what_is_no_model_file_is_refused_and_a_failed_write_leaves_the_old_one(
 
 
 def test_recipe_follows_all_that_matters():
-    known = replace(NETWORK, feature="inverse")
-    recipe = model_cache_key(DATA, "fz", NETWORK, FEW)
-    assert recipe == model_cache_key(DATA, "fz", NETWORK, FEW, RESPONSE)  # its feature does not heed the response
+    known, root = replace(NETWORK, feature="inverse"), replace(NETWORK, feature="root")
+    recipe = model_cache_key(DATA, "fz", root, FEW)
+    assert recipe == model_cache_key(DATA, "fz", root, FEW, RESPONSE)  # its feature does not heed the response
     others = [
-        (replace(DATA, force_n=-DATA.force_n), "fz", NETWORK, FEW),
-        (replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", NETWORK, FEW),
-        (DATA, "fx", NETWORK, FEW),
-        (DATA, "fz", NETWORK, replace(FEW, seed=1)),
+        (replace(DATA, force_n=-DATA.force_n), "fz", root, FEW),
+        (replace(DATA, dead=np.ones((2, 3, 3), dtype=bool)), "fz", root, FEW),
+        (DATA, "fx", root, FEW),
+        (DATA, "fz", root, replace(FEW, seed=1)),
+        (DATA, "fz", NETWORK, FEW),
+        (DATA, "fz", NETWORK, FEW, RESPONSE),
         (DATA, "fz", known, FEW, RESPONSE),
         (DATA, "fz", known, FEW, response(sensor(2, 2))),
     ]
-    assert len({recipe, *(model_cache_key(*asked) for asked in others)}) == 7
+    assert len({recipe, *(model_cache_key(*asked) for asked in others)}) == 9
 
 
 @pytest.mark.parametrize(
