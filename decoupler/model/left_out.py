@@ -99,12 +99,14 @@ class LeftOut:
 
     @cached_property
     def _agreement(self) -> "_Agreement | None":
-        """None if nobody knows the response, and of `MANY` readings and more: then loads are too far from usual ones.
+        """None if nobody knows the response, or no reading is one too many, and of `MANY` left out and more.
+
+        Then forces agree with whatever is filled in, or loads are too far from usual ones.
 
         N is what m is under drawn loads, with every reading there: by errors, and as the decoder is not exact.
         """
         known, inverse, readable = self.foretold, self.decoder.inverse, self.decoder.readable
-        if inverse is None or len(known.which) >= MANY:
+        if inverse is None or len(known.which) >= MANY or readable.sum() <= inverse.forward.n_forces:
             return None
         generator, forward = np.random.default_rng(0), inverse.forward
         ohm = forward.resistances(self.usual.drawn(DRAWN, forward.n_forces, generator))
