@@ -21,29 +21,38 @@ if TYPE_CHECKING:
 
 EVERY = 5  #: scans, of which one is looked at
 STILL = 2.0  #: mean square of a pillar's readings about their mean, over that of noise, up to which it does not move
-DOUBTED, MAX_DOUBTED = 2.0, 3  #: deviations that the nearest presses must be off by in some scan; pillars of a window
-FITTED = 4  #: scans that presses are fitted to for each pillar that is doubted
-CLEAR = 4.0  #: deviations that fits must be off by in two scans, and that they must move by from one to another
+DOUBTED = 2.0  #: mean of both of `_off_and_moved` by the nearest presses, from which presses are fitted
+FITTED = 4  #: scans that they are fitted to
+CLEAR = 4.0  #: least of both by fits, from which a pillar is stuck
 
 
 def stuck_pillars(decoder: "BareDecoder", resistance_ohm: FloatArray) -> NDArray[np.intp]:
     """Numbers of the pillars that are stuck in scans (n, rows, cols, n_pillars) [Ω]."""
     every = decoder.columns(resistance_ohm)
     noise = decoder.sensing.deviation(np.zeros(every.shape[1]), decoder.errors)
-    still = (every.var(axis=0) <= STILL * noise**2) & ~decoder.missing
     readings = every[EVERY // 2 :: EVERY]
+    if len(readings) < 2:
+        return np.array([], dtype=np.intp)
     errors = np.hypot(noise, decoder.of_model * np.abs(readings).max(axis=1, keepdims=True))
     near = [decoder.regression.foretold(decoder.filled(one), by) for one, by in zip(readings, errors, strict=True)]
     told, deviation = np.stack(near, axis=1)
-    off = np.abs(readings - told) / deviation * still
-    doubted = np.argsort(-off.max(axis=0))[:MAX_DOUBTED]
+    off, moved = _off_and_moved(readings, told, deviation)
+    still = (every.var(axis=0) <= STILL * noise**2) & ~decoder.missing
+    doubted = np.flatnonzero(still & (off * moved > DOUBTED**2))
     found = []
-    for pillar in doubted[off.max(axis=0)[doubted] > DOUBTED]:
-        moved = (told / deviation)[:, pillar]
-        scans = dict.fromkeys([int(moved.argmax()), int(moved.argmin()), *np.argsort(-off[:, pillar]).tolist()])
-        if _is_clear(decoder, int(pillar), readings[[*scans][:FITTED]], errors[[*scans][:FITTED], pillar]):
-            found.append(pillar)
+    for k in doubted.tolist():
+        by_told, by_off = told[:, k] / deviation[:, k], np.abs(readings[:, k] - told[:, k]) / deviation[:, k]
+        scans = [*dict.fromkeys([*by_told.argsort()[[0, -1]].tolist(), *by_off.argsort()[::-1].tolist()])][:FITTED]
+        if _is_clear(decoder, k, readings[scans], errors[scans, k]):
+            found.append(k)
     return np.array(found, dtype=np.intp)
+
+
+def _off_and_moved(readings: FloatArray, told: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Deviations that readings (n, m) are off what is foretold in the second of scans, and that this moves by, (m,)."""
+    high, low = ((told / deviation).argsort(axis=0)[k][None] for k in (-1, 0))
+    most, least, *both = (np.take_along_axis(each, k, 0)[0] for each in (told, deviation) for k in (high, low))
+    return np.sort(np.abs(readings - told) / deviation, axis=0)[-2], (most - least) / np.hypot(*both)
 
 
 def _is_clear(decoder: "BareDecoder", pillar: int, readings: FloatArray, errors: FloatArray) -> bool:
@@ -52,9 +61,9 @@ def _is_clear(decoder: "BareDecoder", pillar: int, readings: FloatArray, errors:
     `errors` (n,) are deviations of the pillar's readings and of the model. Scans that no press explains say nothing.
     """
     left_out = np.arange(readings.shape[1]).reshape(decoder.rows, decoder.cols, -1) == pillar
-    without, told = decoder.without(left_out), []
+    without, found = decoder.without(left_out), []
     for reading, error in zip(readings, errors, strict=True):
-        others = np.where(left_out.ravel(), 0.0, reading)
+        others = np.where(without.missing, 0.0, reading)
         white = without.white(others, decoder.of_model * np.abs(others).max())
         fits = without.fits(others, white, decoder.regression.nearest(without.filled(others), NEAREST))
         if min(fit.chi2 for fit in fits) <= chdtri(white.n, FALSE_ALARMS):
@@ -63,10 +72,5 @@ def _is_clear(decoder: "BareDecoder", pillar: int, readings: FloatArray, errors:
                 weights_of(fits),
             )
             mean = weights @ values
-            told.append((mean, np.sqrt(weights @ (values - mean) ** 2 + error**2), reading[pillar]))
-    if len(told) < 2:
-        return False
-    mean, deviation, reading = np.array(told).T
-    high, low = (mean / deviation).argmax(), (mean / deviation).argmin()
-    moved = (mean[high] - mean[low]) / np.hypot(deviation[high], deviation[low])
-    return bool(min(np.sort(np.abs(reading - mean) / deviation)[-2], moved) > CLEAR)
+            found.append([[reading[pillar]], [mean], [np.sqrt(weights @ (values - mean) ** 2 + error**2)]])
+    return len(found) > 1 and bool(min(each[0] for each in _off_and_moved(*np.swapaxes(found, 0, 1))) > CLEAR)
