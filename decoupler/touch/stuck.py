@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
-from decoupler.model.usual import FALSE_ALARMS
 from decoupler.touch.morph import weights_of
 from decoupler.touch.regression import NEAREST
 from geometry.layout import FloatArray
@@ -22,8 +20,9 @@ if TYPE_CHECKING:
 EVERY = 5  #: scans, of which one is looked at
 STILL = 2.0  #: mean square of a pillar's readings about their mean, over that of noise, up to which it does not move
 DOUBTED = 2.0  #: mean of both of `_off_and_moved` by the nearest presses, from which presses are fitted
-FITTED = 4  #: scans that they are fitted to
-CLEAR = 4.0  #: least of both by fits, from which a pillar is stuck
+FITTED = 4  #: scans that they are to explain
+CLEAR = 4.5  #: least of both by fits, from which a pillar is stuck
+EXPLAINED = 1.35  #: χ² over the readings' number up to which fits explain a scan
 
 
 def stuck_pillars(decoder: "BareDecoder", resistance_ohm: FloatArray) -> NDArray[np.intp]:
@@ -42,7 +41,7 @@ def stuck_pillars(decoder: "BareDecoder", resistance_ohm: FloatArray) -> NDArray
     found = []
     for k in doubted.tolist():
         by_told, by_off = told[:, k] / deviation[:, k], np.abs(readings[:, k] - told[:, k]) / deviation[:, k]
-        scans = [*dict.fromkeys([*by_told.argsort()[[0, -1]].tolist(), *by_off.argsort()[::-1].tolist()])][:FITTED]
+        scans = [*dict.fromkeys([*by_told.argsort()[[0, -1]].tolist(), *by_off.argsort()[::-1].tolist()])]
         if _is_clear(decoder, k, readings[scans], errors[scans, k]):
             found.append(k)
     return np.array(found, dtype=np.intp)
@@ -58,19 +57,21 @@ def _off_and_moved(readings: FloatArray, told: FloatArray, deviation: FloatArray
 def _is_clear(decoder: "BareDecoder", pillar: int, readings: FloatArray, errors: FloatArray) -> bool:
     """Whether presses fitted without a pillar to readings (n, m) [mm²] foretell others of it, which move.
 
-    `errors` (n,) are deviations of the pillar's readings and of the model. Scans that no press explains say nothing.
+    `errors` (n,) are deviations of its readings and of the model. Scans that no one press explains say nothing:
+    two may be wherever one pillar hardly feels them.
     """
     left_out = np.arange(readings.shape[1]).reshape(decoder.rows, decoder.cols, -1) == pillar
     without, found = decoder.without(left_out), []
     for reading, error in zip(readings, errors, strict=True):
+        if len(found) == FITTED:
+            break
         others = np.where(without.missing, 0.0, reading)
         white = without.white(others, decoder.of_model * np.abs(others).max())
         fits = without.fits(others, white, decoder.regression.nearest(without.filled(others), NEAREST))
-        if min(fit.chi2 for fit in fits) <= chdtri(white.n, FALSE_ALARMS):
-            values, weights = (
-                decoder.sensing.reading(np.stack([fit.moved_mm for fit in fits]))[:, pillar],
-                weights_of(fits),
-            )
+        best = min(fits, key=lambda fit: fit.cost)
+        if len(best.parts) == 1 and best.chi2 <= EXPLAINED * white.n:
+            moved_mm, weights = np.stack([fit.moved_mm for fit in fits]), weights_of(fits)
+            values = decoder.sensing.reading(moved_mm)[:, pillar]
             mean = weights @ values
             found.append([[reading[pillar]], [mean], [np.sqrt(weights @ (values - mean) ** 2 + error**2)]])
     return len(found) > 1 and bool(min(each[0] for each in _off_and_moved(*np.swapaxes(found, 0, 1))) > CLEAR)
