@@ -71,7 +71,7 @@ class UsualLoads:
         return np.asarray(np.linalg.inv(S))
 
     def readings_chi2(self, columns_ohm: FloatArray, precision: FloatArray) -> FloatArray:
-        """χ² of readings over their number, (n, n_in) [Ω] -> (n,), about the load between rest and the mean that suits."""
+        """χ² of readings over their number, (n, n_in) [Ω] -> (n,), about what suits between rest and the mean."""
         assert self.log_ohm is not None
         assert self.log_ohm_at_rest is not None
         off, to_rest = np.log(columns_ohm) - self.log_ohm, self.log_ohm_at_rest - self.log_ohm
