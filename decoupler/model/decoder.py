@@ -113,7 +113,7 @@ class Decoder(ABC):
         """Mean (P,) and covariance (P, P) of ln R of all P pillars under usual loads, noise apart.
 
         Of pillars that are not read they may be anything. None if unknown, and on bare rubber, where presses follow no
-        covariance of all: by it 5 of 500 sound windows named a fault, and 71 of 278 pillars that were stuck were found.
+        covariance of all: by it 5 of 500 sound windows named a fault, and 69 of 278 pillars that were stuck were found.
         By presses fitted to all other readings it was 1 of 500, and 4 of 10.
         """
         return None
