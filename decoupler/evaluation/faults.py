@@ -75,26 +75,23 @@ class FaultTest:
     decoder: Decoder
     pillars: Indices  #: (P,): places in a flattened (rows, cols, n_pillars) array
     mean: FloatArray  #: (P,): of ln R under usual loads
-    covariance: FloatArray | None  #: S, (P, P): of the same, noise included; if None the decoder is asked what is stuck
+    covariance: FloatArray  #: S, (P, P): of ln R under usual loads, noise included
     noise: FloatArray  #: (P,): relative standard deviation of a reading
     window: ClassVar[int] = WINDOW  #: scans that are looked at together
 
     @classmethod
     def of(cls, decoder: Decoder) -> "FaultTest | None":
-        """The test of a decoder; None if it does not know how readings are at rest, or takes them for exact."""
-        usual, stated, usual_ohm = decoder.usual_readings, decoder.errors, decoder.usual_ohm
-        rest_ohm = decoder.rest_resistances()
-        if stated is None or usual_ohm is None or rest_ohm is None:
+        """The test of a decoder; None if it does not know how readings move under loads, or takes them for exact."""
+        usual, stated, rest_ohm = decoder.usual_readings, decoder.errors, decoder.rest_resistances()
+        if usual is None or stated is None or rest_ohm is None:
             return None
         errors = ReadingError(noise=stated.noise, bits=stated.bits)
         if errors.is_exact:
             return None
         pillars = np.flatnonzero(decoder.read)
         noise = (errors.deviation(rest_ohm) / rest_ohm).reshape(-1)[pillars]
-        mean, covariance = np.log(usual_ohm.reshape(-1)[pillars]), None
-        if usual is not None:
-            mean, covariance = usual[0][pillars], usual[1][np.ix_(pillars, pillars)] + np.diag(noise**2)
-        return cls(decoder=decoder, pillars=pillars, mean=mean, covariance=covariance, noise=noise)
+        covariance = usual[1][np.ix_(pillars, pillars)] + np.diag(noise**2)
+        return cls(decoder=decoder, pillars=pillars, mean=usual[0][pillars], covariance=covariance, noise=noise)
 
     def named(self, resistance_ohm: FloatArray) -> tuple[Fault, ...]:
         """Faults of n scans (n, rows, cols, n_pillars) [Ω] that follow one another, `window` usually, the surest first.
@@ -110,8 +107,6 @@ class FaultTest:
             is_so = (sign * y >= math.log(BEYOND)).mean(axis=0) > 0.5
             found += self._broken(kind, is_so)
             broken |= is_so
-        if self.covariance is None:
-            return (*found, *(self._stuck(y, broken) if len(y) >= FEWEST else ()))
         test, y = self._without(np.flatnonzero(broken)), y[:, ~broken]
         while len(y) >= FEWEST and len(found) < MAX_NAMED and (one := test._likeliest(y)) is not None:
             found.append(test._fault(one.kind, one.place, one.which))
@@ -134,18 +129,7 @@ class FaultTest:
             return self
         kept = np.delete(np.arange(len(self.pillars)), gone)
         own = {name: getattr(self, name)[kept] for name in ("pillars", "mean", "noise")}
-        assert self.covariance is not None
         return replace(self, covariance=self.covariance[np.ix_(kept, kept)], **own)
-
-    def _stuck(self, y: FloatArray, broken: NDArray[np.bool_]) -> list[Fault]:
-        """Pillars that the decoder finds stuck in readings (n, P), without those that are broken, (P,)."""
-        usual_ohm = self.decoder.usual_ohm
-        assert usual_ohm is not None
-        ohms, left_out = np.repeat(usual_ohm[None], len(y), axis=0), np.zeros(usual_ohm.shape, dtype=bool)
-        ohms.reshape(len(y), -1)[:, self.pillars] = np.exp(y + self.mean)
-        left_out.reshape(-1)[self.pillars] = broken
-        places = self.decoder.doing_without(left_out).stuck(ohms)
-        return [self._fault("stuck", *self._alone[k]) for k in np.searchsorted(self.pillars, places)]
 
     def _broken(self, kind: str, is_so: NDArray[np.bool_]) -> list[Fault]:
         """Faults of pillars that are open or shorted, (P,): wires if all of theirs are, and what is left."""
@@ -206,7 +190,6 @@ class FaultTest:
     @cached_property
     def precision(self) -> FloatArray:
         """K = S⁻¹, (P, P)."""
-        assert self.covariance is not None
         return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @cached_property

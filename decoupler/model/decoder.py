@@ -110,17 +110,11 @@ class Decoder(ABC):
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
         """Mean (P,) and covariance (P, P) of ln R of all P pillars under usual loads, noise apart.
 
-        Of pillars that are not read they may be anything. None if unknown, and on bare rubber, where light presses at
-        one place follow no covariance of all: `stuck` says instead what it can.
+        Of pillars that are not read they may be anything. None if unknown, and on bare rubber, where presses follow no
+        covariance of all: by it 5 of 500 sound windows named a fault, and 69 of 278 pillars that were stuck were found.
+        By presses fitted to all other readings it was 1 of 500, and 4 of 10.
         """
         return None
-
-    def stuck(self, resistance_ohm: FloatArray) -> NDArray[np.intp]:
-        """Numbers of pillars that stay in scans (n, rows, cols, n_pillars) [Ω] in which they should move.
-
-        None but on bare rubber: of others `usual_readings` tell.
-        """
-        return np.array([], dtype=np.intp)
 
     @abstractmethod
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:

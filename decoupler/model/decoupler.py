@@ -186,7 +186,7 @@ class Decoupler(Decoder):
 
         def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
             assert by.load_test is not None
-            return by.load_test.tested(told_n[which].reshape(len(ohms), -1), by.columns(ohms))
+            return by.load_test.tested(told_n[which].reshape(len(ohms), -1), lambda: by.columns(ohms))
 
         chi2, limit = self.each(resistance_ohm, ask)
         return chi2, limit

@@ -1,5 +1,6 @@
 """Loads that a model knows: a range for each axis and a friction cone. Forces outside them no usual load explains."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
@@ -61,21 +62,22 @@ class UsualLoads:
         covariance = np.cov(log_ohm.T).reshape(columns_ohm.shape[1], -1)
         at_rest = 2.0 * np.log(np.maximum(root_at_rest, 1.0))
         found = replace(found, log_ohm_covariance=covariance, log_ohm_at_rest=at_rest)
-        return replace(found, max_chi2=found.readings_chi2(columns_ohm, 0.0).max(keepdims=True))
+        return replace(found, max_chi2=found.readings_chi2(columns_ohm, found.precision(0.0)).max(keepdims=True))
 
-    def readings_chi2(self, columns_ohm: FloatArray, errors: FloatArray | float) -> FloatArray:
-        """χ² of readings over their number, (n, n_in) [Ω] -> (n,), by the load between usual ones and rest that suits.
-
-        Logarithms differ from those of training by errors of this covariance (n_in, n_in) besides.
-        """
-        assert self.log_ohm is not None
+    def precision(self, errors: FloatArray | float) -> FloatArray:
+        """Inverse covariance (n_in, n_in) of logarithms of readings that err besides those of training, by `errors`."""
         assert self.log_ohm_covariance is not None
+        S = self.log_ohm_covariance + errors + MIN_NOISE**2 * np.eye(len(self.log_ohm_covariance))
+        return np.asarray(np.linalg.inv(S))
+
+    def readings_chi2(self, columns_ohm: FloatArray, precision: FloatArray) -> FloatArray:
+        """χ² of readings over their number, (n, n_in) [Ω] -> (n,), about what suits between rest and the mean."""
+        assert self.log_ohm is not None
         assert self.log_ohm_at_rest is not None
-        K = np.linalg.inv(self.log_ohm_covariance + errors + MIN_NOISE**2 * np.eye(len(self.log_ohm)))
-        off, towards = np.log(columns_ohm) - self.log_ohm, self.log_ohm_at_rest - self.log_ohm
-        along = np.clip(off @ K @ towards / np.maximum(towards @ K @ towards, MIN_NOISE), 0.0, 1.0)
-        off -= along[:, None] * towards
-        return np.asarray(((off @ K) * off).sum(axis=1) / len(K))
+        off, to_rest = np.log(columns_ohm) - self.log_ohm, self.log_ohm_at_rest - self.log_ohm
+        part = np.clip(off @ precision @ to_rest / np.maximum(to_rest @ precision @ to_rest, MIN_NOISE), 0.0, 1.0)
+        off -= part[:, None] * to_rest
+        return np.asarray(((off @ precision) * off).mean(axis=1))
 
     def readings(self, places: NDArray[np.int64], n: int) -> tuple[FloatArray, FloatArray] | None:
         """Mean (n,) and covariance (n, n) of ln R of n pillars, of which those at `places` (n_in,) are known."""
@@ -111,7 +113,7 @@ class LoadTest:
     usual: UsualLoads
     deviation_n: FloatArray  #: σ, (n_forces,) [N]
     limit: float  #: of χ²/n, that `FALSE_ALARMS` of readings are beyond if all errors lead out of the usual loads
-    errors: FloatArray | None = None  #: covariance of errors of ln R (n_in, n_in); None where readings are not tested
+    precision: FloatArray | None = None  #: of ln R, (n_in, n_in); None where readings are not tested
 
     @classmethod
     def of(cls, decoder: "Decoupler") -> "LoadTest | None":
@@ -134,7 +136,7 @@ class LoadTest:
         found = cls.by(usual, covariance, deviation_n)
         if decoder.forward is None and usual.max_chi2 is not None:
             relative = np.hstack([np.diag(deviation), shared]) / rest[0][:, None]
-            found = replace(found, errors=relative @ relative.T)
+            found = replace(found, precision=usual.precision(relative @ relative.T))
         return found
 
     @classmethod
@@ -159,15 +161,15 @@ class LoadTest:
         beyond = (force_n - self.usual.nearest(force_n)) / self.deviation_n
         return np.asarray(np.einsum("nf,nf->n", beyond, beyond) / force_n.shape[1])
 
-    def tested(self, force_n: FloatArray, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def tested(self, force_n: FloatArray, columns_ohm: Callable[[], FloatArray]) -> tuple[FloatArray, FloatArray]:
         """χ² and limit, (n,) each, of forces (n, n_forces) [N], or of their readings (n, n_in) [Ω] if further beyond.
 
         Readings are tested without a response: whatever they are, the forces of a net alone hardly leave its range.
         """
         chi2, usual = self.chi2(force_n), self.usual
         limit = np.full_like(chi2, self.limit)
-        if self.errors is None or usual.max_chi2 is None:
+        if self.precision is None or usual.max_chi2 is None:
             return chi2, limit
-        of_readings, most = usual.readings_chi2(columns_ohm, self.errors), FURTHER * float(usual.max_chi2[0])
+        of_readings, most = usual.readings_chi2(columns_ohm(), self.precision), FURTHER * float(usual.max_chi2[0])
         is_further = of_readings / most > chi2 / limit
         return np.where(is_further, of_readings, chi2), np.where(is_further, most, limit)

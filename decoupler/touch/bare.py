@@ -12,11 +12,10 @@ from scipy.special import chdtri, log_ndtr, ndtri
 from decoupler.model.foretold import Foretold
 from decoupler.model.usual import FALSE_ALARMS
 from decoupler.touch.decoder import AT_REST, WIDTHS, TouchContact, TouchDecoder, Touched
-from decoupler.touch.morph import PRIOR, TEMPER, BareSensing, Fit, Part, fitted, weights_of
+from decoupler.touch.morph import PRIOR, BareSensing, Fit, Part, fitted
 from decoupler.touch.presses import TouchLibrary
 from decoupler.touch.regression import NEAREST, Regression
 from decoupler.touch.sensing import Whitening
-from decoupler.touch.stuck import stuck_pillars
 from geometry.layout import FloatArray
 
 STARTS, STEPS = 32, 8  #: presses that are fitted, and steps after the first one at most
@@ -33,6 +32,7 @@ RISE = 25.0  #: of the cost since fits were sought, from which they are sought a
 #: beside the fits before
 PAUSES = 4, 30
 FIRST_COST = SECOND_COST = 12.0  #: of a contact, by which the cost must fall
+TEMPER = 4.0  #: of the weights exp(−cost / TEMPER)
 OF_FORCE, OF_LARGEST = 0.03, 0.01  #: of a force's deviation, beside what the fits say
 MIN_DEVIATION = 3.64e-5  #: of the same, over the rubber's modulus times the pitch squared: 0.05 N of the paper's sensor
 SCALE = 0.2  #: of changes of squared lengths, over the height squared
@@ -89,9 +89,6 @@ class BareDecoder(TouchDecoder):
         S += FORETOLD * np.trace(S) / len(S) * np.eye(len(S))
         return Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(self.missing))
 
-    def stuck(self, resistance_ohm: FloatArray) -> NDArray[np.intp]:
-        return stuck_pillars(self, resistance_ohm)
-
     def pressed(self, reading: FloatArray, white: Whitening, at_rest: float, last: Touched | None) -> Touched:
         """The best fits of the scan before go on, if they still hold."""
         wait = max(last.wait - 1, 0) if last else 0
@@ -111,7 +108,7 @@ class BareDecoder(TouchDecoder):
             starts = [([part], np.zeros((1, len(PRIOR)))) for part in self._starts(rows, SECOND_STARTS)]
             fits += fitted(reading, white, starts, FOLLOWED_STEPS)
             return replace(self._weighed(white.n, at_rest, fits, *near), wait=wait, sought_cost=last.sought_cost)
-        found = self._weighed(white.n, at_rest, self.fits(reading, white, rows), *near)
+        found = self._weighed(white.n, at_rest, self._fits(reading, white, rows), *near)
         sought_cost = min(fit.cost for fit in found.fits)
         return replace(found, wait=PAUSES[int(found.chi2 > SECOND)], sought_cost=sought_cost)
 
@@ -124,7 +121,9 @@ class BareDecoder(TouchDecoder):
         near_deviation: FloatArray | float = 0.0,
     ) -> Touched:
         """Fits of so many readings by their costs, beside rest of that χ², and the nearest presses' loads, if known."""
-        costs, weights = np.array([fit.cost for fit in fits]), weights_of(fits)
+        costs = np.array([fit.cost for fit in fits])
+        weights = np.exp((costs.min() - costs) / TEMPER)
+        weights /= weights.sum()
         answers = [fit.loads() for fit in fits]
         morphed = np.einsum("f,fua->ua", weights, [each for each, _ in answers])
         chi2 = min(fit.chi2 for fit in fits) / read
@@ -159,7 +158,7 @@ class BareDecoder(TouchDecoder):
         spread_mm = self.design.array.pitch_mm / np.sqrt(12.0)
         return np.diag(np.column_stack([deviation_n, spread_mm * deviation_n[:, [2, 2]]]).ravel())
 
-    def fits(self, reading: FloatArray, white: Whitening, rows: Any) -> list[Fit]:
+    def _fits(self, reading: FloatArray, white: Whitening, rows: Any) -> list[Fit]:
         """The best fits of one contact, and of two where one does not explain the reading."""
         nothing = np.zeros((1, len(PRIOR)))
         starts = [([part], nothing) for part in self._starts(rows, STARTS)]

@@ -27,7 +27,6 @@ INSIDE = 1e-3  #: of a slab's side, that points beyond it are moved inside, thei
 DAMPING = 0.3  #: of the diagonal, in the first steps
 DAMPINGS = np.array([0.1, 1.0, 10.0])  #: of the last one, tried at once
 MIN_GAIN = 0.5  #: of the cost, below which no further step is taken
-TEMPER = 4.0  #: of fits' weights
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,13 +158,6 @@ class Fit:
         slopes = (found[:, 1:] - found[:, :1]) / STEP[:, None]
         by_part = self.root.reshape(len(found), len(STEP), -1)
         return found[:, 0], np.einsum("pqa,pqr->par", slopes, by_part)
-
-
-def weights_of(fits: Sequence[Fit]) -> FloatArray:
-    """Weights exp(−cost / TEMPER) of fits, their sum 1."""
-    costs = np.array([fit.cost for fit in fits])
-    weights = np.exp((costs.min() - costs) / TEMPER)
-    return np.asarray(weights / weights.sum())
 
 
 def _and_steps(q: FloatArray) -> FloatArray:

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from decoupler.model.foretold import Foretold
 from geometry.layout import FloatArray
 
-NEAREST = 200  #: rows that say which forces act
-NEAR = 100  #: rows that say what readings the others foretell
+NEAREST = 200
 LENGTH = 0.5  #: of the kernel, in readings brought to size 1
 LEAST = 0.05  #: size of readings below which they count as they are
 SAMPLED = 8  #: of so many rows one tells how near the nearest are, before they are sorted
@@ -73,19 +71,6 @@ class Regression:
             (size * (mean + near @ by_row)).reshape(shape),
             (size * np.sqrt(open_share * variance)).reshape(shape),
         )
-
-    def foretold(self, reading: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Each of m readings as the others foretell it by the nearest rows, and its deviation, (m,) each [mm²].
-
-        `errors` (m,) are deviations of the readings.
-        """
-        near = self.known[0][self.nearest(reading, NEAR)].astype(float)
-        at, (size,) = self.brought(reading)
-        scale, off = size * self.scale_mm2, at - near.mean(axis=0)
-        K = np.linalg.inv(np.cov(near.T) + np.diag((errors / scale) ** 2))
-        known = Foretold.by(np.asarray(K), np.arange(len(at))[:, None])
-        deviation = np.sqrt(known.covariance[:, 0, 0])
-        return (near.mean(axis=0) + (off @ known.weights)[:, 0]) * scale, deviation * scale
 
 
 def _matern(square: FloatArray) -> FloatArray:

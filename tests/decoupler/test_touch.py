@@ -9,7 +9,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from common.errors import FileFormatError
 from dataset import DatasetSettings, SampleError, simulate
 from dataset.measurement import ReadingError
-from decoupler.evaluation.faults import FaultTest
 from decoupler.model_file import read_model, write_model
 from decoupler.readings import Pillars
 from decoupler.touch.assessment import assess_touch
@@ -259,29 +258,6 @@ def test_a_broken_pillar_is_left_out_of_each_scan(decoder, contacts, reads):
     rest = decoder.rest_resistances()[None].copy()
     rest[:, 1, 1, 0] = reads
     assert not decoder.forces(rest).any()
-
-
-def test_a_pillar_that_stays_under_presses_that_come_and_go_is_named(decoder):
-    """Of presses that the library knows; sound windows name nothing, nor one press held, nor rest."""
-    test, generator = FaultTest.of(decoder), np.random.default_rng(2)
-    named = 0
-    for _ in range(3):
-        rows = generator.integers(len(decoder.library.moved_mm), size=test.window)
-        exact = decoder.sensing.ohms(decoder.sensing.reading(decoder.library.moved_mm[rows].astype(float)))
-        held, rest = (
-            np.repeat(exact[:1], test.window, axis=0),
-            np.repeat(decoder.rest_resistances()[None], test.window, 0),
-        )
-        for ohms in (exact, held, rest):
-            assert test.named(READ.read(ohms.reshape(-1, 3, 3, 3), generator)) == ()
-        stuck = READ.read(exact.reshape(-1, 3, 3, 3), generator)
-        stuck[:, 1, 1, 0] = stuck[0, 1, 1, 0]
-        found = [str(fault) for fault in test.named(stuck)]
-        assert found in ([], ["pillar z of row 1, col 1 stuck"])
-        named += len(found)
-    assert named >= 2
-    stuck[:, 0, 2, 1] = 1e9
-    assert str(test.named(stuck)[0]) == "pillar x of row 0, col 2 open"
 
 
 def test_drifts_are_known_and_another_sensor_is_told(decoder, contacts):
