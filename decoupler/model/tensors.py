@@ -26,9 +26,14 @@ def in_torch(part: Any, like: "Tensor") -> Any:
 
 
 def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
-    """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`."""
+    """Forces (n, Q) [N] of readings (n, P) [Ω] by a decoder that does without some, and the whole one of `in_torch`.
+
+    What stands in the places of those has derivatives by the others as they foretell it, what the response adds none.
+    """
+    plain = columns_ohm.detach().cpu().double().numpy()
     if decoder.filling is not None:
-        columns_ohm = first_filled(in_torch(decoder.filling.foretold, columns_ohm), columns_ohm)
+        first = first_filled(in_torch(decoder.filling.foretold, columns_ohm), columns_ohm)
+        columns_ohm = first * (first.new_tensor(decoder.filling.filled(plain)) / first.detach())
     if not isinstance(decoder, DecouplerAtStrain):
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())

@@ -333,7 +333,7 @@ class VirtualSensor:
     def forces(self, resistance_ohm: Tensor) -> Tensor:
         """Forces (e, rows, cols, k) [N] that the model tells of resistances (e, rows, cols, P) [Ω].
 
-        In the places of readings that no strain explains stands what the others foretell of usual loads.
+        Readings that no strain explains are left out, as `Decoder.without` does.
         """
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
