@@ -14,7 +14,8 @@ DATA = labelled(SENSOR, "x", n_samples=60, seed=0)
 
 @pytest.mark.parametrize("one", CONTENDERS, ids=lambda one: one.name)
 def test_every_contender_lowers_the_error(one):
-    problem = Problem(data=DATA, component="fx", network=NetworkConfig(hidden=3, feature="root"), response=response(SENSOR))
+    network = NetworkConfig(hidden=3, feature="root")
+    problem = Problem(data=DATA, component="fx", network=network, response=response(SENSOR))
     begun = Trace(0.0, 0.0)
     by_ours("momentum")(problem, begun)  # which looks at the error before its first step
     goal = 0.45 * begun.points[0][2]
