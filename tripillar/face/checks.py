@@ -5,7 +5,7 @@ from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import drawn
 from decoupler.data.pairs import Pairs
-from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained
+from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained, suspicion
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
@@ -38,10 +38,10 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
 
 
 def mention(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
-    """Say which forces the component leaves out although they act, and how many samples are given twice."""
-    left_out = disturbance(data, component, forward)
-    if left_out is not None:
-        current().say(f"{name}: {left_out}")
+    """Say what of the forces looks wrong though it may not be, which the component leaves out, and repeated samples."""
+    for said in (suspicion(data, component, forward), disturbance(data, component, forward)):
+        if said is not None:
+            current().say(f"{name}: {said}")
     repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
         current().say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
