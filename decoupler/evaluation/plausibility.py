@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 
@@ -33,6 +32,8 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 #: smallest share of the readings' motion that the forces explain once a mistake is taken back: of contacts on bare
 #: rubber, which no pad load explains, 0.3 to 0.6 with and without one
 MIN_EXPLAINED = 0.7
+#: the same of a sensor's own response: as made 0.985 and more, with pads of the other kind 0.92 to 0.95
+OWN_EXPLAINED = 0.97
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 KGF_N = 9.80665  #: weight of a kilogram
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
@@ -109,12 +110,17 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
 
 
 def suspicion(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
-    """Say in a line what readings contradict of forces that are not doubted, though a sensor might do so; else None."""
-    if forward is None or len(data) < 2:
+    """Say in a line what looks wrong in samples that are not doubted, though a sensor may read so; None if nothing."""
+    fit = None if forward is None else _Fit.of_all(_some(data, component), component, forward)
+    if fit is None or (share := fit.explained) is None:
         return None
-    fit = _Fit.of_all(_some(data, component), component, forward)
-    is_told = fit.moved.size and (fit.scaled.explained or 0.0) > MIN_EXPLAINED
-    return (fit.of_axes(OF_AXES[0]) or fit.of_tare()) if is_told else None
+    if share < OWN_EXPLAINED:
+        return (
+            f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's "
+            f"{OWN_EXPLAINED:.0%} and more: are they of another? Large strains read so, too, and contacts, which want a "
+            "decoder of 'tripillar train --touch'"
+        )
+    return fit.of_axes(OF_AXES[0]) or fit.of_tare()
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
@@ -138,9 +144,8 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
     acting = [axis for axis in AXES if axis not in component.axes and data.force_n[..., AXES.index(axis)].any()]
     if not acting:
         return None
-    share = ""
-    if forward is not None:
-        by_all = _Fit(_some(data, component), component, forward)
+    share, by_all = "", None if forward is None else _Fit(_some(data, component), component, forward)
+    if by_all is not None and by_all.is_joint:
         by_own = by_all.turned(lambda F: F * [float(axis in component.axes) for axis in AXES])
         if not by_all.log_likelier(by_own) > math.log(1.0 / FALSE_ALARMS):
             return None
@@ -151,14 +156,6 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
         f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
         f"{component.name}; {mend}"
     )
-
-
-def explained(data: Samples, component: Component, forward: SensorModel) -> float | None:
-    """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
-
-    Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
-    """
-    return _Fit(_some(data, component), component, forward).explained
 
 
 def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str | None:
@@ -235,14 +232,13 @@ class _Fit:
         dead = still if data.dead is None else still | data.dead
         return replace(fit, data=replace(data, dead=dead), component=COMPONENTS["all"] if fit.is_joint else component)
 
-    def turned(self, turn: Turn, readings: bool = False) -> "_Fit":
-        """The same under other forces, and of readings in other places; as it is if no array or sensor bears such."""
+    def turned(self, turn: Turn, place: Turn = lambda R: R) -> "_Fit":
+        """The same under other forces, of readings in other places; as it is if no array or sensor bears such."""
         data, force_n = self.data, turn(self.data.force_n)
         if force_n.shape != data.force_n.shape or np.abs(force_n).max() > MAX_N:
             return self
-        if readings:
-            data = replace(data, resistance_ohm=turn(data.resistance_ohm), dead=turn(data.dead[None])[0])
-        return replace(self, data=replace(data, force_n=force_n))
+        dead = None if data.dead is None else place(data.dead[None].astype(float))[0] > 0.0
+        return replace(self, data=replace(data, force_n=force_n, resistance_ohm=place(data.resistance_ohm), dead=dead))
 
     @property
     def is_joint(self) -> bool:
@@ -283,7 +279,7 @@ class _Fit:
 
     @cached_property
     def explained(self) -> float | None:
-        """As of `explained`."""
+        """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it."""
         relative = self.own.errors.total(self.own.resistance_ohm, *self.own.shape) / self.own.resistance_ohm
         noise = float((0.25 * relative[:, self.own.readable] ** 2).sum())
         signal = float((self.moved**2).sum()) - noise
@@ -297,7 +293,6 @@ class _Fit:
         directions = float(covariance.trace()) ** 2 / squared if squared > 0 else 1.0
         loads = 1 + max(load_numbers(one.data.force_n).max() for one in (self, than))  # some turn all into one
         return 0.5 * loads * directions * math.log(than.energy / self.energy)
-
 
     def multiples(self, groups: FloatArray) -> FloatArray:
         """Multiples of k groups of forces (k, n_forces) that the readings show, (k,); 1 of groups that do not vary."""
@@ -332,7 +327,7 @@ class _Fit:
         off = acts & ((times < 1.0 / limit) | (times > limit))
         if off.sum() == acts.sum() > 0 and np.ptp(times[acts]) < (OF_PAD - 1.0) * np.abs(times[acts]).max():
             return self.said("all forces", times[acts].mean())
-        return "; ".join(self.said(f"forces along {axis}", times[AXES.index(axis)]) for axis in np.array(AXES)[off]) or None
+        return "; ".join(self.said(f"forces along {AXES[k]}", times[k]) for k in np.flatnonzero(off)) or None
 
     def said(self, what: str, times: float) -> str:
         """What forces are beside what readings say, `times` as much, and how to mend it."""
@@ -376,17 +371,15 @@ class _Fit:
         return {self.said(f"forces of {wrong.mean():.0%} of the samples", by): mended.scaled}
 
     def of_tare(self) -> str | None:
-        """Say what was added to all Fz, if that pulls most pads or mean lengths tell it.
-
-        These tell it but for what the pillars' gains, the body's height and its width may do, which is fitted beside.
-        """
+        """Say what was added to all Fz, if it pulls most pads or if pillars are too long for their gains and sizes."""
         fz, scaled = self.data.force_n[..., 2], self.scaled
+        was_tared = "was the load cell tared under load?"
         typical, lowest, highest = np.abs(fz).mean(), np.median(fz.min(axis=0)), np.median(fz.max(axis=0))
         if lowest < -TARE[0] * typical and not 0.5 < highest / -lowest < 2.0:
-            return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: was the load cell tared under load?"
-        if not self.is_joint or len(self.forward.rest_mm) != len(AXES):
+            return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: {was_tared}"
+        if not self.is_joint or len(rest2 := self.forward.rest_mm**2) != len(AXES):
             return None
-        rest2, by = self.forward.rest_mm**2, np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
+        by = np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
         less, more = (scaled.lengths(scaled.labels.mean(axis=0)[None] + change)[0] for change in (-by, by))
         measured = self.forward.lengths_of(self.own.resistance_ohm)[:, self.own.readable]
         apart = np.log(measured / scaled.lengths(scaled.labels)).mean(axis=0)
@@ -399,24 +392,24 @@ class _Fit:
         if abs(off) <= max(TARE[2] * abs(error), TARE[1] * typical):
             return None
         size = "small" if off > 0 else "large"
-        return f"all Fz seem {abs(off):.3g} N too {size}, unless rubber or pads differ: was the load cell tared under load?"
+        return f"all Fz seem {abs(off):.3g} N too {size}, unless pads or rubber differ: {was_tared}"
 
 
 def _mistaken(given: _Fit) -> str | None:
     """The mistake that explains the data best, if decidedly better than none."""
-    unlinked, n_pads, enough = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape), math.log(2.0 / FALSE_ALARMS)
+    unlinked, n_pads = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape)
     others = {said: given.turned(turn) for said, turn in MISTAKES.items()}
-    others |= {said.format("readings and forces"): given.turned(turn, readings=True) for said, turn in PLACES.items()}
+    others |= {said.format("readings and forces"): given.turned(turn, turn) for said, turn in PLACES.items()}
     if said := given.of_axes(OF_AXES[1]):
         others[said] = given.scaled
     others |= given.by_samples()
-    kinds, names = [(others, len(others))], given.data.layout.pillar_names  # candidates, and out of how many
+    kinds, names = [(others, len(others))], given.data.layout.pillar_names  # mended fits, and of how many
     if given.is_joint:
         kinds.append((_in_best_order(given, 2, names), math.factorial(len(names))))
     if 1 < n_pads <= MAX_PADS:
         names = tuple(f"{row}/{col}" for row, col in np.ndindex(given.data.shape))
         kinds.append((given.by_pads() | _in_best_order(given, 1, names), math.factorial(n_pads)))
-    found = {}
+    enough, found = math.log(2.0 / FALSE_ALARMS), {}
     for others, number in kinds:
         for said, other in others.items():
             likelier = min(other.log_likelier(than) for than in (given, unlinked))
@@ -435,22 +428,18 @@ def _in_best_order(given: _Fit, axis: int, names: Sequence[str]) -> dict[str, _F
     from scipy.optimize import linear_sum_assignment
 
     data, readable = given.data, given.own.readable
-    both = np.zeros((2, len(data), math.prod(data.shape), readable.size // math.prod(data.shape)))
+    pads = readable.reshape(math.prod(data.shape), -1)
+    both = np.zeros((2, len(data), *pads.shape))
     both.reshape(2, len(data), -1)[..., readable] = given.moved, _about_mean(given.lengths(given.labels))
     moved, expected = np.moveaxis(both, axis + 1, 1)
-    told = np.moveaxis(readable.reshape(both.shape[2:]), axis - 1, 0)
+    told = np.moveaxis(pads, axis - 1, 0)
     left = [[(residuals(m, e)[:, t] ** 2).sum() for m, t in zip(moved, told, strict=True)] for e in expected]
     order = linear_sum_assignment(left)[1].tolist()
     wrong = [k for k in range(len(names)) if order[k] != k]
-
-    def turn(values: Any) -> Any:
-        """Values (n, rows, cols, n_pillars) in that order."""
-        return values.reshape(len(values), both.shape[2], -1).take(order, axis).reshape(values.shape)
-
-    mended = replace(data, resistance_ohm=turn(data.resistance_ohm), dead=turn(data.dead[None])[0])
+    mended = given.turned(lambda F: F, lambda R: R.reshape(len(R), len(pads), -1).take(order, axis).reshape(R.shape))
     as_read, meant = (", ".join(names[k] for k in each) for each in ((order.index(k) for k in wrong), wrong))
     said = f"{'pads' if axis == 1 else 'pillars'} seem to stand in the order {as_read}: a file's are {meant}"
-    return {said: replace(given, data=mended)} if wrong else {}
+    return {said: mended} if wrong else {}
 
 
 def _about_mean(lengths: FloatArray) -> FloatArray:

@@ -5,15 +5,12 @@ from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import drawn
 from decoupler.data.pairs import Pairs
-from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained, suspicion
+from decoupler.evaluation.plausibility import disturbance, doubt, suspicion
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from tripillar.face.caller import current
-
-#: share of its pairs that a sensor's own response explains, gains and noise aside: of one that is off by manufacture
-#: 0.998 and more, with pads of the other kind 0.92 to 0.95
-OWN_EXPLAINED = 0.97
 
 
 def joint_model(response: ArrayResponse | None) -> SensorModel | None:
@@ -37,24 +34,16 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
     return {"forced": doubted}
 
 
-def mention(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
-    """Say what of the forces looks wrong though it may not be, which the component leaves out, and repeated samples."""
-    for said in (suspicion(data, component, forward), disturbance(data, component, forward)):
-        if said is not None:
-            current().say(f"{name}: {said}")
+def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, is_known: bool) -> None:
+    """Say what looks wrong unless that `is_known`, which forces the component leaves out, and what is given twice."""
+    if not is_known and (said := suspicion(data, component, forward)):
+        current().say(f"warning: {name}: {said}")
+    left_out = disturbance(data, component, forward)
+    if left_out is not None:
+        current().say(f"{name}: {left_out}")
     repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
         current().say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
-
-
-def mention_another_sensor(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
-    """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
-    share = None if forward is None else explained(data, component, forward)
-    if share is not None and share < OWN_EXPLAINED:
-        current().say(
-            f"{name}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
-            f"sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
-        )
 
 
 def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, response: ArrayResponse | None) -> None:
@@ -67,15 +56,8 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     if "forced" in story:
         current().say(f"warning: {model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
-    own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
+    knows = judge is None or "identified_on" in story  # a model of this very sensor
+    own = decoupler.inverse.forward if knows and decoupler.inverse is not None else judge
     few = drawn(data)
-    doubted = doubt(few, component, own)
-    if doubted is not None:
-        current().say(f"warning: {name}: {doubted}")
-    mention(few, name, component, judge)
-    share = None if own is None or doubted is not None else explained(few, component, own)
-    if share is not None and share < MIN_EXPLAINED:
-        current().say(
-            f"warning: {name}: loads on pads explain {max(share, 0.0):.0%} of these readings, so errors of {model} are "
-            "large; contacts want a decoder of 'tripillar train --touch'"
-        )
+    forced = heed(doubt(few, component, own), name, force=True)
+    mention(few, name, component, own, bool(forced) or isinstance(decoupler, DecouplerAtStrain))

@@ -375,6 +375,8 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
+    if None not in (design, samples.design) and design != samples.design:
+        raise DesignError(f"{name} states another design than design=: leave it out, or give data of that design.")
     network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
     named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
     parts = stages.component_named(named)
@@ -390,7 +392,14 @@ def _checked(
     if feature == "inverse" or (is_automatic and net != "plain"):
         solved = _response(samples, name, sensor, response)
     network = stages.suited(samples, named, network, None, solved).form
-    chosen = network.feature
+    chosen, is_finite = network.feature, samples.is_finite
+    maps_strain = is_finite.any() and named == "all" and solved is not None  # as `stages.train` does
+    if maps_strain and (hidden, net, feature) != (17, "skip", "auto"):
+        mend = "leave hidden=, net= and feature= out, or give feature='root' for a network alone."
+        raise DesignError(f"{name} is at finite strain, which is learned by maps: {mend}")
+    if not maps_strain and is_finite.any() != is_finite.all():
+        mend = "give one kind, or component='all' with a design."
+        raise DesignError(f"{name} holds linear samples and others at finite strain: {mend}")
     if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
@@ -403,7 +412,7 @@ def _checked(
     judge = stages.joint_model(judging)
     forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
-    stages.mention(samples, name, parts, judge)
+    stages.mention(samples, name, parts, judge, bool(forced or is_finite.any()))
     return named, network, solved, forced
 
 
