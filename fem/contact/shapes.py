@@ -1,11 +1,10 @@
-"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL.
+"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, files.
 
 Capsules and convex bodies stand as they are turned in space, for simulators that move them; the others turn about z.
 """
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -14,8 +13,9 @@ from common.errors import TriPillarError
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length
+UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
+LIKELY_MM = (3.0, 500.0)  #: extents of tools for which a unit is proposed
 MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
-RASTER = 400  #: points along the longer side of an STL's height map
 
 
 class ShapeError(TriPillarError, ValueError):
@@ -37,6 +37,7 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
+    high_mm = np.inf  # of its highest point above its lowest one, where pressing deeper would bury it
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -77,7 +78,7 @@ class Cylinder(Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require(radius_mm=self.radius_mm, length_mm=self.length_mm)
+        require_lengths(radius_mm=self.radius_mm, length_mm=self.length_mm)
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return np.where(np.abs(x_mm) <= self.length_mm / 2, _arc(y_mm, self.radius_mm), np.inf)
@@ -96,7 +97,7 @@ class Flat(Shape):
     def __post_init__(self) -> None:
         super().__post_init__()
         for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
-            _require(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
+            require_lengths(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         half_x, half_y = self.own_extents_mm(0.0)
@@ -112,11 +113,12 @@ class Flat(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Solid(Shape):
-    """The underside of any solid as a map of heights; `read_solid` makes one of an STL file."""
+    """The underside of any solid as a map of heights; `read_solid` makes one of a file."""
 
     x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
     y_mm: FloatArray  #: (ny,)
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
+    high_mm: float = np.inf  #: of its highest point
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
@@ -127,9 +129,13 @@ class Solid(Shape):
         return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
     def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        low = self.map_mm < height_mm
-        x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
+        x, y = (line[low < height_mm] for line, low in self._lowest)
         return float(np.abs(x).max()), float(np.abs(y).max())
+
+    @cached_property
+    def _lowest(self) -> list[tuple[FloatArray, FloatArray]]:
+        """The lines of its map along x and y, and the lowest point of each."""
+        return [(line, self.map_mm.min(axis=axis)) for axis, line in enumerate((self.x_mm, self.y_mm))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +146,7 @@ class Capsule(Shape):
     length_mm: float = 0.0  #: of the line
 
     def __post_init__(self) -> None:
-        _require(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
+        require_lengths(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
 
     @property
     def lowest_mm(self) -> float:
@@ -213,53 +219,6 @@ class Convex(Shape):
         return float(x), float(y)
 
 
-def read_solid(path: Path) -> Solid:
-    """Read an STL file in mm as an indenter that moves down along z, as it stands in its file.
-
-    A `ShapeError` says that the file is missing or damaged, or its surface not closed.
-    """
-    import trimesh
-
-    if not path.is_file():
-        raise ShapeError(f"{path}: there is no such file: give an STL file of a closed surface, in mm.")
-    try:
-        mesh = trimesh.load(path, file_type="stl", force="mesh")
-        triangles = np.asarray(mesh.triangles, dtype=float)
-    except Exception:  # trimesh raises of many kinds
-        raise ShapeError(f"{path}: damaged, or no STL: give an STL file of a closed surface, in mm.") from None
-    if not len(triangles) or not np.isfinite(triangles).all():
-        raise ShapeError(f"{path}: holds no triangles: give an STL file of a closed surface, in mm.")
-    if not mesh.is_watertight:
-        raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
-    return _solid_of(triangles)
-
-
-def _solid_of(triangles_mm: FloatArray) -> Solid:
-    """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
-    low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
-    size = high - low
-    _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
-    corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
-    step = size[:2].max() / RASTER
-    x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
-    heights = np.full((len(y), len(x)), np.inf)
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
-    doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    edge = 1e-9 * step
-    for k in np.flatnonzero(doubled < 0):  # what looks down; upright faces have no area from below
-        columns, rows = (
-            slice(*np.searchsorted(line, [corners[k, :, d].min() - edge, corners[k, :, d].max() + edge]))
-            for d, line in enumerate((x, y))
-        )
-        px, py = x[None, columns] - ax[k], y[rows, None] - ay[k]
-        b = (px * (cy - ay)[k] - py * (cx - ax)[k]) / doubled[k]
-        c = (py * (bx - ax)[k] - px * (by - ay)[k]) / doubled[k]
-        inside = (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
-        z = az[k] + b * (bz - az)[k] + c * (cz - az)[k]
-        heights[rows, columns] = np.minimum(heights[rows, columns], np.where(inside, z, np.inf))
-    return Solid(x, y, heights)
-
-
 def _arc(across_mm: FloatArray, radius_mm: float) -> FloatArray:
     """Height of a circle above its lowest point; without cancellation near it."""
     inside = np.abs(across_mm) < radius_mm
@@ -271,7 +230,15 @@ def _half_chord(radius_mm: float, height_mm: float) -> float:
     return float(np.sqrt(height_mm * (2 * radius_mm - height_mm))) if height_mm < radius_mm else radius_mm
 
 
-def _require(**lengths: float) -> None:
+def proposed_units(extent: float, least_mm: float = 0.0) -> str:
+    """What to give where a number in a file is no likely extent of a tool: units by which it is."""
+    low, high = max(LIKELY_MM[0], least_mm), LIKELY_MM[1]
+    fit = [f"unit={unit} ({extent * mm:.3g} mm)" for unit, mm in UNITS.items() if low <= extent * mm <= high]
+    return " or ".join(fit or ["its unit= or scale="])
+
+
+def require_lengths(**lengths: float) -> None:
+    """Refuse lengths that no shape has [mm]."""
     for name, length in lengths.items():
         if not 1e-3 <= length <= MAX_MM:
             raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")

@@ -26,6 +26,7 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )  # fmt: skip
+from tripillar.face.pressing import Turn, Unit, read_tool
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -65,6 +66,9 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
+    turn_deg: Turn = None,
+    unit: Unit | None = None,
+    scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
@@ -92,7 +96,13 @@ def train(
         solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
         plates, 10 seconds.
     shape : list of path, optional
-        STL files of tools that press: a decoder of touches knows them as well.
+        Files of tools that press, as of 'press': a decoder of touches knows them as well.
+    turn_deg : float or str, optional
+        How the tools are turned, as of 'press' [degrees].
+    unit : str, optional
+        Unit of their files' numbers, as of 'press'.
+    scale : float, optional
+        How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
     net : str
@@ -147,10 +157,13 @@ def train(
     True
     """
     caller, path = current(), None if out is None else Path(out)
+    tool: dict[str, Any] = {"turn_deg": turn_deg, "unit": unit, "scale": scale}
+    if not shape and (given := next((name for name, value in tool.items() if value is not None), None)):
+        raise DesignError(f"{given}= is of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, shape or ())
+        return _touch_decoder(design, path, [read_tool(file, **tool) for file in shape or ()])
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -292,7 +305,9 @@ def _cross_validated(
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
-def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
+def _touch_decoder(
+    source: DesignLike | None, out: Path | None, solids: "Sequence[stages.Solid]"
+) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
@@ -303,11 +318,10 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
             f"than {stages.LARGE_SHARE:g} of the slab's height, {stages.LARGE_SHARE * design.unit.height_mm:g} mm, are "
             "beyond it"
         )
-    if is_plated and shapes:
+    if is_plated and solids:
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    solids = [stages.read_solid(Path(shape)) for shape in shapes]
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}
@@ -322,7 +336,7 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
-        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(solids))
         library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
         made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)

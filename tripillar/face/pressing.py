@@ -2,7 +2,7 @@
 
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -14,9 +14,12 @@ from tripillar.face.inputs import DesignLike, File, design_of, job
 if TYPE_CHECKING:
     Indenter = stages.Shape | File
     Pair = tuple[float, float] | str
+    Turn = float | tuple[float, float, float] | str | None
 else:
-    Indenter = Pair = str
+    Indenter = Pair = Turn = str
 
+Unit = Literal["mm", "cm", "m", "inch"]
+FILES = (".stl", ".obj", ".ply", ".step", ".stp")
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 USUAL_DEPTH = 0.05  #: of the slab's height
 #: at a fifth to a third of the height, from `studies.bench.peers.finite_contact`
@@ -39,7 +42,9 @@ def press(
     radius_mm: float | None = None,
     size_mm: Pair | None = None,
     length_mm: float | None = None,
-    turn_deg: float | None = None,
+    turn_deg: Turn = None,
+    unit: Unit | None = None,
+    scale: float | None = None,
     at_mm: Pair = "0,0",
     slide_mm: Pair = "0,0",
     friction: float = 0.0,
@@ -57,7 +62,7 @@ def press(
     design : SensorDesign or path, optional
         Design file (TOML); default: the paper's sensor.
     shape : str or Shape
-        Indenter: sphere, cylinder, flat, or an STL file.
+        Indenter: sphere, cylinder, flat, or a file of a closed surface: STL, OBJ, PLY or STEP.
     depth_mm : float, optional
         Depth of its lowest point below the top at rest [mm]; default: a twentieth of the slab's height.
     radius_mm : float, optional
@@ -66,8 +71,13 @@ def press(
         Sides SIDE or SIDE,SIDE of a flat punch along x and y [mm].
     length_mm : float, optional
         Length of a cylinder [mm]; default: endless.
-    turn_deg : float, optional
-        Angle of a cylinder's axis, or of a flat punch, from x towards y [degrees].
+    turn_deg : float or str, optional
+        Angle of a cylinder's axis, a flat punch or a file's tool from x towards y; or of a tool X,Y,Z about x, then y,
+        then z [degrees].
+    unit : str, optional
+        Unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own.
+    scale : float, optional
+        How many times as large as in its file a tool is.
     at_mm : str or tuple of float
         Place X,Y of its middle [mm]; the array's is 0,0.
     slide_mm : str or tuple of float
@@ -98,6 +108,7 @@ def press(
     caller, sensor = current(), design_of(design)
     depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
     sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}
+    sizes |= {"unit": unit, "scale": scale}
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
     contact = stages.press(
@@ -157,23 +168,50 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
     if not isinstance(shape, Path | str):
         return shape
     kind = str(shape)
-    is_solid = kind.lower().endswith(".stl")
-    if not is_solid and kind not in SIZES:
-        raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in .stl.")
-    takes = () if is_solid else SIZES[kind]
+    is_file = kind.lower().endswith(FILES)
+    if not is_file and kind not in SIZES:
+        raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(FILES)}.")
+    takes = ("turn_deg", "unit", "scale") if is_file else SIZES[kind]
     if surplus := [size for size in given if size not in takes]:
-        listed = " and ".join(f"{size}=" for size in takes) or "no sizes"
+        listed = " and ".join(f"{size}=" for size in takes)
         raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {listed}.")
-    if is_solid:
-        return stages.read_solid(Path(kind))
+    if is_file:
+        return read_tool(kind, **given)
     if kind == "flat" and ("radius_mm" in given) == ("size_mm" in given):
         raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
     if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
-    turn = stages.about_z(given.pop("turn_deg", 0.0))
+    x, y, z = _angles(turn_deg := given.pop("turn_deg", None))
+    if x or y:
+        raise DesignError(f"turn_deg={turn_deg}: a {kind} turns about z alone: give one angle.")
+    turn = stages.about_z(z)
     if kind == "flat" and "size_mm" in given:
         return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn=turn)
     return {"sphere": stages.Sphere, "cylinder": stages.Cylinder, "flat": stages.Flat}[kind](**given, turn=turn)
+
+
+def read_tool(path: File, turn_deg: Turn = None, unit: str | None = None, scale: float | None = None) -> "stages.Solid":
+    """The indenter of a file, its size told."""
+    caller, factor = current(), 1.0 if scale is None else scale
+    found = stages.read_solid(Path(path), unit=unit, scale=factor, turn_deg=_angles(turn_deg), say=caller.say)
+    caller.tell(
+        f"{path}: {' × '.join(f'{length:.3g}' for length in (np.ptp(found.x_mm), np.ptp(found.y_mm), found.high_mm))} mm"
+    )
+    return found
+
+
+def _angles(given: Turn) -> list[float]:
+    """Angles about x, y and z; one alone is about z."""
+    try:
+        found = [
+            float(angle) for angle in (given.split(",") if isinstance(given, str) else np.atleast_1d(given or 0.0))
+        ]
+        _, _, _ = found = [0.0, 0.0, *found] if len(found) == 1 else found
+    except ValueError:
+        raise DesignError(
+            f"turn_deg={given}: must be an angle about z, or three about x, y and z, such as 180,0,45."
+        ) from None
+    return found
 
 
 def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:
