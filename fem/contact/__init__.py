@@ -12,8 +12,7 @@ from fem.contact.compliance import SurfaceCompliance
 from fem.contact.driver import Stepper, press
 from fem.contact.finite import at_finite_strain, why_tangent
 from fem.contact.indentation import Contact, ContactError, Indentation, judge
-from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, about_z
-from fem.contact.solids import read_solid
+from fem.contact.shapes import Capsule, Convex, Cylinder, Flat, Shape, ShapeError, Solid, Sphere, about_z, read_solid
 from fem.contact.surface import surface_compliance
 
 __all__ = [

@@ -74,10 +74,8 @@ class Indentation:
                 "the shape goes down."
             )
         if self.depth_mm > (high_mm := self.shape.high_mm):
-            raise ContactError(
-                f"depth_mm={self.depth_mm:g} is deeper than the tool is high, {high_mm:.3g} mm: press less deep, or "
-                f"give {proposed_units(high_mm, self.depth_mm)}."
-            )
+            mend = f"press less deep, or give {proposed_units(high_mm, self.depth_mm)}"
+            raise ContactError(f"depth_mm={self.depth_mm:g} is deeper than the tool is high, {high_mm:.3g} mm: {mend}.")
         require_friction(self.friction)
         if np.abs(self.slide_mm).max() > most_mm:
             x, y = self.slide_mm

@@ -1,21 +1,33 @@
-"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, files.
+"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, file.
 
 Capsules and convex bodies stand as they are turned in space, for simulators that move them; the others turn about z.
 """
 
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length
-UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
-LIKELY_MM = (3.0, 500.0)  #: extents of tools for which a unit is proposed
 MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
+UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
+USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
+MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
+STEP_SHARE, STEP_ANGLE = 2e-5, 0.05  #: of triangles off a STEP file's surfaces: of its size, and [rad]
+RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
+MAX_BOXES, MAX_POINTS = 50.0, 1_000_000  #: boxes of triangles over a point, else there are fewer; points at a time
+UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
+MIX = 2**0.5, 3**0.5  #: make one number of three, and lines that meet no edge
+Say = Callable[[str], None]
 
 
 class ShapeError(TriPillarError, ValueError):
@@ -37,7 +49,7 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
-    high_mm = np.inf  # of its highest point above its lowest one, where pressing deeper would bury it
+    high_mm = np.inf  #: of its highest point above its lowest one
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -78,7 +90,7 @@ class Cylinder(Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_lengths(radius_mm=self.radius_mm, length_mm=self.length_mm)
+        _require(radius_mm=self.radius_mm, length_mm=self.length_mm)
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         return np.where(np.abs(x_mm) <= self.length_mm / 2, _arc(y_mm, self.radius_mm), np.inf)
@@ -97,7 +109,7 @@ class Flat(Shape):
     def __post_init__(self) -> None:
         super().__post_init__()
         for length in self.size_mm if self.radius_mm is None else (self.radius_mm,):
-            require_lengths(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
+            _require(**{"size_mm" if self.radius_mm is None else "radius_mm": length})
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         half_x, half_y = self.own_extents_mm(0.0)
@@ -118,7 +130,7 @@ class Solid(Shape):
     x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
     y_mm: FloatArray  #: (ny,)
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
-    high_mm: float = np.inf  #: of its highest point
+    high_mm: float = np.inf
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
@@ -129,8 +141,8 @@ class Solid(Shape):
         return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
     def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        x, y = (line[low < height_mm] for line, low in self._lowest)
-        return float(np.abs(x).max()), float(np.abs(y).max())
+        x, y = (np.abs(line[low < height_mm]).max() for line, low in self._lowest)
+        return float(x), float(y)
 
     @cached_property
     def _lowest(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -146,7 +158,7 @@ class Capsule(Shape):
     length_mm: float = 0.0  #: of the line
 
     def __post_init__(self) -> None:
-        require_lengths(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
+        _require(radius_mm=self.radius_mm, **{"length_mm": self.length_mm} if self.length_mm else {})
 
     @property
     def lowest_mm(self) -> float:
@@ -219,6 +231,140 @@ class Convex(Shape):
         return float(x), float(y)
 
 
+def read_solid(
+    path: Path,
+    unit: str | None = None,
+    scale: float = 1,
+    turn_deg: Sequence[float] = (0, 0, 0),
+    say: Say = lambda _: None,
+) -> Solid:
+    """Read an STL, OBJ, PLY or STEP file as an indenter that moves down along z; `say` takes what was mended.
+
+    Numbers without a unit of `UNITS` are mm, if that makes a tool of a usual size; STEP states its own. It is turned
+    about x, then y, then z, and presses with its lowest surface, whichever way that faces. A `ShapeError` says that the
+    file is missing, damaged or too large, its surface not closed, or its unit in doubt.
+    """
+    ending = path.suffix.lower()
+    is_step = ending in (".step", ".stp")
+    if unit not in (None, *UNITS) or (unit and is_step):
+        raise ShapeError(f"unit={unit} must be {', '.join(UNITS)}, and left out of STEP files, which state it.")
+    if not 0 < scale < np.inf or not np.abs(turn_deg).max() <= 360:
+        raise ShapeError(f"scale={scale:g} must be above 0, turn_deg={turn_deg} from -360 to 360 degrees.")
+    if not path.is_file():
+        raise ShapeError(f"{path}: there is no such file: give an STL, OBJ, PLY or STEP file of a closed surface.")
+    if path.stat().st_size > MAX_BYTES[is_step]:
+        raise ShapeError(f"{path}: over {MAX_BYTES[is_step] / 1e6:g} MB: leave out what does not press.")
+    try:
+        triangles = _of_step(path) if is_step else _of_mesh(path, ending[1:], say)
+    except ShapeError:
+        raise
+    except Exception:  # their readers raise of many kinds
+        raise ShapeError(f"{path}: damaged, cut off, or no {ending[1:].upper()} file: export it again.") from None
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not np.isfinite(triangles).all():
+        raise ShapeError(f"{path}: holds no triangles, over {MAX_TRIANGLES:,}, or corners without a place.")
+    large = np.ptp(triangles, axis=(0, 1)).max()
+    if unit is None and scale == 1.0 and not is_step and not USUAL_MM[0] <= large <= USUAL_MM[1]:
+        fit = f"{proposed_units(large)}, or unit=mm if it is so"
+        raise ShapeError(f"{path}: a tool of {large:.3g} mm, if its numbers are mm: give {fit}.")
+    turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
+    return _solid_of(turned * (scale * UNITS[unit or "mm"]), path, say)
+
+
+def proposed_units(extent: float, least_mm: float = LIKELY_MM[0]) -> str:
+    """What to give where a number in a file is no likely extent of a tool: units by which it is."""
+    fit = [unit for unit, mm in UNITS.items() if least_mm <= extent * mm <= LIKELY_MM[1]]
+    return " or ".join(f"unit={unit} ({extent * UNITS[unit]:.3g} mm)" for unit in fit) or "its unit= or scale="
+
+
+def _of_mesh(path: Path, ending: str, say: Say) -> FloatArray:
+    """Triangles (n, 3 corners, 3) of a file of triangles."""
+    import trimesh
+
+    data = path.read_bytes()
+    if b"\0" in data and ending == "stl":
+        stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+        if there < stated <= 1000 * there:
+            raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")
+        data = data[: 84 + 50 * stated]
+    elif b"\0" not in data and re.search(rb"\d,\d", data):
+        say(f"warning: {path}: its decimal commas are read as points")
+        data = data.replace(b",", b".")
+    data += b"\nendsolid" * (ending == "stl" and b"\0" not in data and b"endsolid" not in data[-999:].lower())
+    return np.asarray(trimesh.load(BytesIO(data), file_type=ending, force="mesh", process=False).triangles, dtype=float)
+
+
+def _of_step(path: Path) -> FloatArray:
+    from build123d import import_step
+    from OCP.Message import Message
+
+    Message.DefaultMessenger_s().ChangePrinters().Clear()  # it tells of damage on stdout
+    shape = import_step(path)
+    vertices, faces = shape.tessellate(STEP_SHARE * shape.bounding_box().diagonal, STEP_ANGLE)
+    return np.array([tuple(vertex) for vertex in vertices])[np.array(faces)]
+
+
+def _solid_of(triangles_mm: FloatArray, path: Path, say: Say) -> Solid:
+    """Height map of a closed surface's triangles, shape (n, 3 corners, 3), by the lowest over each point."""
+    low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
+    size = high - low
+    _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
+    corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
+    tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
+    doubled = np.linalg.det(np.diff(corners[..., :2], axis=1))  # 0 of upright faces, which have no area from below
+    corners, faces_in = (each[np.abs(doubled) > UPRIGHT * size[:2].prod()] for each in (corners, doubled > 0))
+    boxes = np.ptp(corners[..., :2], axis=1).prod(axis=1).sum() / size[:2].prod()
+    step = max(size[:2].max() / MAX_RASTER, min(FINE_MM, size[:2].max() / RASTER)) * max(1.0, boxes / MAX_BOXES) ** 0.5
+    x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
+    beside = x[:-1:2] + step / MIX[0], y[:-1:2] + step / MIX[1]
+    # bodies that touch share triangles: those that are there twice are taken once only if that leaves it closed
+    mixed = np.sort(corners[..., 0] + MIX[0] * corners[..., 1] + MIX[1] * corners[..., 2])
+    once = np.unique(mixed[:, 0] + MIX[0] * mixed[:, 1] + MIX[1] * mixed[:, 2], return_index=True)[1]
+    if (twice := len(corners) - len(once)) and _is_closed(corners[once], *beside):
+        say(f"warning: {path}: {twice:,} of its triangles are there twice: they are taken once")
+    elif not len(corners) or not _is_closed(corners, *beside):
+        raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
+    x, y = np.union1d(x, tip[0]), np.union1d(y, tip[1])
+    outward, inward = (_lowest(corners[side], x, y) for side in (~faces_in, faces_in))
+    heights, is_inward = np.minimum(outward, inward), inward < outward - 1e-6 * step
+    if (share := is_inward.sum() / np.isfinite(heights).sum()) > MIN_INWARD:
+        say(f"warning: {path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
+    return Solid(x, y, np.where(is_inward, heights, outward), size[2])
+
+
+def _is_closed(corners: FloatArray, x: FloatArray, y: FloatArray) -> bool:
+    """Whether upright lines meet triangles an even number of times, but for cracks."""
+    count = sum(np.bincount(place, minlength=len(y) * len(x)) for place, _ in _met(corners, x, y))
+    return bool(np.sum(count % 2) <= MAX_CRACKS * np.sum(count > 0))
+
+
+def _lowest(corners: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Height of the lowest triangle over each point of a raster, (ny, nx), infinite where there is none."""
+    heights = np.full(len(y) * len(x), np.inf)
+    for place, z in _met(corners, x, y):
+        np.minimum.at(heights, place, z)
+    return heights.reshape(len(y), len(x))
+
+
+def _met(corners: FloatArray, x: FloatArray, y: FloatArray) -> Iterator[tuple[np.ndarray, FloatArray]]:
+    """Points of a raster, row by row, where triangles lie, and their heights there; of some triangles at a time."""
+    edge = 1e-9 * np.ptp(x) / len(x)
+    low, high = corners.min(axis=1) - edge, corners.max(axis=1) + edge
+    (x0, x1), (y0, y1) = (np.searchsorted(line, [low[:, d], high[:, d]]) for d, line in enumerate((x, y)))
+    a, to_b, to_c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    points, width = (x1 - x0) * (y1 - y0), x1 - x0
+    parts = 1 + points.sum() // MAX_POINTS
+    for part in range(parts):
+        count = points[part::parts]
+        k = np.repeat(np.arange(part, len(a), parts), count)
+        at = np.arange(len(k)) - np.repeat(np.cumsum(count) - count, count)
+        row, column = y0[k] + at // width[k], x0[k] + at % width[k]
+        (ux, uy, uz), (vx, vy, vz) = to_b[k].T, to_c[k].T
+        px, py, doubled = x[column] - a[k, 0], y[row] - a[k, 1], ux * vy - uy * vx
+        b, c = (px * vy - py * vx) / doubled, (py * ux - px * uy) / doubled
+        inside = (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
+        yield (row * len(x) + column)[inside], (a[k, 2] + b * uz + c * vz)[inside]
+
+
 def _arc(across_mm: FloatArray, radius_mm: float) -> FloatArray:
     """Height of a circle above its lowest point; without cancellation near it."""
     inside = np.abs(across_mm) < radius_mm
@@ -230,15 +376,7 @@ def _half_chord(radius_mm: float, height_mm: float) -> float:
     return float(np.sqrt(height_mm * (2 * radius_mm - height_mm))) if height_mm < radius_mm else radius_mm
 
 
-def proposed_units(extent: float, least_mm: float = 0.0) -> str:
-    """What to give where a number in a file is no likely extent of a tool: units by which it is."""
-    low, high = max(LIKELY_MM[0], least_mm), LIKELY_MM[1]
-    fit = [f"unit={unit} ({extent * mm:.3g} mm)" for unit, mm in UNITS.items() if low <= extent * mm <= high]
-    return " or ".join(fit or ["its unit= or scale="])
-
-
-def require_lengths(**lengths: float) -> None:
-    """Refuse lengths that no shape has [mm]."""
+def _require(**lengths: float) -> None:
     for name, length in lengths.items():
         if not 1e-3 <= length <= MAX_MM:
             raise ShapeError(f"{name}={length:g} must be from 0.001 to {MAX_MM:g} mm.")

@@ -98,9 +98,9 @@ def train(
     shape : list of path, optional
         Files of tools that press, as of 'press': a decoder of touches knows them as well.
     turn_deg : float or str, optional
-        How the tools are turned, as of 'press' [degrees].
+        Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
     unit : str, optional
-        Unit of their files' numbers, as of 'press'.
+        Unit of their files' numbers.
     scale : float, optional
         How many times as large as in their files they are.
     out : path, optional
@@ -157,13 +157,12 @@ def train(
     True
     """
     caller, path = current(), None if out is None else Path(out)
-    tool: dict[str, Any] = {"turn_deg": turn_deg, "unit": unit, "scale": scale}
-    if not shape and (given := next((name for name, value in tool.items() if value is not None), None)):
-        raise DesignError(f"{given}= is of tools: give shape=, their files, too.")
+    if not (shape or turn_deg is unit is scale is None):
+        raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, [read_tool(file, **tool) for file in shape or ()])
+        return _touch_decoder(design, path, [read_tool(file, turn_deg, unit, scale) for file in shape or ()])
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -305,9 +304,7 @@ def _cross_validated(
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
-def _touch_decoder(
-    source: DesignLike | None, out: Path | None, solids: "Sequence[stages.Solid]"
-) -> "stages.TouchDecoder":
+def _touch_decoder(source: DesignLike | None, out: Path | None, tools: "list[stages.Solid]") -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
@@ -318,7 +315,7 @@ def _touch_decoder(
             f"than {stages.LARGE_SHARE:g} of the slab's height, {stages.LARGE_SHARE * design.unit.height_mm:g} mm, are "
             "beyond it"
         )
-    if is_plated and solids:
+    if is_plated and tools:
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
@@ -336,8 +333,8 @@ def _touch_decoder(
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
-        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(solids))
-        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(tools))
+        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), tools)
         made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)
         result = {"presses": len(library.presses.size), "rows": len(library.source)}

@@ -72,8 +72,7 @@ def press(
     length_mm : float, optional
         Length of a cylinder [mm]; default: endless.
     turn_deg : float or str, optional
-        Angle of a cylinder's axis, a flat punch or a file's tool from x towards y; or of a tool X,Y,Z about x, then y,
-        then z [degrees].
+        Angle of a cylinder, flat punch or tool about z, from x towards y; or X,Y,Z of a tool about x, y, z [degrees].
     unit : str, optional
         Unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own.
     scale : float, optional
@@ -107,12 +106,12 @@ def press(
     """
     caller, sensor = current(), design_of(design)
     depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
-    sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}
-    sizes |= {"unit": unit, "scale": scale}
+    sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm}
+    sizes |= {"turn_deg": turn_deg, "unit": unit, "scale": scale}
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
     contact = stages.press(
-        sensor, indenter, depth_mm, at_mm=_pair("at_mm", at_mm), slide_mm=_pair("slide_mm", slide_mm),
+        sensor, indenter, depth_mm, at_mm=_numbers("at_mm", at_mm), slide_mm=_numbers("slide_mm", slide_mm),
         friction=friction, progress=lambda step: begin()(0, step),
     )  # fmt: skip
     model, least_mm = sensor.matrix_material.model, stages.LARGE_SHARE * sensor.unit.height_mm
@@ -173,7 +172,7 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
         raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(FILES)}.")
     takes = ("turn_deg", "unit", "scale") if is_file else SIZES[kind]
     if surplus := [size for size in given if size not in takes]:
-        listed = " and ".join(f"{size}=" for size in takes)
+        listed = " and ".join(f"{size}=" for size in takes) or "no sizes"
         raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {listed}.")
     if is_file:
         return read_tool(kind, **given)
@@ -181,45 +180,27 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
         raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
     if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
-    x, y, z = _angles(turn_deg := given.pop("turn_deg", None))
-    if x or y:
-        raise DesignError(f"turn_deg={turn_deg}: a {kind} turns about z alone: give one angle.")
-    turn = stages.about_z(z)
+    (angle,) = _numbers("turn_deg", given.pop("turn_deg", 0.0), "one angle, about z")
+    turn = stages.about_z(angle)
     if kind == "flat" and "size_mm" in given:
-        return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn=turn)
+        return stages.Flat(_numbers("size_mm", given["size_mm"], alone="{0},{0}"), turn=turn)
     return {"sphere": stages.Sphere, "cylinder": stages.Cylinder, "flat": stages.Flat}[kind](**given, turn=turn)
 
 
 def read_tool(path: File, turn_deg: Turn = None, unit: str | None = None, scale: float | None = None) -> "stages.Solid":
-    """The indenter of a file, its size told."""
-    caller, factor = current(), 1.0 if scale is None else scale
-    found = stages.read_solid(Path(path), unit=unit, scale=factor, turn_deg=_angles(turn_deg), say=caller.say)
-    caller.tell(
-        f"{path}: {' × '.join(f'{length:.3g}' for length in (np.ptp(found.x_mm), np.ptp(found.y_mm), found.high_mm))} mm"
-    )
-    return found
+    """The indenter of a file."""
+    turned = _numbers("turn_deg", turn_deg or 0.0, "three angles, such as 180,0,45", "0,0,{}")
+    return stages.read_solid(Path(path), unit, 1.0 if scale is None else scale, turned, current().say)
 
 
-def _angles(given: Turn) -> list[float]:
-    """Angles about x, y and z; one alone is about z."""
-    try:
-        found = [
-            float(angle) for angle in (given.split(",") if isinstance(given, str) else np.atleast_1d(given or 0.0))
-        ]
-        _, _, _ = found = [0.0, 0.0, *found] if len(found) == 1 else found
-    except ValueError:
-        raise DesignError(
-            f"turn_deg={given}: must be an angle about z, or three about x, y and z, such as 180,0,45."
-        ) from None
-    return found
-
-
-def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:
-    """Numbers along x and y; one that may stand alone is both."""
-    if not isinstance(given, str):
+def _numbers(name: str, given: Any, like: str = "two numbers, such as 7.5,-3", alone: str = "") -> Any:
+    """As many numbers as a text of examples has commas; what one that stands alone means has its place {}."""
+    if not isinstance(given, str | int | float):
         return given
     try:
-        x, y = map(float, given.split(",") * (2 if alone and "," not in given else 1))
+        found = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
     except ValueError:
-        raise DesignError(f"{name}={given}: must be two numbers, such as 7.5,-3.") from None
-    return x, y
+        found = ()
+    if len(found) != like.count(","):
+        raise DesignError(f"{name}={given}: must be {like}.")
+    return found
