@@ -24,10 +24,11 @@ USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for
 MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
 STEP_SHARE, STEP_ANGLE = 2e-5, 0.05  #: of triangles off a STEP file's surfaces: of its size, and [rad]
 RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
-MAX_BOXES, MAX_POINTS = 50.0, 1_000_000  #: boxes of triangles over a point, else there are fewer; points at a time
+MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
 UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
 MIX = 2**0.5, 3**0.5  #: make one number of three, and lines that meet no edge
-Say = Callable[[str], None]
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
+Say = Callable[[str], object]  #: takes a note; by `str` it goes unsaid
 
 
 class ShapeError(TriPillarError, ValueError):
@@ -232,11 +233,7 @@ class Convex(Shape):
 
 
 def read_solid(
-    path: Path,
-    unit: str | None = None,
-    scale: float = 1,
-    turn_deg: Sequence[float] = (0, 0, 0),
-    say: Say = lambda _: None,
+    path: Path, unit: str | None = None, scale: float = 1.0, turn_deg: Sequence[float] = (0, 0, 0), say: Say = str
 ) -> Solid:
     """Read an STL, OBJ, PLY or STEP file as an indenter that moves down along z; `say` takes what was mended.
 
@@ -278,15 +275,15 @@ def proposed_units(extent: float, least_mm: float = LIKELY_MM[0]) -> str:
 
 def _of_mesh(path: Path, ending: str, say: Say) -> FloatArray:
     """Triangles (n, 3 corners, 3) of a file of triangles."""
-    import trimesh
-
     data = path.read_bytes()
     if b"\0" in data and ending == "stl":
         stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
         if there < stated <= 1000 * there:
             raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")
-        data = data[: 84 + 50 * stated]
-    elif b"\0" not in data and re.search(rb"\d,\d", data):
+        return np.frombuffer(data, RECORD, stated, 84)["corners"].astype(float)
+    import trimesh
+
+    if b"\0" not in data and re.search(rb"\d,\d", data):
         say(f"warning: {path}: its decimal commas are read as points")
         data = data.replace(b",", b".")
     data += b"\nendsolid" * (ending == "stl" and b"\0" not in data and b"endsolid" not in data[-999:].lower())
@@ -311,11 +308,11 @@ def _solid_of(triangles_mm: FloatArray, path: Path, say: Say) -> Solid:
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
     tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
     doubled = np.linalg.det(np.diff(corners[..., :2], axis=1))  # 0 of upright faces, which have no area from below
-    corners, faces_in = (each[np.abs(doubled) > UPRIGHT * size[:2].prod()] for each in (corners, doubled > 0))
-    boxes = np.ptp(corners[..., :2], axis=1).prod(axis=1).sum() / size[:2].prod()
-    step = max(size[:2].max() / MAX_RASTER, min(FINE_MM, size[:2].max() / RASTER)) * max(1.0, boxes / MAX_BOXES) ** 0.5
+    wide, layers = size[:2].max(), np.abs(doubled) / 2 / size[:2].prod()
+    corners, faces_in = corners[layers > UPRIGHT], doubled[layers > UPRIGHT] > 0
+    step = max(wide / MAX_RASTER, min(FINE_MM, wide / RASTER)) * max(1.0, layers.sum() / MAX_LAYERS) ** 0.5
     x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
-    beside = x[:-1:2] + step / MIX[0], y[:-1:2] + step / MIX[1]
+    beside = x[:-1:2] + (x[1] - x[0]) / MIX[0], y[:-1:2] + (y[1] - y[0]) / MIX[1]
     # bodies that touch share triangles: those that are there twice are taken once only if that leaves it closed
     mixed = np.sort(corners[..., 0] + MIX[0] * corners[..., 1] + MIX[1] * corners[..., 2])
     once = np.unique(mixed[:, 0] + MIX[0] * mixed[:, 1] + MIX[1] * mixed[:, 2], return_index=True)[1]
@@ -351,18 +348,29 @@ def _met(corners: FloatArray, x: FloatArray, y: FloatArray) -> Iterator[tuple[np
     low, high = corners.min(axis=1) - edge, corners.max(axis=1) + edge
     (x0, x1), (y0, y1) = (np.searchsorted(line, [low[:, d], high[:, d]]) for d, line in enumerate((x, y)))
     a, to_b, to_c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    points, width = (x1 - x0) * (y1 - y0), x1 - x0
-    parts = 1 + points.sum() // MAX_POINTS
+    parts = 1 + ((x1 - x0) * (y1 - y0)).sum() // MAX_POINTS
     for part in range(parts):
-        count = points[part::parts]
-        k = np.repeat(np.arange(part, len(a), parts), count)
-        at = np.arange(len(k)) - np.repeat(np.cumsum(count) - count, count)
-        row, column = y0[k] + at // width[k], x0[k] + at % width[k]
+        k, column = _each(np.arange(part, len(a), parts), x0[part::parts], x1[part::parts])
         (ux, uy, uz), (vx, vy, vz) = to_b[k].T, to_c[k].T
-        px, py, doubled = x[column] - a[k, 0], y[row] - a[k, 1], ux * vy - uy * vx
-        b, c = (px * vy - py * vx) / doubled, (py * ux - px * uy) / doubled
+        px, doubled = x[column] - a[k, 0], ux * vy - uy * vx
+        # the shares of its corners in a point, here for y = 0, are all above 0 between two y of each column
+        share = np.array([px * vy, -px * uy, doubled - px * (vy - uy)]) / doubled + 1e-6
+        slope = np.array([-vx, ux, vx - ux]) / doubled
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = a[k, 1] - share / slope
+        first = np.searchsorted(y, np.where(slope > 0, root, -np.inf).max(axis=0))
+        last = np.searchsorted(y, np.where(slope < 0, root, np.inf).min(axis=0))
+        n, row = _each(np.arange(len(k)), np.maximum(first, y0[k]), np.minimum(last, y1[k]))
+        k, py, doubled = k[n], y[row] - a[k[n], 1], doubled[n]
+        b, c = ((px * vy)[n] - py * vx[n]) / doubled, (py * ux[n] - (px * uy)[n]) / doubled
         inside = (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
-        yield (row * len(x) + column)[inside], (a[k, 2] + b * uz + c * vz)[inside]
+        yield (row * len(x) + column[n])[inside], (a[k, 2] + b * uz[n] + c * vz[n])[inside]
+
+
+def _each(owner: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Owners and numbers of all numbers from the first up to before the last of each."""
+    count = np.maximum(last - first, 0)
+    return np.repeat(owner, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
 
 
 def _arc(across_mm: FloatArray, radius_mm: float) -> FloatArray:

@@ -106,7 +106,7 @@ def press(
     """
     caller, sensor = current(), design_of(design)
     depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
-    sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm}
+    sizes: dict[str, Any] = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm}
     sizes |= {"turn_deg": turn_deg, "unit": unit, "scale": scale}
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
