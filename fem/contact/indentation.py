@@ -74,7 +74,7 @@ class Indentation:
                 "the shape goes down."
             )
         if self.depth_mm > (high_mm := self.shape.high_mm):
-            mend = f"press less deep, or give {proposed_units(high_mm, self.depth_mm)}"
+            mend = f"press less deep, or give {proposed_units(self.shape.in_file, self.depth_mm)}"
             raise ContactError(f"depth_mm={self.depth_mm:g} is deeper than the tool is high, {high_mm:.3g} mm: {mend}.")
         require_friction(self.friction)
         if np.abs(self.slide_mm).max() > most_mm:

@@ -26,7 +26,7 @@ STEP_SHARE, STEP_ANGLE = 2e-5, 0.05  #: of triangles off a STEP file's surfaces:
 RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
 MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
 UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
-MIX = 2**0.5, 3**0.5  #: make one number of three, and lines that meet no edge
+FAR, MIX = 1e9, (2**0.5, 3**0.5)  #: from the origin; make one number of three, and lines that meet no edge
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
 Say = Callable[[str], object]  #: takes a note; by `str` it goes unsaid
 
@@ -50,7 +50,7 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
-    high_mm = np.inf  #: of its highest point above its lowest one
+    high_mm = in_file = np.inf  #: of its highest point above its lowest one, and that in numbers of its file
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -132,6 +132,7 @@ class Solid(Shape):
     y_mm: FloatArray  #: (ny,)
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
     high_mm: float = np.inf
+    in_file: float = np.inf
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
@@ -246,7 +247,7 @@ def read_solid(
     if unit not in (None, *UNITS) or (unit and is_step):
         raise ShapeError(f"unit={unit} must be {', '.join(UNITS)}, and left out of STEP files, which state it.")
     if not 0 < scale < np.inf or not np.abs(turn_deg).max() <= 360:
-        raise ShapeError(f"scale={scale:g} must be above 0, turn_deg={turn_deg} from -360 to 360 degrees.")
+        raise ShapeError(f"scale={scale:g} must be above 0, and angles of turn_deg= from -360 to 360 degrees.")
     if not path.is_file():
         raise ShapeError(f"{path}: there is no such file: give an STL, OBJ, PLY or STEP file of a closed surface.")
     if path.stat().st_size > MAX_BYTES[is_step]:
@@ -257,14 +258,15 @@ def read_solid(
         raise
     except Exception:  # their readers raise of many kinds
         raise ShapeError(f"{path}: damaged, cut off, or no {ending[1:].upper()} file: export it again.") from None
-    if not 0 < len(triangles) <= MAX_TRIANGLES or not np.isfinite(triangles).all():
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not np.abs(triangles).max() < FAR:
         raise ShapeError(f"{path}: holds no triangles, over {MAX_TRIANGLES:,}, or corners without a place.")
     large = np.ptp(triangles, axis=(0, 1)).max()
     if unit is None and scale == 1.0 and not is_step and not USUAL_MM[0] <= large <= USUAL_MM[1]:
         fit = f"{proposed_units(large)}, or unit=mm if it is so"
         raise ShapeError(f"{path}: a tool of {large:.3g} mm, if its numbers are mm: give {fit}.")
     turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
-    return _solid_of(turned * (scale * UNITS[unit or "mm"]), path, say)
+    factor = scale * UNITS[unit or "mm"]
+    return _solid_of(turned * factor, factor, path, say)
 
 
 def proposed_units(extent: float, least_mm: float = LIKELY_MM[0]) -> str:
@@ -300,8 +302,8 @@ def _of_step(path: Path) -> FloatArray:
     return np.array([tuple(vertex) for vertex in vertices])[np.array(faces)]
 
 
-def _solid_of(triangles_mm: FloatArray, path: Path, say: Say) -> Solid:
-    """Height map of a closed surface's triangles, shape (n, 3 corners, 3), by the lowest over each point."""
+def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, say: Say) -> Solid:
+    """Height map of a closed surface's triangles, (n, 3 corners, 3), by the lowest over each point."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
     _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
@@ -325,7 +327,7 @@ def _solid_of(triangles_mm: FloatArray, path: Path, say: Say) -> Solid:
     heights, is_inward = np.minimum(outward, inward), inward < outward - 1e-6 * step
     if (share := is_inward.sum() / np.isfinite(heights).sum()) > MIN_INWARD:
         say(f"warning: {path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
-    return Solid(x, y, np.where(is_inward, heights, outward), size[2])
+    return Solid(x, y, np.where(is_inward, heights, outward), size[2], size[2] / factor)
 
 
 def _is_closed(corners: FloatArray, x: FloatArray, y: FloatArray) -> bool:

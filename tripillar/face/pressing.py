@@ -189,7 +189,7 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
 
 def read_tool(path: File, turn_deg: Turn = None, unit: str | None = None, scale: float | None = None) -> "stages.Solid":
     """The indenter of a file."""
-    turned = _numbers("turn_deg", turn_deg or 0.0, "three angles, such as 180,0,45", "0,0,{}")
+    turned = _numbers("turn_deg", turn_deg or 0.0, "one about z or three angles, such as 180,0,45", "0,0,{}")
     return stages.read_solid(Path(path), unit, 1.0 if scale is None else scale, turned, current().say)
 
 
