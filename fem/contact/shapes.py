@@ -15,6 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
+from common.pool import open_pool
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length
@@ -22,12 +23,13 @@ MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
 UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
 USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
 MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
-STEP_SHARE, STEP_ANGLE = 2e-5, 0.05  #: of triangles off a STEP file's surfaces: of its size, and [rad]
+STEP_SHARE, STEP_ANGLE, STEP_S = 2e-5, 0.05, 50.0  #: of triangles off its surfaces: of its size, [rad]; to wait [s]
 RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
 MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
 UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
 FAR, MIX = 1e9, (2**0.5, 3**0.5)  #: from the origin; make one number of three, and lines that meet no edge
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
+VERTEX = re.compile(rb"(?i)\bvertex" + 3 * rb"\s+(\S{1,40})")  #: of a text STL
 Say = Callable[[str], object]  #: takes a note; by `str` it goes unsaid
 
 
@@ -253,11 +255,17 @@ def read_solid(
     if path.stat().st_size > MAX_BYTES[is_step]:
         raise ShapeError(f"{path}: over {MAX_BYTES[is_step] / 1e6:g} MB: leave out what does not press.")
     try:
-        triangles = _of_step(path) if is_step else _of_mesh(path, ending[1:], say)
+        if is_step:  # what is damaged may end its reader, and prints pages
+            with open_pool(1) as pool:
+                triangles = pool.executor.submit(_of_step, path).result(STEP_S)
+        else:
+            triangles = _of_mesh(path, ending[1:], say)
     except ShapeError:
         raise
     except Exception:  # their readers raise of many kinds
-        raise ShapeError(f"{path}: damaged, cut off, or no {ending[1:].upper()} file: export it again.") from None
+        raise ShapeError(
+            f"{path}: damaged, cut off, too complex, or no {ending[1:].upper()}: export it again."
+        ) from None
     if not 0 < len(triangles) <= MAX_TRIANGLES or not np.abs(triangles).max() < FAR:
         raise ShapeError(f"{path}: holds no triangles, over {MAX_TRIANGLES:,}, or corners without a place.")
     large = np.ptp(triangles, axis=(0, 1)).max()
@@ -275,28 +283,29 @@ def proposed_units(extent: float, least_mm: float = LIKELY_MM[0]) -> str:
     return " or ".join(f"unit={unit} ({extent * UNITS[unit]:.3g} mm)" for unit in fit) or "its unit= or scale="
 
 
+@np.errstate(all="ignore")
 def _of_mesh(path: Path, ending: str, say: Say) -> FloatArray:
     """Triangles (n, 3 corners, 3) of a file of triangles."""
     data = path.read_bytes()
-    if b"\0" in data and ending == "stl":
+    is_text, is_stl = b"\0" not in data, ending == "stl"
+    if is_text and re.search(rb"\d,\d", data):
+        say(f"warning: {path}: its decimal commas are read as points")
+        data = data.replace(b",", b".")
+    if is_stl and is_text:
+        return np.array(VERTEX.findall(data)).astype(float).reshape(-1, 3, 3)
+    if is_stl:
         stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
         if there < stated <= 1000 * there:
             raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")
         return np.frombuffer(data, RECORD, stated, 84)["corners"].astype(float)
     import trimesh
 
-    if b"\0" not in data and re.search(rb"\d,\d", data):
-        say(f"warning: {path}: its decimal commas are read as points")
-        data = data.replace(b",", b".")
-    data += b"\nendsolid" * (ending == "stl" and b"\0" not in data and b"endsolid" not in data[-999:].lower())
-    return np.asarray(trimesh.load(BytesIO(data), file_type=ending, force="mesh", process=False).triangles, dtype=float)
+    return np.asarray(trimesh.load(BytesIO(data), file_type=ending, force="mesh", process=False).triangles @ np.eye(3))
 
 
 def _of_step(path: Path) -> FloatArray:
     from build123d import import_step
-    from OCP.Message import Message
 
-    Message.DefaultMessenger_s().ChangePrinters().Clear()  # it tells of damage on stdout
     shape = import_step(path)
     vertices, faces = shape.tessellate(STEP_SHARE * shape.bounding_box().diagonal, STEP_ANGLE)
     return np.array([tuple(vertex) for vertex in vertices])[np.array(faces)]
@@ -308,7 +317,6 @@ def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, say: Say) -> 
     size = high - low
     _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
-    tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
     doubled = np.linalg.det(np.diff(corners[..., :2], axis=1))  # 0 of upright faces, which have no area from below
     wide, layers = size[:2].max(), np.abs(doubled) / 2 / size[:2].prod()
     corners, faces_in = corners[layers > UPRIGHT], doubled[layers > UPRIGHT] > 0
@@ -322,12 +330,13 @@ def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, say: Say) -> 
         say(f"warning: {path}: {twice:,} of its triangles are there twice: they are taken once")
     elif not len(corners) or not _is_closed(corners, *beside):
         raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
+    tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
     x, y = np.union1d(x, tip[0]), np.union1d(y, tip[1])
     outward, inward = (_lowest(corners[side], x, y) for side in (~faces_in, faces_in))
     heights, is_inward = np.minimum(outward, inward), inward < outward - 1e-6 * step
     if (share := is_inward.sum() / np.isfinite(heights).sum()) > MIN_INWARD:
         say(f"warning: {path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
-    return Solid(x, y, np.where(is_inward, heights, outward), size[2], size[2] / factor)
+    return Solid(x, y, np.where(is_inward, heights, outward) - tip[2], size[2], size[2] / factor)
 
 
 def _is_closed(corners: FloatArray, x: FloatArray, y: FloatArray) -> bool:
