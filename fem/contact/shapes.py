@@ -4,7 +4,7 @@ Capsules and convex bodies stand as they are turned in space, for simulators tha
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -30,7 +30,6 @@ UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from bel
 FAR, MIX = 1e9, (2**0.5, 3**0.5)  #: from the origin; make one number of three, and lines that meet no edge
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
 VERTEX = re.compile(rb"(?i)\bvertex" + 3 * rb"\s+(\S{1,40})")  #: of a text STL
-Say = Callable[[str], object]  #: takes a note; by `str` it goes unsaid
 
 
 class ShapeError(TriPillarError, ValueError):
@@ -52,7 +51,11 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
-    high_mm = in_file = np.inf  #: of its highest point above its lowest one, and that in numbers of its file
+    notes, high_mm, in_file = (
+        (),
+        np.inf,
+        np.inf,
+    )  #: of its highest point above its lowest one, and that in numbers of its file
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -135,6 +138,7 @@ class Solid(Shape):
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
     high_mm: float = np.inf
     in_file: float = np.inf
+    notes: tuple[str, ...] = ()  #: what was mended of its file
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
@@ -235,10 +239,8 @@ class Convex(Shape):
         return float(x), float(y)
 
 
-def read_solid(
-    path: Path, unit: str | None = None, scale: float = 1.0, turn_deg: Sequence[float] = (0, 0, 0), say: Say = str
-) -> Solid:
-    """Read an STL, OBJ, PLY or STEP file as an indenter that moves down along z; `say` takes what was mended.
+def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg: Sequence[float] = (0, 0, 0)) -> Solid:
+    """Read an STL, OBJ, PLY or STEP file as an indenter that moves down along z; its notes say what was mended.
 
     Numbers without a unit of `UNITS` are mm, if that makes a tool of a usual size; STEP states its own. It is turned
     about x, then y, then z, and presses with its lowest surface, whichever way that faces. A `ShapeError` says that the
@@ -254,12 +256,13 @@ def read_solid(
         raise ShapeError(f"{path}: there is no such file: give an STL, OBJ, PLY or STEP file of a closed surface.")
     if path.stat().st_size > MAX_BYTES[is_step]:
         raise ShapeError(f"{path}: over {MAX_BYTES[is_step] / 1e6:g} MB: leave out what does not press.")
+    notes: list[str] = []
     try:
         if is_step:  # what is damaged may end its reader, and prints pages
             with open_pool(1) as pool:
                 triangles = pool.executor.submit(_of_step, path).result(STEP_S)
         else:
-            triangles = _of_mesh(path, ending[1:], say)
+            triangles = _of_mesh(path, ending[1:], notes)
     except ShapeError:
         raise
     except Exception:  # their readers raise of many kinds
@@ -274,22 +277,22 @@ def read_solid(
         raise ShapeError(f"{path}: a tool of {large:.3g} mm, if its numbers are mm: give {fit}.")
     turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
     factor = scale * UNITS[unit or "mm"]
-    return _solid_of(turned * factor, factor, path, say)
+    return _solid_of(turned * factor, factor, path, notes)
 
 
-def proposed_units(extent: float, least_mm: float = LIKELY_MM[0]) -> str:
+def proposed_units(extent: float, least_mm: float = 0.0) -> str:
     """What to give where a number in a file is no likely extent of a tool: units by which it is."""
-    fit = [unit for unit, mm in UNITS.items() if least_mm <= extent * mm <= LIKELY_MM[1]]
+    fit = [unit for unit, mm in UNITS.items() if max(least_mm, LIKELY_MM[0]) <= extent * mm <= LIKELY_MM[1]]
     return " or ".join(f"unit={unit} ({extent * UNITS[unit]:.3g} mm)" for unit in fit) or "its unit= or scale="
 
 
 @np.errstate(all="ignore")
-def _of_mesh(path: Path, ending: str, say: Say) -> FloatArray:
+def _of_mesh(path: Path, ending: str, notes: list[str]) -> FloatArray:
     """Triangles (n, 3 corners, 3) of a file of triangles."""
     data = path.read_bytes()
     is_text, is_stl = b"\0" not in data, ending == "stl"
     if is_text and re.search(rb"\d,\d", data):
-        say(f"warning: {path}: its decimal commas are read as points")
+        notes.append(f"{path}: its decimal commas are read as points")
         data = data.replace(b",", b".")
     if is_stl and is_text:
         return np.array(VERTEX.findall(data)).astype(float).reshape(-1, 3, 3)
@@ -311,7 +314,7 @@ def _of_step(path: Path) -> FloatArray:
     return np.array([tuple(vertex) for vertex in vertices])[np.array(faces)]
 
 
-def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, say: Say) -> Solid:
+def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, notes: list[str]) -> Solid:
     """Height map of a closed surface's triangles, (n, 3 corners, 3), by the lowest over each point."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
@@ -326,23 +329,21 @@ def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, say: Say) -> 
     # bodies that touch share triangles: those that are there twice are taken once only if that leaves it closed
     mixed = np.sort(corners[..., 0] + MIX[0] * corners[..., 1] + MIX[1] * corners[..., 2])
     once = np.unique(mixed[:, 0] + MIX[0] * mixed[:, 1] + MIX[1] * mixed[:, 2], return_index=True)[1]
-    if (twice := len(corners) - len(once)) and _is_closed(corners[once], *beside):
-        say(f"warning: {path}: {twice:,} of its triangles are there twice: they are taken once")
-    elif not len(corners) or not _is_closed(corners, *beside):
+    for taken in (corners[once], corners):  # upright lines meet it an even number of times, but for cracks
+        count = sum(np.bincount(place, minlength=beside[1].size * beside[0].size) for place, _ in _met(taken, *beside))
+        if np.sum(count % 2) < MAX_CRACKS * np.sum(count > 0):
+            break
+    else:
         raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
+    if twice := len(corners) - len(taken):
+        notes.append(f"{path}: {twice:,} of its triangles are there twice: they are taken once")
     tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
     x, y = np.union1d(x, tip[0]), np.union1d(y, tip[1])
     outward, inward = (_lowest(corners[side], x, y) for side in (~faces_in, faces_in))
     heights, is_inward = np.minimum(outward, inward), inward < outward - 1e-6 * step
     if (share := is_inward.sum() / np.isfinite(heights).sum()) > MIN_INWARD:
-        say(f"warning: {path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
-    return Solid(x, y, np.where(is_inward, heights, outward) - tip[2], size[2], size[2] / factor)
-
-
-def _is_closed(corners: FloatArray, x: FloatArray, y: FloatArray) -> bool:
-    """Whether upright lines meet triangles an even number of times, but for cracks."""
-    count = sum(np.bincount(place, minlength=len(y) * len(x)) for place, _ in _met(corners, x, y))
-    return bool(np.sum(count % 2) <= MAX_CRACKS * np.sum(count > 0))
+        notes.append(f"{path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
+    return Solid(x, y, np.where(is_inward, heights, outward) - tip[2], size[2], size[2] / factor, tuple(notes))
 
 
 def _lowest(corners: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:

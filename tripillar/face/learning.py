@@ -319,6 +319,8 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, tools: "list[sta
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
+    for note in (note for tool in tools for note in tool.notes):
+        caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
     made_from = {} if twin is None else {"twin": twin.decoder_hash}

@@ -126,8 +126,8 @@ def press(
     if picture is not None:
         stages.draw_contact(contact, Path(picture))
     caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
-    if warning is not None:
-        caller.say(f"warning: {warning}")
+    for note in (*indenter.notes, *([] if warning is None else [warning])):
+        caller.say(f"warning: {note}")
     if is_linear and contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
@@ -190,7 +190,7 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
 def read_tool(path: File, turn_deg: Turn = None, unit: str | None = None, scale: float | None = None) -> "stages.Solid":
     """The indenter of a file."""
     turned = _numbers("turn_deg", turn_deg or 0.0, "one about z or three angles, such as 180,0,45", "0,0,{}")
-    return stages.read_solid(Path(path), unit, 1.0 if scale is None else scale, turned, current().say)
+    return stages.read_solid(Path(path), unit, 1.0 if scale is None else scale, turned)
 
 
 def _numbers(name: str, given: Any, like: str = "two numbers, such as 7.5,-3", alone: str = "") -> Any:
