@@ -21,6 +21,7 @@ from geometry.layout import FloatArray
 MAX_MM = 1e4  #: of a radius or a length
 MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
 UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
+TOOL_FILES = (".stl", ".obj", ".ply", ".step", ".stp")
 USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
 MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
 STEP_SHARE, STEP_ANGLE, STEP_S = 2e-5, 0.05, 50.0  #: of triangles off its surfaces: of its size, [rad]; to wait [s]
@@ -51,11 +52,7 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
-    notes, high_mm, in_file = (
-        (),
-        np.inf,
-        np.inf,
-    )  #: of its highest point above its lowest one, and that in numbers of its file
+    high_mm = in_file = np.inf  #: of its highest point above its lowest one, and that in numbers of its file
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -252,8 +249,8 @@ def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg
         raise ShapeError(f"unit={unit} must be {', '.join(UNITS)}, and left out of STEP files, which state it.")
     if not 0 < scale < np.inf or not np.abs(turn_deg).max() <= 360:
         raise ShapeError(f"scale={scale:g} must be above 0, and angles of turn_deg= from -360 to 360 degrees.")
-    if not path.is_file():
-        raise ShapeError(f"{path}: there is no such file: give an STL, OBJ, PLY or STEP file of a closed surface.")
+    if not path.is_file() or ending not in TOOL_FILES:
+        raise ShapeError(f"{path}: there is no such file, or it is none of a closed surface in STL, OBJ, PLY or STEP.")
     if path.stat().st_size > MAX_BYTES[is_step]:
         raise ShapeError(f"{path}: over {MAX_BYTES[is_step] / 1e6:g} MB: leave out what does not press.")
     notes: list[str] = []
@@ -266,15 +263,12 @@ def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg
     except ShapeError:
         raise
     except Exception:  # their readers raise of many kinds
-        raise ShapeError(
-            f"{path}: damaged, cut off, too complex, or no {ending[1:].upper()}: export it again."
-        ) from None
+        raise ShapeError(f"{path}: damaged, cut off, too large, or no {ending[1:].upper()}: export it again.") from None
     if not 0 < len(triangles) <= MAX_TRIANGLES or not np.abs(triangles).max() < FAR:
         raise ShapeError(f"{path}: holds no triangles, over {MAX_TRIANGLES:,}, or corners without a place.")
     large = np.ptp(triangles, axis=(0, 1)).max()
     if unit is None and scale == 1.0 and not is_step and not USUAL_MM[0] <= large <= USUAL_MM[1]:
-        fit = f"{proposed_units(large)}, or unit=mm if it is so"
-        raise ShapeError(f"{path}: a tool of {large:.3g} mm, if its numbers are mm: give {fit}.")
+        raise ShapeError(f"{path}: {large:.3g} mm large if in mm: give {proposed_units(large)}, or unit=mm if so.")
     turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
     factor = scale * UNITS[unit or "mm"]
     return _solid_of(turned * factor, factor, path, notes)
@@ -290,13 +284,12 @@ def proposed_units(extent: float, least_mm: float = 0.0) -> str:
 def _of_mesh(path: Path, ending: str, notes: list[str]) -> FloatArray:
     """Triangles (n, 3 corners, 3) of a file of triangles."""
     data = path.read_bytes()
-    is_text, is_stl = b"\0" not in data, ending == "stl"
-    if is_text and re.search(rb"\d,\d", data):
+    if (is_text := b"\0" not in data) and re.search(rb"\d,\d", data):
         notes.append(f"{path}: its decimal commas are read as points")
         data = data.replace(b",", b".")
-    if is_stl and is_text:
+    if ending == "stl" and is_text:
         return np.array(VERTEX.findall(data)).astype(float).reshape(-1, 3, 3)
-    if is_stl:
+    if ending == "stl":
         stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
         if there < stated <= 1000 * there:
             raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")

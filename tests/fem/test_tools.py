@@ -134,10 +134,10 @@ def test_bodies_that_touch_or_overlap_are_solids(tmp_path: Path):
 
 BALL, PUNCH = tool("ball"), tool("punch")
 REFUSED = {
-    "m.stl": (BALL.copy().apply_scale(1e-3), r"a tool of 0.016 mm.*give unit=m \(16 mm\), or unit=mm"),
+    "m.stl": (BALL.copy().apply_scale(1e-3), r"0.016 mm large.*give unit=m \(16 mm\), or unit=mm"),
     "inch.obj": (BALL.copy().apply_scale(1 / 25.4), r"unit=cm \(6.3 mm\) or unit=inch \(16 mm\)"),
-    "cm.ply": (BALL.copy().apply_scale(0.1), r"a tool of 1.6 mm.*unit=cm \(16 mm\)"),
-    "um.stl": (BALL.copy().apply_scale(1e3), "a tool of 1.6e\\+04 mm.* its unit= or scale="),
+    "cm.ply": (BALL.copy().apply_scale(0.1), r"1.6 mm large.*unit=cm \(16 mm\)"),
+    "um.stl": (BALL.copy().apply_scale(1e3), "1.6e\\+04 mm large.* its unit= or scale="),
     "cut.stl": (BALL.export(file_type="stl")[:40_000], "cut off: it holds 798 of 1,280 triangles"),
     "words.stl": (text(BALL)[:50_000], "damaged, cut off|not closed"),
     "facets.stl": (text(BALL).rpartition("facet normal")[0][:-9_000].rpartition("facet normal")[0], "not closed"),

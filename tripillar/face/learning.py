@@ -162,7 +162,7 @@ def train(
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, [read_tool(file, turn_deg, unit, scale) for file in shape or ()])
+        return _touch_decoder(design, path, shape or (), turn_deg, unit, scale)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -304,7 +304,9 @@ def _cross_validated(
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
-def _touch_decoder(source: DesignLike | None, out: Path | None, tools: "list[stages.Solid]") -> "stages.TouchDecoder":
+def _touch_decoder(
+    source: DesignLike | None, out: Path | None, shapes: Sequence[File], *tool: Any
+) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
@@ -315,11 +317,12 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, tools: "list[sta
             f"than {stages.LARGE_SHARE:g} of the slab's height, {stages.LARGE_SHARE * design.unit.height_mm:g} mm, are "
             "beyond it"
         )
-    if is_plated and tools:
+    if is_plated and shapes:
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    for note in (note for tool in tools for note in tool.notes):
+    solids = [read_tool(shape, *tool) for shape in shapes]
+    for note in (note for solid in solids for note in solid.notes):
         caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design) if twin is None else stages.Pillars.identified(twin.read_decoder())
@@ -335,8 +338,8 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, tools: "list[sta
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
-        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(tools))
-        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), tools)
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+        library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
         made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)
         result = {"presses": len(library.presses.size), "rows": len(library.source)}

@@ -19,7 +19,6 @@ else:
     Indenter = Pair = Turn = str
 
 Unit = Literal["mm", "cm", "m", "inch"]
-FILES = (".stl", ".obj", ".ply", ".step", ".stp")
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 USUAL_DEPTH = 0.05  #: of the slab's height
 #: at a fifth to a third of the height, from `studies.bench.peers.finite_contact`
@@ -126,7 +125,7 @@ def press(
     if picture is not None:
         stages.draw_contact(contact, Path(picture))
     caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
-    for note in (*indenter.notes, *([] if warning is None else [warning])):
+    for note in (*getattr(indenter, "notes", ()), *([warning] if warning else [])):
         caller.say(f"warning: {note}")
     if is_linear and contact.steepness > MAX_STEEPNESS:
         caller.say(
@@ -167,9 +166,11 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
     if not isinstance(shape, Path | str):
         return shape
     kind = str(shape)
-    is_file = kind.lower().endswith(FILES)
+    is_file = kind.lower().endswith(stages.TOOL_FILES)
     if not is_file and kind not in SIZES:
-        raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(FILES)}.")
+        raise DesignError(
+            f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(stages.TOOL_FILES)}."
+        )
     takes = ("turn_deg", "unit", "scale") if is_file else SIZES[kind]
     if surplus := [size for size in given if size not in takes]:
         listed = " and ".join(f"{size}=" for size in takes) or "no sizes"

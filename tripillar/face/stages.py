@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from fem.contact import (
         Contact, Cylinder, Flat, Shape, Solid, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
     )  # fmt: skip
+    from fem.contact.shapes import TOOL_FILES
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.kernel.newton import Stopped
