@@ -27,6 +27,7 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )  # fmt: skip
+from tripillar.face.pressing import Turn, Unit, read_tool
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -63,6 +64,9 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
+    turn_deg: Turn = None,
+    unit: Unit | None = None,
+    scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
@@ -90,7 +94,13 @@ def train(
         solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
         plates, 10 seconds.
     shape : list of path, optional
-        STL files of tools that press: a decoder of touches knows them as well.
+        Files of tools that press, as of 'press': a decoder of touches knows them as well.
+    turn_deg : float or str, optional
+        Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
+    unit : str, optional
+        Unit of their files' numbers.
+    scale : float, optional
+        How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
     net : str
@@ -146,10 +156,12 @@ def train(
     True
     """
     caller, path = current(), None if out is None else Path(out)
+    if not (shape or turn_deg is unit is scale is None):
+        raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, shape or ())
+        return _touch_decoder(design, path, shape or (), turn_deg, unit, scale)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -291,7 +303,9 @@ def _cross_validated(
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
-def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
+def _touch_decoder(
+    source: DesignLike | None, out: Path | None, shapes: Sequence[File], *tool: Any
+) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
@@ -306,7 +320,9 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    solids = [stages.read_solid(Path(shape)) for shape in shapes]
+    solids = [read_tool(shape, *tool) for shape in shapes]
+    for note in (note for solid in solids for note in solid.notes):
+        caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design)
     if twin is not None:

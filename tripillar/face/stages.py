@@ -62,8 +62,9 @@ if TYPE_CHECKING:
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
     from fem.contact import (
-        Contact, Cylinder, Flat, Shape, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
+        Contact, Cylinder, Flat, Shape, Solid, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
     )  # fmt: skip
+    from fem.contact.shapes import TOOL_FILES
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.kernel.newton import Stopped
