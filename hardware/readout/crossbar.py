@@ -22,6 +22,7 @@ from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires
 
+HALF_STEP = 0.5  #: count that 0 stands for where no circuit lies between it and the reading
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
 STEP_SHARE = 0.01  #: tolerance of apparent conductances, as a fraction of the converter's step
 EXACT = 1e-9  #: their relative tolerance where there is no converter
@@ -75,6 +76,8 @@ class Crossbar:
     - FOUR_WIRE: the same circuit, and taps at the pillar's own electrodes, each with a switch, whose voltage is the
       converter's reference. x = −A R_s / (1 + A) · N_cr / (K_rr − K_cr), K = (1 + R L)⁻¹. Neither switches and wires in
       the current's way nor contacts show; what is left is what other rows' pillars carry.
+
+    - PLAIN: no circuit, x = R / R_s; no count but full scale is a bound, and 0 stands for half a step.
 
     N is the admittance matrix between the ends of the wires: N = L (1 + R L)⁻¹, L the conductance matrix (Laplacian) of
     the pillars alone and R the diagonal of series resistances.
@@ -183,6 +186,8 @@ class Crossbar:
         >>> ideal.readings(np.full((1, 1, 1, 3), 10e3)).round(6).tolist()
         [[0.5, 0.5, 0.5]]
         """
+        if self.scan_mode == ScanMode.PLAIN:
+            return 1.0 / self.conductances(resistance_ohm) / self.sense_ohm
         y = self.apparent_of(self.conductances(resistance_ohm))
         if self.scan_mode == ScanMode.DIVIDER:
             return self.sense_ohm / (self.sense_ohm + 2.0 * (self.switch_ohm + self.line_ohm) + 1.0 / y)
@@ -216,6 +221,8 @@ class Crossbar:
         Such a count is taken as the nearest one inside, 1 or full scale − 1; any shape.
         """
         full_scale = self._required_full_scale()
+        if self.scan_mode == ScanMode.PLAIN:
+            return np.maximum(counts, HALF_STEP) / full_scale, counts >= full_scale
         inside = np.minimum(np.maximum(counts, 1), full_scale - 1)
         return inside / full_scale, inside != counts
 
@@ -226,6 +233,8 @@ class Crossbar:
 
     def uncorrected(self, readings: Array) -> Array:
         """Resistances (n, rows, cols, P) [Ω] with each crossing taken as read alone, by perfect switches."""
+        if self.scan_mode == ScanMode.PLAIN:
+            return self.as_pillars(self.sense_ohm * readings)
         if self.is_amplified:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars((self.sense_ohm / readings - self.sense_ohm).clip(MIN_OHM, None))
@@ -240,6 +249,8 @@ class Crossbar:
             return np.zeros(resistance_ohm.shape[1:])
         x = self.readings(resistance_ohm)[0]
         by_reading = 1.0 / x  # d log y / dx
+        if self.scan_mode == ScanMode.PLAIN:
+            return self.as_pillars(by_reading / (self.full_scale * math.sqrt(12.0)))
         if self.scan_mode == ScanMode.DIVIDER:
             by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
         g = self.conductances(resistance_ohm)
@@ -346,6 +357,8 @@ class Corrector:
 
     def __init__(self, crossbar: Crossbar) -> None:
         self.crossbar = crossbar
+        if crossbar.scan_mode == ScanMode.PLAIN:
+            return
         self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
         equal = np.full((1, len(crossbar.ends[0])), EQUAL_SIEMENS)
         apparent, jacobian = self._jacobian(np.log(equal))
@@ -357,6 +370,8 @@ class Corrector:
 
         Readings are shares of full scale, above 0 and, with a divider, below 1.
         """
+        if self.crossbar.scan_mode == ScanMode.PLAIN:
+            return self.crossbar.uncorrected(readings)
         xp, apparent = namespace(readings), self.crossbar.apparent_conductances(readings)
         if not len(apparent):
             return self.crossbar.as_pillars(apparent)

@@ -13,8 +13,10 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -24,7 +26,8 @@ from cobs import cobs
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
-from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
+from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, encode, pack, packed_dtype, unpack
+from hardware.link.lines import LineDecoder, framed, ranged
 from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
@@ -199,8 +202,8 @@ def _json(content: bytes) -> dict[str, Any]:
     return plain if isinstance(plain, dict) else {}
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent.
+def read_recording(path: Path, stated: Info | None = None) -> Recording:
+    """Read a recording, whatever its name: a recorder's file, or the bytes or, of the board that is `stated`, its lines.
 
     Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
     recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
@@ -213,9 +216,30 @@ def read_recording(path: Path) -> Recording:
                     f"{path}: an export for other programs, which is not read back: give the recording (.frames)."
                 )
             file.seek(0)
-            return _read(file, str(path))
+            return _read(file, str(path)) if stated is None else _read_lines(file, stated, str(path))
     except OSError as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a recording.") from error
+
+
+def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
+    decoder = LineDecoder([stated])
+    pieces = chain(iter(partial(file.read, _PIECE_BYTES), b""), [b"\n"])
+    numbers = np.array([each for piece in pieces for each in decoder.matrices(piece)])
+    if not len(numbers):
+        raise FileFormatError(
+            f"{source}: no line of {stated.rows} × {stated.cols} numbers from 0 on, and no {stated.rows} lines of "
+            f"{stated.cols}: correct rows= and cols=, or leave them out for a recording (.frames)."
+        )
+    time_s = np.arange(len(numbers)) / stated.rate_hz
+    if np.isfinite(decoder.clocks).all() and (step := float(np.median(np.diff(decoder.clocks)))) > 0:
+        unit_s = 1.0 if np.mod(decoder.clocks, 1.0).any() else 1e-3
+        time_s = unit_s * (np.array(decoder.clocks) - decoder.clocks[0])
+        stated = replace(stated, rate_hz=min(max(round(1.0 / (unit_s * step)), 1), 1000))
+    info = ranged(stated, numbers)
+    times_us = np.rint(1e6 * time_s).astype(int).tolist()
+    frames = (framed(info, each, k, time_us) for k, (each, time_us) in enumerate(zip(numbers, times_us, strict=True)))
+    found = parse_recording(b"".join(map(encode, (info, *frames))), source)
+    return replace(found, statistics=replace(found.statistics, bad_form=decoder.statistics.bad_form))
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:
@@ -290,7 +314,7 @@ def _common_header(stated: list[Header], n: int, size: int, source: str) -> Head
         found = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
         raise FileFormatError(
             f"{source}: {found if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
-            "rate, with the answer to '?' first."
+            "rate, with the answer to '?' first; of a log of plain numbers, rows= and cols= of them."
         )
     if not n:
         raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")

@@ -39,6 +39,7 @@ Component = Literal["fz", "fx", "fy", "all"]
 Feature = Literal["auto", "inverse", "root", "resistance"]
 GOAL = Flag(name=("--goal",))
 ITERATIONS = Flag(name=("--iterations",))
+AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -164,7 +165,7 @@ def train(
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
-    model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
+    model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(samples)), caller.bars.seconds()
     if path is not None:
         stages.write_model(model, path)
     _mention_untrusted(model)
@@ -352,6 +353,16 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     if any(each.is_finite.any() for each in several):  # these learn from displacements, too
         several = [samples_of(each, labels_only=False) for each in sources]
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
+
+
+def _at_rest(samples: "stages.AnySamples") -> dict[str, Any]:
+    """Resistances of samples without a load, where nothing else says what the sensor shows at rest."""
+    if samples.design is not None:
+        return {}
+    whole = stages.in_memory(samples)
+    largest_n = np.abs(whole.force_n).max(axis=(1, 2, 3))
+    idle = largest_n <= AT_REST * largest_n.max()
+    return {"rest_ohm": np.median(whole.resistance_ohm[idle], axis=0).tolist()} if idle.any() else {}
 
 
 def _mention_untrusted(model: "stages.Decoupler") -> None:

@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from hardware.boards.sensor_header import sensor_header
     from hardware.boards.python_board import NO_TERMINALS
     from hardware.link.frames import Info
+    from hardware.link.lines import matrix_info
     from hardware.link.reception import LinkStatistics
     from hardware.link.serial_ports import require_symlink, symlinked
     from hardware.readout.averaging import averaged, require_still
