@@ -10,8 +10,8 @@ import numpy as np
 
 from common.errors import DesignError, require_type
 from decoupler.model.settings import Net, Trainer
-from geometry.design import SensorDesign
-from geometry.layout import require_told, told_by_tilt
+from geometry.design import SensorDesign, Unit
+from geometry.layout import require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -86,7 +86,7 @@ def train(
         Data set to train on, not with touch; several of one sensor, linear and at finite strain, count as one. Leave
         samples for tests out; of more than 20,000 a random draw is learned from.
     component : str, optional
-        Forces that the network tells, along one axis or all; default: those that act.
+        Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
         solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
@@ -386,6 +386,8 @@ def _checked(
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
     network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.acting_component(samples.force_n)
+    if component is None and named == "all" and untold(Unit(layout=samples.layout)):
+        named = "fz"
     parts, is_automatic = stages.component_named(named), feature == "auto"
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
@@ -416,7 +418,7 @@ def _checked(
 
 
 def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:
-    return samples.shape == (design.array.rows, design.array.cols)
+    return (*samples.shape, samples.layout) == (design.array.rows, design.array.cols, design.unit.layout)
 
 
 def _response(

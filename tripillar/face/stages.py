@@ -121,7 +121,7 @@ if TYPE_CHECKING:
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, untold
+    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, told, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject
