@@ -13,7 +13,7 @@ from dataset.samples import SampleError
 from decoupler.data.columns import Columns, component_named
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from decoupler.training.suited import suited_training
+from decoupler.training.suited import suited
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -58,8 +58,8 @@ def cross_validate(
     The seed also shuffles the samples, of which there are at least two a fold. `progress` is called with the number of
     each fold as it ends, in whatever order. Folds come in order, the same however many processes there are.
     """
-    parts, network, training = suited_training(data, component, network, training, response)
-    return in_parallel(jobs_of(data, parts.name, network, training, folds, response), progress)
+    columns, network, training, _ = suited(data, component, network, training, response)
+    return in_parallel(jobs_of(data, columns.component.name, network, training, folds, response), progress)
 
 
 def jobs_of(

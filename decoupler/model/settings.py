@@ -9,7 +9,7 @@ from common.errors import DesignError, TriPillarError
 from common.quantity import Sound, quantity
 
 Net = Literal["plain", "skip", "convolution"]
-Feature = Literal["resistance", "root", "inverse"]
+Feature = Literal["auto", "inverse", "root", "resistance"]
 MAX_HIDDEN = 1000  #: nodes; the Gauss-Newton matrix of a 36-input network then takes 11 GB
 Progress = Callable[[int, float], None]  #: called with the iteration and its mean squared error
 Trainer = Literal["varpro", "lm", "momentum"]
@@ -43,8 +43,8 @@ class NetworkConfig(Sound):
 
     hidden: int = quantity(17, "hidden nodes: the paper's best; its eq. 16 gives 10 to 19", within=(0, MAX_HIDDEN))
     net: Net = quantity("skip", "plain is the paper's; skip adds a linear map of the inputs", of=get_args(Net))
-    #: √R is proportional to a pillar's length
-    feature: Feature = quantity("root", "inputs: R, √R, or the response's own inverse", of=get_args(Feature))
+    #: √R is proportional to a pillar's length; auto is the inverse of a response that explains the samples, else √R
+    feature: Feature = quantity("auto", "inputs: R, √R, or the response's own inverse", of=get_args(Feature))
 
     def __post_init__(self) -> None:
         super().__post_init__()

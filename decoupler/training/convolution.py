@@ -1,12 +1,12 @@
 """A network whose hidden layer is a convolution: every unit has the same nodes, which see it and its neighbours."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import namespace
+from decoupler.data.columns import eye, namespace
 from decoupler.inverse.strain_maps import units_around
 from decoupler.model.network import Network, Outcome, Task
 from geometry.layout import FloatArray
@@ -24,30 +24,33 @@ class Convolution(Network):
         """By L-BFGS on the kernel, with the last layer that is best for each: variable projection."""
         import torch
 
+        from decoupler.training.weights import one_torch_thread
+
         rows, cols = task.shape
-        near, n_hidden, training = units_around(rows, cols, 1, rows * cols), task.form.hidden, task.training
+        near, training = units_around(rows, cols, 1, rows * cols), task.training
         seen = 9 * task.inputs.shape[1] // len(near) + 1
-        start = np.random.default_rng(training.seed).normal(scale=seen**-0.5, size=(n_hidden, seen))
-        X, Y = torch.from_numpy(task.inputs), torch.from_numpy(task.targets)
-        kernel = torch.from_numpy(start).requires_grad_()
+        start = np.random.default_rng(training.seed).normal(scale=seen**-0.5, size=(task.form.hidden, seen))
+        X, Y, kernel = (torch.from_numpy(values) for values in (task.inputs, task.targets, start))
+        found: Any = cls(output=task.targets, kernel=kernel.requires_grad_(), near=near)  # type: ignore[arg-type]
         optimiser = torch.optim.LBFGS([kernel], max_iter=training.max_iterations, line_search_fn="strong_wolfe")
         errors = list[float]()
 
-        def projected() -> tuple[torch.Tensor, torch.Tensor]:
-            A = cls(output=Y, kernel=kernel, near=near).activations(X)
-            W = torch.linalg.solve(A.T @ A + task.ridge * torch.eye(A.shape[1], dtype=A.dtype), A.T @ Y)
+        def projected() -> Any:
+            A = found.activations(X)
+            W = torch.linalg.solve(A.T @ A + task.ridge * eye(A.shape[1], A), A.T @ Y)
             return W, ((A @ W - Y) ** 2).mean()
 
-        def closure() -> torch.Tensor:
+        def closure() -> float:
             optimiser.zero_grad()
             _, mse = projected()
             mse.backward()
             errors.append(mse.item())
             task.progress(len(errors) - 1, errors[-1])
-            return mse
+            return errors[-1]
 
-        optimiser.step(closure)
-        W, mse = (values.detach() for values in projected())
+        with one_torch_thread(), torch.enable_grad():
+            optimiser.step(closure)
+            W, mse = (values.detach() for values in projected())
         network = cls(output=W.numpy().T.copy(), kernel=kernel.detach().numpy(), near=near)
         return network, Outcome(len(errors) - 1, mse.item(), "iterations")
 

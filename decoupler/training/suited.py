@@ -3,7 +3,9 @@
 Loads no torch.
 """
 
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +14,14 @@ from common.errors import require_type
 from dataset.samples import SampleError, Samples, require_samples
 from decoupler.data.columns import Columns, Component, acting_component, component_named
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.model.settings import Feature, Net, NetworkConfig, TrainingConfig
+from decoupler.model.network import form_named
+from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
+DRIFTS = 1  #: number of the stream of random drifts that the readings are given beside their own
 #: smallest share of the lengths' variance that a sensor's own response explains: one with pads a third smaller
 #: explains 0.83, with pads an eighth smaller 0.99; noise of 1 % leaves 0.93 and more
 MIN_EXPLAINED = 0.9
@@ -31,16 +35,27 @@ MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which
 NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
-def suited_training(
+class Suited(NamedTuple):
+    """What a training learns, and how."""
+
+    columns: Columns
+    form: NetworkConfig
+    training: TrainingConfig
+    forward: SensorModel | None  #: the response, for the feature `inverse` alone
+
+
+def suited(
     data: Samples,
     component: str | None,
     network: NetworkConfig | None,
     training: TrainingConfig | None,
     response: "ArrayResponse | None",
-) -> tuple[Component, NetworkConfig, TrainingConfig]:
-    """Complete what a training is asked for with what suits the samples where None is given.
+) -> Suited:
+    """Complete what a training is asked for with what suits the samples, and take what it learns from them.
 
-    An argument of another type is an `ArgumentError`.
+    A sample that is given twice counts once, readings are given the drifts that the design states, and pillars that do
+    not follow their loads are taken for dead. The feature `auto` is `inverse` for a network that sees its inputs if the
+    response explains linear samples, else `root`. An argument of another type is an `ArgumentError`.
     """
     require_samples("data", data)
     if network is not None:
@@ -48,20 +63,20 @@ def suited_training(
     if training is not None:
         require_type("training", training, TrainingConfig, "say how to train, or give None")
     parts = component_named(acting_component(data.force_n) if component is None else component)
-    if network is None:
-        network = NetworkConfig(feature=suited_feature(data, parts, "skip", response))
-    return parts, network, TrainingConfig() if training is None else training
-
-
-def suited_feature(data: Samples, component: Component, net: Net, response: "ArrayResponse | None") -> Feature:
-    """`inverse` for a skip net if the response explains the samples, else `root`."""
-    if net != "skip" or response is None or data.is_finite.any():
-        return "root"
-    try:
-        explaining(response, without_stuck(Columns.of(data, component), SensorModel.of(response, component)))
-    except SampleError:
-        return "root"
-    return "inverse"
+    form, training, forward = network or NetworkConfig(), training or TrainingConfig(), None
+    data = data[Columns.of(data, parts).distinct()]
+    if len(data) < 2:
+        raise SampleError(f"{len(data)} samples cannot train a network: give at least 2 that differ.")
+    columns = Columns.of(data.drifted(np.random.default_rng([training.seed, DRIFTS])), parts)
+    columns = without_stuck(columns, None if response is None else SensorModel.of(response, parts))
+    if form.feature == "inverse":
+        forward = explaining(response, columns)
+    elif form.feature == "auto" and response is not None and not data.is_finite.any():
+        with suppress(SampleError):
+            forward = explaining(response, columns) if form_named(form.net).sees_inputs else None
+    if form.feature == "auto":
+        form = replace(form, feature="root" if forward is None else "inverse")
+    return Suited(columns, form, training, forward)
 
 
 def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.threads import one_blas_thread
-from dataset.samples import AnySamples, SampleError
+from dataset.samples import AnySamples
 from decoupler.data.columns import Columns, Scaling
 from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
@@ -21,14 +21,13 @@ from decoupler.model_file import model_cache_key
 from decoupler.solve import best_ridge
 from decoupler.training.error_bars import MIN_FREEDOM, fitted_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
-from decoupler.training.suited import explaining, suited_training, without_stuck
+from decoupler.training.suited import suited
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
-DRIFTS = 1  #: number of the stream of random drifts that the readings are given beside their own
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
@@ -55,12 +54,12 @@ def train(
     component : str, optional
         fz, fx, fy or all; default: the forces that act.
     network : NetworkConfig, optional
-        Default: a skip net of 17 hidden nodes, which starts from the response if one is given that explains the data.
+        Default: a skip net of 17 hidden nodes; its feature `auto` starts from a response that explains the data.
     training : TrainingConfig, optional
     progress : callable
         Called as progress(iteration, mse) once an iteration; mse is of the outputs scaled to [-1, 1].
     response : ArrayResponse, optional
-        Of the sensor; the feature `inverse` needs it, the others do not heed it.
+        Of the sensor; the feature `inverse` needs it, `auto` takes it if it explains the data.
     judged : bool
         Find the uncertainty of its forces, too, which takes a third of the time.
 
@@ -80,25 +79,21 @@ def train(
     draw is learned from: more would change the errors by half a percent.
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
-    given, data = data, drawn(data, seed)
-    parts, network, training = suited_training(data, component, network, training, response)
-    if data.is_finite.any() and parts.name == "all" and response is not None:
-        data = data[data.is_finite]
-        trained: Decoupler = trained_at_strain(data, response, training, progress)
+    few = drawn(data, seed)
+    asked = suited(few, component, network, training, response)
+    n, name = len(asked.columns), asked.columns.component.name
+    if few.is_finite.any() and name == "all" and response is not None:
+        few = few[few.is_finite]
+        n = len(few)
+        trained: Decoupler = trained_at_strain(few, response, asked.training, progress)
     else:
-        data = data[Columns.of(data, parts).distinct()]
-        if len(data) < 2:
-            raise SampleError(f"{len(data)} samples cannot train a network: give at least 2 that differ.")
-        columns = Columns.of(data.drifted(np.random.default_rng([seed, DRIFTS])), parts)
-        columns = without_stuck(columns, None if response is None else SensorModel.of(response, parts))
-        forward = explaining(response, columns) if network.feature == "inverse" else None
-        trained = fitted_network(columns, network, training, data.design, forward, progress, judged)
+        trained = fitted_network(*asked[:3], few.design, asked.forward, progress, judged)
     story = {
-        "recipe": model_cache_key(given, parts.name, network, training, response),
-        "data_hash": given.content_hash,
-        "n_samples": len(data),
+        "recipe": model_cache_key(data, name, asked.form, asked.training, response),
+        "data_hash": data.content_hash,
+        "n_samples": n,
     }
-    of_twin = {name: data.made_from[name] for name in ("twin",) if name in data.made_from}
+    of_twin = {name: few.made_from[name] for name in ("twin",) if name in few.made_from}
     return replace(trained, made_from=of_twin | trained.made_from | story)
 
 

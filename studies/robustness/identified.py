@@ -68,7 +68,7 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
     for count in COUNTS:
         start = process_time()
         given = Pairs.of(pairs[:count])
-        twin = identify(given, response, sensitivities, "all", at_strain=own.posterior)
+        twin = identify(given, response, sensitivities, "all", at_strain=getattr(own, "posterior", None))
         seconds = process_time() - start
         rows.append(row(count, assess(twin.decoder, test, None), seconds))
     return rows

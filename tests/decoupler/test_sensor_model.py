@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dataset.resistance import conducted_lengths
-from decoupler import SampleError, component_named
+from decoupler import NetworkConfig, SampleError, component_named
 from decoupler.data.columns import COMPONENTS, Columns, force_columns
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
-from decoupler.training.suited import explaining, suited_feature
+from decoupler.training.suited import explaining, suited
 from fem.array.response import ArrayResponse, ConductedPillars
 from geometry.layout import pillar_ends
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
@@ -97,6 +97,10 @@ def test_the_feature_needs_a_response_that_explains_the_data():
     ):
         with pytest.raises(SampleError, match=said):
             explaining(given, data)
-    assert suited_feature(DATA, ALL, "skip", RESPONSE) == "inverse"
-    others = (DATA, "plain", RESPONSE), (DATA, "skip", None), (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE)
-    assert [suited_feature(data, ALL, net, given) for data, net, given in others] == ["root"] * 3
+    for data, net, given, feature in (
+        (DATA, "skip", RESPONSE, "inverse"),
+        (DATA, "plain", RESPONSE, "root"),
+        (DATA, "skip", None, "root"),
+        (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE, "root"),
+    ):
+        assert suited(data, "all", NetworkConfig(net=net), None, given).form.feature == feature

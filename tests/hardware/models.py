@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dataset.measurement import ReadingError
 from decoupler.data.columns import COMPONENTS, Scaling
 from decoupler.model.decoder import Decoder
 from geometry.layout import SONG2018
@@ -13,10 +14,11 @@ INFO = Info(rows=2, cols=3, bits=16, scan_mode=ScanMode.ZERO_POTENTIAL, sense_oh
 
 
 class Unknown(Decoder):
-    """What a model says of itself that knows no design, no uncertainty and no loads."""
+    """What a model says of itself that knows no design and no loads, and does not err."""
 
     component = COMPONENTS["all"]
-    design = design_hash = dead = usual_ohm = usual_readings = errors = None
+    design = design_hash = usual_ohm = usual_readings = None
+    errors = ReadingError()
     is_identified = False
     made_from: ClassVar = {}
     layout = SONG2018
@@ -27,11 +29,15 @@ class Unknown(Decoder):
     def read_by(self, errors):
         return self
 
+    @property
+    def dead(self):
+        return np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
+
     def half_widths(self, resistance_ohm):
-        raise NotImplementedError
+        return (0.0 * self.forces(resistance_ohm),) * 2
 
     def deviations(self, resistance_ohm, weights, own=None):
-        raise NotImplementedError
+        return 0.0 * self.forces(resistance_ohm), np.zeros((len(resistance_ohm), *weights.shape[1:] * 2))
 
     def columns(self, resistance_ohm):
         return resistance_ohm.reshape(len(resistance_ohm), -1)

@@ -132,7 +132,6 @@ def test_what_does_not_belong_together_is_refused(info, model, calibration, mess
 
 def test_deviations_are_the_models_and_wider_where_the_board_reads_worse_than_in_training():
     """By what its converter's steps leave of a resistance at rest, beside the noise: their squares add up."""
-    assert ForceReader(INFO, Shares()).forces(counts_of([0.0])).deviation_n is None
     info = replace(INFO, scan_mode=ScanMode.DIVIDER, bits=10, sense_ohm=2_200)
     for noise in (1e-4, 1e-2, 0.1):
         reader = ForceReader(info, Shares(errors=ReadingError(noise=noise, bits=16)))

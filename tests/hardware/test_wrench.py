@@ -57,7 +57,7 @@ def test_a_board_s_net_moment_has_the_torques_of_plates():
     reader = ForceReader(info, decoder)
     found = reader.forces(reader.crossbar.counts(ohms))
     half = found.moment_deviation_nmm[0]
-    assert half[0] == pytest.approx(reader._uncertain.touches(found.resistance_ohm)[0].half_widths[0][:, 3:])
+    assert half[0] == pytest.approx(reader._decoder.touches(found.resistance_ohm)[0].half_widths[0][:, 3:])
     assert half[0, 1, 2] < 20.0
     assert found[0].moment_deviation_nmm.shape == (1, 2, 3)
     wrench = found.wrench

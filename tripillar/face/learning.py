@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from common.errors import DesignError, require_type
-from decoupler.model.settings import Net, Trainer
+from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign, Unit
 from geometry.layout import require_told, told_by_tilt, untold
 from tripillar.face import stages
@@ -36,7 +36,6 @@ else:
     Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
-Feature = Literal["auto", "inverse", "root", "resistance"]
 GOAL = Flag(name=("--goal",))
 ITERATIONS = Flag(name=("--iterations",))
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
@@ -385,10 +384,11 @@ def _checked(
 ) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     design = None if stated is None else design_of(stated)
-    network, named = stages.NetworkConfig(hidden=hidden, net=net), component or stages.acting_component(samples.force_n)
+    network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
+    named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
     if component is None and named == "all" and untold(Unit(layout=samples.layout)):
         named = "fz"
-    parts, is_automatic = stages.component_named(named), feature == "auto"
+    parts = stages.component_named(named)
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
@@ -398,9 +398,10 @@ def _checked(
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
-    if net == "skip" if is_automatic else feature == "inverse":
+    if feature == "inverse" or (is_automatic and net != "plain"):
         solved = _response(samples, name, sensor, response)
-    chosen = stages.suited_feature(samples, parts, net, solved) if feature == "auto" else feature
+    network = stages.suited(samples, named, network, None, solved).form
+    chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
@@ -414,7 +415,7 @@ def _checked(
     forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
     stages.mention(samples, name, parts, judge)
-    return named, replace(network, feature=chosen), solved, forced
+    return named, network, solved, forced
 
 
 def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from decoupler.touch.sensing import Pillars
     from decoupler.model.decoder import Decoder
     from decoupler.training.finite_strain import posterior_of
-    from decoupler.training.suited import suited_feature, without_stuck
+    from decoupler.training.suited import suited, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import LOADS, Twin, identify

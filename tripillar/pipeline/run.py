@@ -43,7 +43,7 @@ CAP = 0.3  #: largest pillar strain, the paper's wider one
 #: networks of the table by name
 NETWORKS = {
     "skip net from the response (ours)": (NetworkConfig(feature="inverse"), TrainingConfig()),
-    "skip net on √R, 36 nodes (ours)": (NetworkConfig(hidden=36), TrainingConfig()),
+    "skip net on √R, 36 nodes (ours)": (NetworkConfig(hidden=36, feature="root"), TrainingConfig()),
     "plain 17 (the paper's)": (
         NetworkConfig(hidden=17, net="plain", feature="resistance"),
         TrainingConfig(trainer="lm"),
