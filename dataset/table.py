@@ -89,7 +89,10 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
-        arrays = {name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64) for name, names in zip(LABELS, of_each, strict=True)}
+        arrays = {
+            name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
+            for name, names in zip(LABELS, of_each, strict=True)
+        }
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
@@ -115,4 +118,6 @@ def _header_of(path: Path) -> tuple[list[str], str]:
     separator = max(",;\t", key=line.count)
     names = [name.strip().strip('"') for name in line.split(separator)]
     short = [SHORT.fullmatch(name) for name in names]
-    return [LONG[one[1]].format(one[2], one[3]) if one else name for one, name in zip(short, names, strict=True)], separator
+    return [
+        LONG[one[1]].format(one[2], one[3]) if one else name for one, name in zip(short, names, strict=True)
+    ], separator

@@ -34,7 +34,14 @@ if TYPE_CHECKING:
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
-RECORDED = (".frames", ".nc", ".mcap", ".csv", ".txt", ".log")  #: endings of recordings, which do not appear by themselves
+RECORDED = (
+    ".frames",
+    ".nc",
+    ".mcap",
+    ".csv",
+    ".txt",
+    ".log",
+)  #: endings of recordings, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
 TOLD_S = 1.0  #: between two reports of a recording's progress
 taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone

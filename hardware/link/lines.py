@@ -1,7 +1,7 @@
 """Matrices as lines of numbers, as an Arduino prints and a logger keeps them: a board protocol, and logs in files.
 
 N × M numbers stand in a line, or M in each of N lines; words and blank lines between them do not count, and a number
-more in front of all is a clock. Nothing in them says what they are: without a converter's bits they are the readings
+more in front of all, or behind them in a file, is a clock. Nothing in them says what they are: without a converter's bits they are the readings
 that a model learned from, such as ohms.
 """
 
@@ -82,7 +82,6 @@ class LineDecoder:
     """
 
     def __init__(self, stated: list[Info]) -> None:
-        self.clocks: list[float] = []  #: the number in front of each matrix since `feed`; NaN without
         self._stated, self._info, self._is_told = stated, stated[0], False
         self._rest, self._rows = b"", list[FloatArray]()
         self._counted: Counter[str] = Counter()
@@ -94,17 +93,17 @@ class LineDecoder:
     def feed(self, data: bytes) -> list[Frame | Info | Errors]:
         """The frames that `data` completes, at the time of their arrival."""
         found: list[Frame | Info | Errors] = []
-        for numbers in self.matrices(data):
+        for whole in self.matrices(data):
+            numbers = whole[-self._info.rows * self._info.cols :]
             if not self._is_told:
                 self._stated[0] = self._info = ranged(self._info, numbers, ROOM)
                 self._is_told = True
                 found.append(self._info)
             found.append(framed(self._info, numbers, self._counted["ok"] - 1, time.perf_counter_ns() // 1000))
-        self.clocks.clear()
         return found
 
     def matrices(self, data: bytes) -> Iterator[FloatArray]:
-        """The numbers (n_units,) of each matrix that `data` completes; a line of fewer or more of them is damaged."""
+        """The numbers of each matrix that `data` completes, (n_units,) or with a clock beside them; others are damaged."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[-MAX_LINE:]
         for line in lines:
@@ -117,13 +116,10 @@ class LineDecoder:
         rows, cols, before, self._rows = self._info.rows, self._info.cols, self._rows, []
         if is_row := rows > 1 and len(numbers) == cols:
             numbers = np.concatenate([*before, numbers])
-        has_clock = len(numbers) == rows * cols + 1
-        units = numbers[has_clock:]
-        if is_row and len(units) < rows * cols:
+        if is_row and len(numbers) < rows * cols:
             self._rows = [numbers]
-        elif len(units) == rows * cols and 0.0 <= units.min() <= units.max() < np.inf:
-            self.clocks.append(float(numbers[0]) if has_clock else np.nan)
-            return units
+        elif len(numbers) - rows * cols in (0, 1) and 0.0 <= numbers.min() <= numbers.max() < np.inf:
+            return numbers
         else:
             self._counted["bad_form"] += bool(len(numbers) or before)
         return None

@@ -51,5 +51,7 @@ def spoken_on(port: str, stated: Info | None = None) -> tuple[BoardProtocol, str
     if protocol != "lines":
         return PROTOCOLS[protocol], url
     if stated is None:
-        raise DesignError(f"{port}: lines of numbers do not say how many units there are: give rows= and cols= of them.")
+        raise DesignError(
+            f"{port}: lines of numbers do not say how many units there are: give rows= and cols= of them."
+        )
     return replace(PROTOCOLS[protocol], decoder=partial(LineDecoder, [stated])), url

@@ -259,7 +259,7 @@ class ForceReader:
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
 
-        return FaultTest.of(self._decoder)
+        return None if self._decoder.design is None else FaultTest.of(self._decoder)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""

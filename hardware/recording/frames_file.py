@@ -224,22 +224,27 @@ def read_recording(path: Path, stated: Info | None = None) -> Recording:
 def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
     decoder = LineDecoder([stated])
     pieces = chain(iter(partial(file.read, _PIECE_BYTES), b""), [b"\n"])
-    numbers = np.array([each for piece in pieces for each in decoder.matrices(piece)])
+    matrices = [each for piece in pieces for each in decoder.matrices(piece)]
+    n_units, width = stated.rows * stated.cols, max(map(len, matrices), default=0)
+    numbers = np.array([each for each in matrices if len(each) == width])
     if not len(numbers):
         raise FileFormatError(
             f"{source}: no line of {stated.rows} × {stated.cols} numbers from 0 on, and no {stated.rows} lines of "
             f"{stated.cols}: correct rows= and cols=, or leave them out for a recording (.frames)."
         )
     time_s = np.arange(len(numbers)) / stated.rate_hz
-    if np.isfinite(decoder.clocks).all() and (step := float(np.median(np.diff(decoder.clocks)))) > 0:
-        unit_s = 1.0 if np.mod(decoder.clocks, 1.0).any() else 1e-3
-        time_s = unit_s * (np.array(decoder.clocks) - decoder.clocks[0])
-        stated = replace(stated, rate_hz=min(max(round(1.0 / (unit_s * step)), 1), 1000))
+    if width > n_units:
+        is_last = bool((np.diff(numbers[:, 0]) < 0).any() and (np.diff(numbers[:, -1]) >= 0).all())
+        clock, numbers = numbers[:, -is_last], numbers[:, :n_units] if is_last else numbers[:, 1:]
+        clock = (clock - clock[0]) * (1.0 if (clock % 1.0).any() else 1e-3)  # with decimals seconds, else milliseconds
+        if (step_s := float(np.median(np.diff(clock))) if len(clock) > 1 else 0.0) > 0:
+            time_s, stated = clock, replace(stated, rate_hz=min(max(round(1.0 / step_s), 1), 1000))
     info = ranged(stated, numbers)
     times_us = np.rint(1e6 * time_s).astype(int).tolist()
     frames = (framed(info, each, k, time_us) for k, (each, time_us) in enumerate(zip(numbers, times_us, strict=True)))
     found = parse_recording(b"".join(map(encode, (info, *frames))), source)
-    return replace(found, statistics=replace(found.statistics, bad_form=decoder.statistics.bad_form))
+    damaged = decoder.statistics.bad_form + len(matrices) - len(numbers)
+    return replace(found, statistics=replace(found.statistics, bad_form=damaged))
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:

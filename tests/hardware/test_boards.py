@@ -37,8 +37,6 @@ N = 60
 
 MAT = replace(INFO, cols=18, bits=16, scan_mode=ScanMode.PLAIN, rate_hz=100, serial=0, sense_ohm=65535)
 MAT = replace(MAT, layout=LAYOUTS["single"])  # whole numbers, one a unit
-    INFO, cols=18, bits=16, scan_mode=ScanMode.PLAIN, rate_hz=100, serial=0, sense_ohm=65535, layout=LAYOUTS["single"]
-)
 
 
 def a_line(k):
