@@ -160,9 +160,10 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
     Resistances and forces must be there; tractions, displacements and lengths may be missing, and `labels_only` leaves
-    them in the file. Axes may be unlabelled, x, y, z then; forces along one that is missing are 0. Pillars are those of the stated design; else those of the
-    ready layout that has their names; unlabelled ones are the paper's z, x, y. An attribute that is missing or makes no
-    sense counts as not stated. A file that is damaged or foreign, states another hash than its content's,
+    them in the file. Axes may be unlabelled, x, y, z then; without axes and pillars forces are along z. Pillars are
+    those of the stated design; else those of the ready layout that has their names; unlabelled ones are the paper's z,
+    x, y. An attribute that is missing or makes no sense counts as not stated. A file that is damaged or foreign, states
+    another hash than its content's,
     lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
@@ -210,19 +211,15 @@ def _variables(labels_only: bool) -> tuple[dict[str, Any], str, dict[str, Any], 
 
 
 def _completed(content: Content) -> Content:
-    """The same with forces of 0 along axes that are not there, and a single pillar named as it is on sensors of one."""
+    """The same with axes x, y, z and the pillar z where a file has one reading and one normal force a unit."""
     named, coords = dict(content.data_vars), dict(content.coords)
-    for name, dim in (("resistance_ohm", "pillar"), ("force_n", "axis")):
-        if dim not in named[name].dims:
-            named[name] = Named((*named[name].dims, dim), named[name].values[..., None], named[name].attrs)
-        if named[name].values.shape[-1] == 1 and dim not in coords:
-            coords |= labelled({dim: ["z"]})
-    given = [str(label) for label in coords["axis"].values] if "axis" in coords else []
-    if 0 < len(given) < len(AXES) and {*given} < {*AXES} and list(named) == list(LABELS):
-        values = np.zeros((*named["force_n"].values.shape[:-1], len(AXES)))
-        values[..., [AXES.index(axis) for axis in given]] = named["force_n"].values
-        named["force_n"] = Named(named["force_n"].dims, values, named["force_n"].attrs)
-        coords |= labelled({"axis": AXES})
+    for name, dim, before in (("resistance_ohm", "pillar", 0), ("force_n", "axis", 2)):
+        dims, values = named[name].dims, named[name].values
+        dims, values = (dims, values) if dim in dims else ((*dims, dim), values[..., None])
+        if values.shape[-1] == 1 and (dim not in coords or str(coords[dim].values[0]) == "z"):
+            values = np.pad(values, [*[(0, 0)] * (values.ndim - 1), (before, 0)])
+            coords |= labelled({dim: AXES[2 - before :]})
+        named[name] = Named(dims, values, named[name].attrs)
     return Content(data_vars=named, coords=coords, attrs=content.attrs)
 
 

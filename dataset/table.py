@@ -15,8 +15,7 @@ from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
 from geometry.layout import AXES, FloatArray, Layout
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
-SHORT = re.compile(r"([fr])_(\d+)_(\d+)")  #: the same of a sensor of one pillar and axis
-LONG = {"f": "force_{}_{}_z_n", "r": "resistance_{}_{}_z_ohm"}
+SHORT = {r"f_(\d+)_(\d+)": r"force_\1_\2_z_n", r"r_(\d+)_(\d+)": r"resistance_\1_\2_z_ohm"}  #: of sensors of one axis
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar; or f_0_0 and r_0_0"
 LEAST_COUNT = 0.5  #: that a whole number of 0 stands for among readings that are counts
 
@@ -68,8 +67,9 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """Forces (n, rows, cols, 3) [N] and resistances (n, rows, cols, n_pillars) [Ω] of a table, and its layout.
 
-    Other columns are left out; forces along axes that no column names are 0. Numbers between semicolons may have a decimal comma. A file that is missing, lacks a
-    column or holds what is no number is a `FileFormatError` that says which.
+    Other columns are left out, forces along an axis without columns are 0. Numbers between semicolons may have a
+    decimal comma. A file that is missing, lacks a column or holds what is no number is a `FileFormatError` that says
+    which.
     """
     import pandas as pd
 
@@ -79,9 +79,8 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
-    axes = {place[3] for place in places if place[4] == "n"} or {*AXES}
-    idle = {name for name in of_each[0] if name.split("_")[3] not in axes}
-    expected = [name for name in chain(*of_each) if name not in idle]
+    axes = {f"{place[3]}_n" for place in places if place[4] == "n"} or {f"{axis}_n" for axis in AXES}
+    expected = [name for name in chain(*of_each) if name.endswith(("_ohm", *axes))]
     missing = [name for name in expected if name not in header]
     if missing:
         size = f" of {rows} × {cols} units" if units else ""
@@ -97,9 +96,8 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
-    ohms = arrays["resistance_ohm"]
-    if (ohms == 0).any() and not (ohms % 1.0).any():
-        arrays["resistance_ohm"] = np.maximum(ohms, LEAST_COUNT)
+    if not (arrays["resistance_ohm"] % 1.0).any():
+        arrays["resistance_ohm"] = np.where(arrays["resistance_ohm"] == 0, LEAST_COUNT, arrays["resistance_ohm"])
     return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 
 
@@ -117,7 +115,6 @@ def _header_of(path: Path) -> tuple[list[str], str]:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     separator = max(",;\t", key=line.count)
     names = [name.strip().strip('"') for name in line.split(separator)]
-    short = [SHORT.fullmatch(name) for name in names]
-    return [
-        LONG[one[1]].format(one[2], one[3]) if one else name for one, name in zip(short, names, strict=True)
-    ], separator
+    for short, long in SHORT.items():
+        names = [re.sub(f"^{short}$", long, name) for name in names]
+    return names, separator

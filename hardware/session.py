@@ -34,14 +34,7 @@ if TYPE_CHECKING:
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
-RECORDED = (
-    ".frames",
-    ".nc",
-    ".mcap",
-    ".csv",
-    ".txt",
-    ".log",
-)  #: endings of recordings, which do not appear by themselves
+RECORDED = (".frames", ".nc", ".mcap", ".csv", ".txt", ".log")  #: endings of files, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
 TOLD_S = 1.0  #: between two reports of a recording's progress
 taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
@@ -58,7 +51,7 @@ def connect(
     """
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
-    stated = matrix_info(**{name: settings.pop(name, None) for name in MATRIX})
+    stated = matrix_info(**{name: settings.pop(name) for name in MATRIX if name in settings})
     _await(port)
     if Path(port).is_file():
         recording = read_recording(Path(port), stated)

@@ -325,10 +325,10 @@ class Decoupler(Decoder):
         """Where no design says how far readings go, twice as far as in training, too."""
         low, high = super()._reach
         if self.design is None and self.inverse is None:
-            centre, half_range = self.front.scaling.centre, self.front.scaling.half_range
-            least, most = self.front.feature.resistances(np.stack([centre - half_range, centre + half_range]))
-            for reach, choose, end in ((low, np.minimum, least / BEYOND), (high, np.maximum, most * BEYOND)):
-                reach.reshape(-1)[self.places] = choose(reach.reshape(-1)[self.places], end)
+            ends = self.front.scaling.centre + np.outer([-1.0, 1.0], self.front.scaling.half_range)
+            least, most = self.front.feature.resistances(ends)
+            low.flat[self.places] = np.minimum(low.flat[self.places], least / BEYOND)
+            high.flat[self.places] = np.maximum(high.flat[self.places], BEYOND * most)
         return low, high
 
     @property

@@ -1,8 +1,8 @@
 """Matrices as lines of numbers, as an Arduino prints and a logger keeps them: a board protocol, and logs in files.
 
-N × M numbers stand in a line, or M in each of N lines; words and blank lines between them do not count, and a number
-more in front of all, or behind them in a file, is a clock. Nothing in them says what they are: without a converter's bits they are the readings
-that a model learned from, such as ohms.
+N × M numbers stand in a line, or M in each of N lines; words and blank lines between them do not count, and one number
+more in front of all, or behind all of a file's, is a clock. Without a converter's bits they are the readings that a
+model learned from, such as ohms.
 """
 
 import re
@@ -17,8 +17,10 @@ from common.errors import DesignError
 from geometry.layout import LAYOUTS, FloatArray
 from hardware.link.frames import Errors, Frame, Info, ScanMode, Statistics
 
+MATRIX = ("rows", "cols", "bits", "circuit", "sense_ohm")  #: what is to be said of a board that sends them
 MAX_LINE = 2**20  #: bytes of a line that are kept
-BITS, FULL = 16, 2**16 - 1  #: that a number is kept in
+BITS = 16  #: that a reading is kept in
+SIZELESS = "lines of numbers do not say how many units there are: give rows= and cols= of them."
 UNRANGED = 2**32 - 1  #: as `sense_ohm`, before numbers have come
 ROOM = 10.0  #: over the first numbers of a board that they may grow to, unless they are whole
 NOMINAL_HZ = 100  #: where nothing tells the time
@@ -26,53 +28,33 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan", re.IGNORE
 _BETWEEN = re.compile(r"[\s,;|\[\](){}<>=\"']+")
 
 
-MATRIX = ("rows", "cols", "bits", "circuit", "sense_ohm")  #: what is to be said of a board that sends them
-
-
-def matrix_info(
-    rows: int | None = None,
-    cols: int | None = None,
-    bits: int | None = None,
-    circuit: str | None = None,
-    sense_ohm: float | None = None,
-) -> Info | None:
-    """INFO of a board that sends lines of rows × cols numbers; None where nothing is said of it.
-
-    With `bits` they are counts of a converter, by default behind a divider with `sense_ohm` to ground.
-    """
-    if {rows, cols, bits, circuit, sense_ohm} == {None}:
+def matrix_info(rows: int = 0, cols: int = 0, bits: int = 0, circuit: str = "", sense_ohm: float = 0.0) -> Info | None:
+    """INFO of a board that sends lines of rows × cols numbers, with `bits` a converter's counts; None of any other."""
+    if not (rows or cols or bits or circuit or sense_ohm):
         return None
-    if rows is None or cols is None:
-        raise DesignError("lines of numbers do not say how many units there are: give rows= and cols= of them.")
-    if bits is None and (circuit is not None or sense_ohm is not None):
+    if not (rows and cols):
+        raise DesignError(SIZELESS)
+    if not bits and (circuit or sense_ohm):
         raise DesignError("circuit= and sense_ohm= are of a converter's counts: give its bits=, too.")
-    known = Info(rows=rows, cols=cols, layout=LAYOUTS["single"], bits=bits or BITS, rate_hz=NOMINAL_HZ)
-    if bits is None:
-        return replace(known, scan_mode=ScanMode.PLAIN, sense_ohm=UNRANGED)
-    mode = ScanMode[(circuit or "divider").upper().replace("-", "_")]
-    return replace(known, scan_mode=mode, sense_ohm=round(sense_ohm or Info.sense_ohm))
+    mode = ScanMode[(circuit or "divider").upper().replace("-", "_")] if bits else ScanMode.PLAIN
+    ohm = round(sense_ohm or Info.sense_ohm) if bits else UNRANGED
+    known = Info(bits=bits or BITS, scan_mode=mode, sense_ohm=ohm, rate_hz=NOMINAL_HZ)
+    return replace(known, rows=rows, cols=cols, layout=LAYOUTS["single"])
 
 
 def ranged(info: Info, numbers: FloatArray, room: float = 1.0) -> Info:
     """The INFO with a range that holds these numbers, and `room` times as much; whole ones are kept as they are."""
-    if info.scan_mode != ScanMode.PLAIN or info.sense_ohm != UNRANGED:
-        return info
-    most = float(numbers.max())
-    return replace(info, sense_ohm=int(room * most) + 1 if most > FULL or (numbers % 1.0).any() else FULL)
+    most, full = float(numbers.max()), 2**BITS - 1
+    whole = most <= full and not (numbers % 1.0).any()
+    return replace(info, sense_ohm=full if whole else int(room * most) + 1) if info.sense_ohm == UNRANGED else info
 
 
 def framed(info: Info, numbers: FloatArray, sequence: int, time_us: int) -> Frame:
     """The frame of a matrix (n_units,)."""
-    full, is_plain = 2**info.bits - 1, info.scan_mode == ScanMode.PLAIN
-    counts = np.minimum(np.rint(numbers * (full / info.sense_ohm) if is_plain else numbers), full)
-    return Frame(
-        sequence=sequence % 2**16,
-        device_us=time_us % 2**32,
-        bits=info.bits,
-        counts=counts.astype(np.int64),
-        saturated=bool((counts == full).any() or not (is_plain or counts.all())),
-        scan_mode=info.scan_mode,
-    )
+    full, mode, least = 2**info.bits - 1, info.scan_mode, 0 if info.scan_mode == ScanMode.PLAIN else 1
+    counts = np.minimum(np.rint(numbers if least else numbers * (full / info.sense_ohm)), full).astype(np.int64)
+    at, is_bound = (sequence % 2**16, time_us % 2**32), bool((counts == full).any() or (counts < least).any())
+    return Frame(sequence=at[0], device_us=at[1], bits=info.bits, counts=counts, saturated=is_bound, scan_mode=mode)
 
 
 class LineDecoder:
@@ -82,7 +64,7 @@ class LineDecoder:
     """
 
     def __init__(self, stated: list[Info]) -> None:
-        self._stated, self._info, self._is_told = stated, stated[0], False
+        self._stated, self._is_told = stated, False
         self._rest, self._rows = b"", list[FloatArray]()
         self._counted: Counter[str] = Counter()
 
@@ -94,40 +76,26 @@ class LineDecoder:
         """The frames that `data` completes, at the time of their arrival."""
         found: list[Frame | Info | Errors] = []
         for whole in self.matrices(data):
-            numbers = whole[-self._info.rows * self._info.cols :]
-            if not self._is_told:
-                self._stated[0] = self._info = ranged(self._info, numbers, ROOM)
-                self._is_told = True
-                found.append(self._info)
-            found.append(framed(self._info, numbers, self._counted["ok"] - 1, time.perf_counter_ns() // 1000))
+            numbers = whole[-self._stated[0].rows * self._stated[0].cols :]
+            info = self._stated[0] = ranged(self._stated[0], numbers, ROOM)
+            found, self._is_told = [*found, *([] if self._is_told else [info])], True
+            found.append(framed(info, numbers, self._counted["ok"] - 1, time.perf_counter_ns() // 1000))
         return found
 
     def matrices(self, data: bytes) -> Iterator[FloatArray]:
-        """The numbers of each matrix that `data` completes, (n_units,) or with a clock beside them; others are damaged."""
+        """The numbers of each matrix that `data` completes, (n_units,) or with a clock; other lines are damaged."""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        self._rest = self._rest[-MAX_LINE:]
+        self._rest, rows, cols = self._rest[-MAX_LINE:], self._stated[0].rows, self._stated[0].cols
         for line in lines:
-            if (found := self._taken(line.decode("utf-8", "replace"))) is not None:
+            text, before, self._rows = line.decode("utf-8", "replace"), self._rows, list[FloatArray]()
+            words = _BETWEEN.split(text.replace(",", ".") if ";" in text else text)
+            numbers = np.array([float(word) for word in words if _NUMBER.fullmatch(word)])
+            if is_row := rows > 1 and len(numbers) == cols:
+                numbers = np.concatenate([*before, numbers])
+            if is_row and len(numbers) < rows * cols:
+                self._rows = [numbers]
+            elif len(numbers) - rows * cols in (0, 1) and 0.0 <= numbers.min() <= numbers.max() < np.inf:
                 self._counted["ok"] += 1
-                yield found
-
-    def _taken(self, line: str) -> FloatArray | None:
-        numbers = _numbers(_BETWEEN.split(line.replace(",", ".") if ";" in line else line))
-        rows, cols, before, self._rows = self._info.rows, self._info.cols, self._rows, []
-        if is_row := rows > 1 and len(numbers) == cols:
-            numbers = np.concatenate([*before, numbers])
-        if is_row and len(numbers) < rows * cols:
-            self._rows = [numbers]
-        elif len(numbers) - rows * cols in (0, 1) and 0.0 <= numbers.min() <= numbers.max() < np.inf:
-            return numbers
-        else:
-            self._counted["bad_form"] += bool(len(numbers) or before)
-        return None
-
-
-def _numbers(words: list[str]) -> FloatArray:
-    """Those of some words that are numbers."""
-    try:
-        return np.array(words, dtype=np.float64)
-    except ValueError:
-        return np.array([float(word) for word in words if _NUMBER.fullmatch(word)])
+                yield numbers
+            else:
+                self._counted["bad_form"] += bool(len(numbers) or before)

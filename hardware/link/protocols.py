@@ -11,7 +11,7 @@ from typing import Protocol
 
 from common.errors import DesignError
 from hardware.link.frames import Errors, Frame, FrameDecoder, Info, Statistics
-from hardware.link.lines import LineDecoder
+from hardware.link.lines import SIZELESS, LineDecoder
 
 
 class Decoder(Protocol):
@@ -47,11 +47,10 @@ def spoken_on(port: str, stated: Info | None = None) -> tuple[BoardProtocol, str
     ('/dev/ttyUSB0', 'socket://host:1')
     """
     name, plus, url = port.partition("+")
-    protocol, url = (name, url) if plus and name in PROTOCOLS else ("tripillar" if stated is None else "lines", port)
-    if protocol != "lines":
-        return PROTOCOLS[protocol], url
+    usual = "tripillar" if stated is None else "lines"
+    name, url = (name, url) if plus and name in PROTOCOLS else (usual, port)
+    if name != "lines":
+        return PROTOCOLS[name], url
     if stated is None:
-        raise DesignError(
-            f"{port}: lines of numbers do not say how many units there are: give rows= and cols= of them."
-        )
-    return replace(PROTOCOLS[protocol], decoder=partial(LineDecoder, [stated])), url
+        raise DesignError(SIZELESS)
+    return replace(PROTOCOLS[name], decoder=partial(LineDecoder, [stated])), url

@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from io import BytesIO
-from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -203,7 +202,7 @@ def _json(content: bytes) -> dict[str, Any]:
 
 
 def read_recording(path: Path, stated: Info | None = None) -> Recording:
-    """Read a recording, whatever its name: a recorder's file, or the bytes or, of the board that is `stated`, its lines.
+    """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent, or lines of one `stated`.
 
     Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
     recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
@@ -222,27 +221,25 @@ def read_recording(path: Path, stated: Info | None = None) -> Recording:
 
 
 def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
-    decoder = LineDecoder([stated])
-    pieces = chain(iter(partial(file.read, _PIECE_BYTES), b""), [b"\n"])
-    matrices = [each for piece in pieces for each in decoder.matrices(piece)]
-    n_units, width = stated.rows * stated.cols, max(map(len, matrices), default=0)
-    numbers = np.array([each for each in matrices if len(each) == width])
-    if not len(numbers):
+    decoder, rows, cols = LineDecoder([stated]), stated.rows, stated.cols
+    matrices = [
+        each for piece in (*iter(partial(file.read, _PIECE_BYTES), b""), b"\n") for each in decoder.matrices(piece)
+    ]
+    if not (whole := [each for each in matrices if len(each) == max(map(len, matrices))]):
         raise FileFormatError(
-            f"{source}: no line of {stated.rows} × {stated.cols} numbers from 0 on, and no {stated.rows} lines of "
-            f"{stated.cols}: correct rows= and cols=, or leave them out for a recording (.frames)."
+            f"{source}: no line of {rows} × {cols} numbers from 0 on, and no {rows} lines of {cols}: correct rows= and "
+            "cols=, or leave them out for a recording (.frames)."
         )
-    time_s = np.arange(len(numbers)) / stated.rate_hz
-    if width > n_units:
+    numbers = np.array(whole)
+    clock = np.arange(len(numbers)) / stated.rate_hz
+    if numbers.shape[1] > rows * cols:
         is_last = bool((np.diff(numbers[:, 0]) < 0).any() and (np.diff(numbers[:, -1]) >= 0).all())
-        clock, numbers = numbers[:, -is_last], numbers[:, :n_units] if is_last else numbers[:, 1:]
+        clock, numbers = numbers[:, -is_last], np.delete(numbers, -is_last, axis=1)
         clock = (clock - clock[0]) * (1.0 if (clock % 1.0).any() else 1e-3)  # with decimals seconds, else milliseconds
-        if (step_s := float(np.median(np.diff(clock))) if len(clock) > 1 else 0.0) > 0:
-            time_s, stated = clock, replace(stated, rate_hz=min(max(round(1.0 / step_s), 1), 1000))
-    info = ranged(stated, numbers)
-    times_us = np.rint(1e6 * time_s).astype(int).tolist()
-    frames = (framed(info, each, k, time_us) for k, (each, time_us) in enumerate(zip(numbers, times_us, strict=True)))
-    found = parse_recording(b"".join(map(encode, (info, *frames))), source)
+        stated = replace(stated, rate_hz=round(1.0 / np.clip(np.median(np.diff(clock, prepend=-1.0)), 1e-3, 1.0)))
+    info, times_us = ranged(stated, numbers), np.rint(1e6 * clock).astype(int).tolist()
+    frames = [framed(info, each, k, time_us) for k, (each, time_us) in enumerate(zip(numbers, times_us, strict=True))]
+    found = parse_recording(b"".join([encode(info), *map(encode, frames)]), source)
     damaged = decoder.statistics.bad_form + len(matrices) - len(numbers)
     return replace(found, statistics=replace(found.statistics, bad_form=damaged))
 

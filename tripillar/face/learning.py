@@ -164,7 +164,7 @@ def train(
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
-    model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(samples)), caller.bars.seconds()
+    model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(few)), caller.bars.seconds()
     if path is not None:
         stages.write_model(model, path)
     _mention_untrusted(model)
@@ -354,14 +354,12 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
 
 
-def _at_rest(samples: "stages.AnySamples") -> dict[str, Any]:
-    """Resistances of samples without a load, where nothing else says what the sensor shows at rest."""
-    if samples.design is not None:
-        return {}
-    whole = stages.in_memory(samples)
-    largest_n = np.abs(whole.force_n).max(axis=(1, 2, 3))
+def _at_rest(samples: "stages.Samples") -> dict[str, Any]:
+    """Resistances of samples without a load, where no design says what the sensor shows at rest."""
+    largest_n = np.abs(samples.force_n).max(axis=(1, 2, 3))
     idle = largest_n <= AT_REST * largest_n.max()
-    return {"rest_ohm": np.median(whole.resistance_ohm[idle], axis=0).tolist()} if idle.any() else {}
+    is_known = samples.design is not None or not idle.any()
+    return {} if is_known else {"rest_ohm": np.median(samples.resistance_ohm[idle], axis=0).tolist()}
 
 
 def _mention_untrusted(model: "stages.Decoupler") -> None:

@@ -115,7 +115,7 @@ def known(names: Iterable[str], found: Callable[[], Iterable[float | str]]) -> J
 def errors_of(
     response: ArrayResponse, noise: float, bits: int | None, cap: float, range_n: float
 ) -> Iterator[float | str]:
-    """Errors of pad loads and the condition number, of pressure alone where no more is told; `DesignError` if none is."""
+    """Errors of pad loads and the condition number, of pressure alone if no more is told; `DesignError` if none is."""
     said = " and ".join(untold(response.design.unit))
     parts = component_named("fz" if said else "all")
     require_told(response.design.unit, parts.axes)
