@@ -100,7 +100,7 @@ def test_the_crossbar_reads_and_corrects_as_the_board_does(response, samples, mo
         assert one_count.max() < 0.2  # both correctors end at a fraction of a count
 
 
-@pytest.mark.parametrize("mode", [None, *ScanMode])
+@pytest.mark.parametrize("mode", [None, *SUITED_SENSE_OHM])
 def test_gradients_are_those_of_finite_differences(response, samples, model, mode):
     """From points and forces of contact to decoded newtons, the crossbar's correction included."""
     wired = None if mode is None else replace(crossbar(mode), shunt_siemens=(2e-5, 1e-5, 3e-5))
