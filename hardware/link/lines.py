@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from common.errors import DesignError
 from geometry.layout import LAYOUTS, FloatArray
@@ -49,12 +50,11 @@ def ranged(info: Info, numbers: FloatArray, room: float = 1.0) -> Info:
     return replace(info, sense_ohm=full if whole else int(room * most) + 1) if info.sense_ohm == UNRANGED else info
 
 
-def framed(info: Info, numbers: FloatArray, sequence: int, time_us: int) -> Frame:
-    """The frame of a matrix (n_units,)."""
-    full, mode, least = 2**info.bits - 1, info.scan_mode, 0 if info.scan_mode == ScanMode.PLAIN else 1
-    counts = np.minimum(np.rint(numbers if least else numbers * (full / info.sense_ohm)), full).astype(np.int64)
-    at, is_bound = (sequence % 2**16, time_us % 2**32), bool((counts == full).any() or (counts < least).any())
-    return Frame(sequence=at[0], device_us=at[1], bits=info.bits, counts=counts, saturated=is_bound, scan_mode=mode)
+def counted(info: Info, numbers: FloatArray) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Counts of matrices (n, n_units), and which of these have a count that is a bound, (n,)."""
+    full, least = 2**info.bits - 1, 0 if info.scan_mode == ScanMode.PLAIN else 1
+    counts = np.minimum(np.rint(numbers if least else numbers * (full / info.sense_ohm)), full).astype(np.uint16)
+    return counts, ((counts == full) | (counts < least)).any(axis=1)
 
 
 class LineDecoder:
@@ -79,7 +79,9 @@ class LineDecoder:
             numbers = whole[-self._stated[0].rows * self._stated[0].cols :]
             info = self._stated[0] = ranged(self._stated[0], numbers, ROOM)
             found, self._is_told = [*found, *([] if self._is_told else [info])], True
-            found.append(framed(info, numbers, self._counted["ok"] - 1, time.perf_counter_ns() // 1000))
+            (counts, is_bound), now_us = counted(info, numbers[None]), time.perf_counter_ns() // 1000
+            at = {"sequence": (self._counted["ok"] - 1) % 2**16, "device_us": now_us % 2**32, "bits": info.bits}
+            found.append(Frame(**at, counts=counts[0], saturated=bool(is_bound[0]), scan_mode=info.scan_mode))
         return found
 
     def matrices(self, data: bytes) -> Iterator[FloatArray]:
@@ -88,8 +90,11 @@ class LineDecoder:
         self._rest, rows, cols = self._rest[-MAX_LINE:], self._stated[0].rows, self._stated[0].cols
         for line in lines:
             text, before, self._rows = line.decode("utf-8", "replace"), self._rows, list[FloatArray]()
-            words = _BETWEEN.split(text.replace(",", ".") if ";" in text else text)
-            numbers = np.array([float(word) for word in words if _NUMBER.fullmatch(word)])
+            words = [word for word in _BETWEEN.split(text.replace(",", ".") if ";" in text else text) if word]
+            try:
+                numbers = np.array(words, dtype=np.float64)
+            except ValueError:  # some are none
+                numbers = np.array([float(word) for word in words if _NUMBER.fullmatch(word)])
             if is_row := rows > 1 and len(numbers) == cols:
                 numbers = np.concatenate([*before, numbers])
             if is_row and len(numbers) < rows * cols:

@@ -22,7 +22,6 @@ from geometry.wiring import crossing_of_pillar, crossings, wires
 from hardware.link.frames import ScanMode
 from hardware.readout.shunts import shunts, shunts_between_wires
 
-HALF_STEP = 0.5  #: count that 0 stands for where no circuit lies between it and the reading
 MIN_OHM, MAX_OHM = 1e-3, 1e12  #: a pillar's resistance is kept within these; beyond is a short, or a broken pillar
 STEP_SHARE = 0.01  #: tolerance of apparent conductances, as a fraction of the converter's step
 EXACT = 1e-9  #: their relative tolerance where there is no converter
@@ -222,7 +221,7 @@ class Crossbar:
         """
         full_scale = self._required_full_scale()
         if self.scan_mode == ScanMode.PLAIN:
-            return np.maximum(counts, HALF_STEP) / full_scale, counts >= full_scale
+            return np.maximum(counts, 0.5) / full_scale, counts >= full_scale
         inside = np.minimum(np.maximum(counts, 1), full_scale - 1)
         return inside / full_scale, inside != counts
 
@@ -249,13 +248,12 @@ class Crossbar:
             return np.zeros(resistance_ohm.shape[1:])
         x = self.readings(resistance_ohm)[0]
         by_reading = 1.0 / x  # d log y / dx
-        if self.scan_mode == ScanMode.PLAIN:
-            return self.as_pillars(by_reading / (self.full_scale * math.sqrt(12.0)))
         if self.scan_mode == ScanMode.DIVIDER:
             by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
         g = self.conductances(resistance_ohm)
         y, derivatives = self.apparent_and_derivatives(g)
-        inverse = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        mixed = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        inverse = np.eye(len(x)) if self.scan_mode == ScanMode.PLAIN else mixed
         return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
 
     def as_pillars(self, values: Array) -> Array:

@@ -25,8 +25,8 @@ from cobs import cobs
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
-from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, encode, pack, packed_dtype, unpack
-from hardware.link.lines import LineDecoder, framed, ranged
+from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
+from hardware.link.lines import LineDecoder, counted, ranged
 from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
@@ -225,7 +225,8 @@ def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
     matrices = [
         each for piece in (*iter(partial(file.read, _PIECE_BYTES), b""), b"\n") for each in decoder.matrices(piece)
     ]
-    if not (whole := [each for each in matrices if len(each) == max(map(len, matrices))]):
+    width = max(map(len, matrices), default=0)
+    if not (whole := [each for each in matrices if len(each) == width]):
         raise FileFormatError(
             f"{source}: no line of {rows} × {cols} numbers from 0 on, and no {rows} lines of {cols}: correct rows= and "
             "cols=, or leave them out for a recording (.frames)."
@@ -237,11 +238,23 @@ def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
         clock, numbers = numbers[:, -is_last], np.delete(numbers, -is_last, axis=1)
         clock = (clock - clock[0]) * (1.0 if (clock % 1.0).any() else 1e-3)  # with decimals seconds, else milliseconds
         stated = replace(stated, rate_hz=round(1.0 / np.clip(np.median(np.diff(clock, prepend=-1.0)), 1e-3, 1.0)))
-    info, times_us = ranged(stated, numbers), np.rint(1e6 * clock).astype(int).tolist()
-    frames = [framed(info, each, k, time_us) for k, (each, time_us) in enumerate(zip(numbers, times_us, strict=True))]
-    found = parse_recording(b"".join([encode(info), *map(encode, frames)]), source)
-    damaged = decoder.statistics.bad_form + len(matrices) - len(numbers)
-    return replace(found, statistics=replace(found.statistics, bad_form=damaged))
+    info, n = ranged(stated, numbers), len(numbers)
+    counts, is_bound = counted(info, numbers)
+    device_us = (np.rint(1e6 * clock).astype(np.int64) % 2**32).astype(np.uint32)
+    sequence, run = (np.arange(n) % 2**16).astype(np.uint16), np.zeros(n, np.uint32)
+    run[1:] = np.cumsum(is_restart(sequence, device_us))
+    return Recording(
+        info=info,
+        counts=counts,
+        sequence=sequence,
+        device_us=device_us,
+        flags=(is_bound | info.scan_mode << 1).astype(np.uint8),
+        overruns=np.zeros(n, np.uint8),
+        run=run,
+        received_s=None,
+        time_s=unwrapped_s(device_us, run, None),
+        statistics=Statistics(ok=n, info=1, bad_form=decoder.statistics.bad_form + len(matrices) - n),
+    )
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:

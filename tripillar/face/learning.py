@@ -391,8 +391,8 @@ def _checked(
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
+    require_told(Unit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
-        require_told(sensor.unit, parts.axes)
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
