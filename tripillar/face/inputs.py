@@ -85,10 +85,10 @@ class Board:
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
     rows: int | None = quantity(None, "rows of a board or log that sends plain lines of numbers, one a unit")
-    cols: int | None = quantity(None, "columns of it")
+    cols: int | None = quantity(None, "columns of that board or log")
     bits: int | None = quantity(None, "bits of the converter whose counts these are; default: readings as they are")
     circuit: Circuit | None = quantity(None, "circuit before that converter; default: divider")
-    sense_ohm: float | None = quantity(None, "its sense or feedback resistor [Ω]; default: 10000")
+    sense_ohm: float | None = quantity(None, "sense or feedback resistor of that circuit [Ω]; default: 10000")
 
 
 @dataclass(frozen=True, kw_only=True)
