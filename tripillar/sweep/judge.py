@@ -26,7 +26,7 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.layout import AXES, FloatArray, pillar_vectors, require_told, untold
+from geometry.layout import AXES, FloatArray, pillar_vectors, untold
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz
 from tripillar.sweep.rows import DISTANCES, Row
@@ -115,10 +115,9 @@ def known(names: Iterable[str], found: Callable[[], Iterable[float | str]]) -> J
 def errors_of(
     response: ArrayResponse, noise: float, bits: int | None, cap: float, range_n: float
 ) -> Iterator[float | str]:
-    """Errors of pad loads and the condition number, of pressure alone if no more is told; `DesignError` if none is."""
+    """Errors of pad loads and the condition number, of pressure alone where no more is told."""
     said = " and ".join(untold(response.design.unit))
     parts = component_named("fz" if said else "all")
-    require_told(response.design.unit, parts.axes)
     forward = SensorModel.of(response, parts)
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
     reading, array = ReadingError(noise=noise, bits=bits), response.design.array

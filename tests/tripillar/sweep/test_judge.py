@@ -76,8 +76,9 @@ def test_an_array_that_differs_in_scale_alone_has_the_same_shares():
 
 
 def test_what_a_design_cannot_tell_is_a_reason():
-    """One upright pillar a unit tells pressure, no shear; five columns in two rows have no third neighbour along y, but along x.
+    """One upright pillar a unit tells pressure alone.
 
+    Five columns in two rows have no third neighbour along y, but along x.
     No contact on bare rubber is solved with conduction.
     """
     lone = replace(SPRINGS, unit=Unit(layout=Layout(UPRIGHT.upper[:1], UPRIGHT.lower[:1], UPRIGHT.pillars[:1])))
