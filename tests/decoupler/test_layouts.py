@@ -116,7 +116,7 @@ def test_a_wrong_order_of_pillars_is_named(layout):
     assert f"in the order {', '.join(names[k] for k in order)}: a file's are {', '.join(names)}" in said
 
 
-@pytest.mark.parametrize("layout", THREE_AXES)
+@pytest.mark.parametrize("layout", EVERY)
 def test_touch_reads_squared_lengths_by_every_electrode(layout):
     design = design_of(layout)
     sensing = Sensing(design=design, pillars=Pillars.designed(design))
