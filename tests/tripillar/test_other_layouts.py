@@ -162,6 +162,10 @@ def test_a_mat_that_no_design_describes_is_trained_tared_and_read_from_tables_an
         return float(np.sqrt(np.mean((np.array(found["force_n"])[..., 0] - newtons[200:]) ** 2)))
 
     assert off("same.log") == pytest.approx(rmse_n, rel=0.01)
+    with (tmp_path / "same.log").open("a") as log:
+        log.write("1 2 3\n")
+    told = house.tripillar("replay", "same.log", "--model", "m.safetensors", *size).stderr
+    assert "1 lines that are no matrix of numbers from 0 on are left out" in told
     assert off("other.log", "--calibration", "rest.json") == pytest.approx(rmse_n, rel=0.05)
     assert off("other.log") > 2.0 * rmse_n
 
