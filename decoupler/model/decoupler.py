@@ -25,7 +25,7 @@ from decoupler.data.columns import (
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.decoder import Decoder
+from decoupler.model.decoder import BEYOND, Decoder
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.front import Front
 from decoupler.model.left_out import LeftOut
@@ -319,6 +319,17 @@ class Decoupler(Decoder):
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
 
+    @cached_property
+    def _reach(self) -> tuple[FloatArray, FloatArray]:
+        """Where no design says how far readings go, twice as far as in training, too."""
+        low, high = super()._reach
+        if self.design is None and self.inverse is None:
+            ends = self.front.scaling.centre + np.outer([-1.0, 1.0], self.front.scaling.half_range)
+            least, most = self.front.feature.resistances(ends)
+            low.flat[self.places] = np.minimum(low.flat[self.places], least / BEYOND)
+            high.flat[self.places] = np.maximum(high.flat[self.places], BEYOND * most)
+        return low, high
+
     @property
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
         n = self.rows * self.cols * len(self.layout.pillars)
@@ -331,7 +342,8 @@ class Decoupler(Decoder):
     def rest_resistances(self) -> FloatArray | None:
         """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
         if self.design is None:
-            return None
+            stated = self.made_from.get("rest_ohm")  # of samples without a load
+            return None if stated is None else np.reshape(stated, self.dead.shape).astype(np.float64)
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
         if self.forward is not None:
             rest_ohm[..., self.pillars] = self.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)

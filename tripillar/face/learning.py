@@ -10,8 +10,8 @@ import numpy as np
 
 from common.errors import DesignError, require_type
 from decoupler.model.settings import Feature, Net, Trainer
-from geometry.design import SensorDesign
-from geometry.layout import require_told, told_by_tilt
+from geometry.design import SensorDesign, Unit
+from geometry.layout import require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -39,6 +39,7 @@ else:
 Component = Literal["fz", "fx", "fy", "all"]
 GOAL = Flag(name=("--goal",))
 ITERATIONS = Flag(name=("--iterations",))
+AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -88,7 +89,7 @@ def train(
         Data set to train on, not with touch; several of one sensor, linear and at finite strain, count as one. Leave
         samples for tests out; of more than 20,000 a random draw is learned from.
     component : str, optional
-        Forces that the network tells, along one axis or all; default: those that act.
+        Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
         solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
@@ -175,7 +176,7 @@ def train(
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
-    model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
+    model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(few)), caller.bars.seconds()
     if path is not None:
         stages.write_model(model, path)
     _mention_untrusted(model)
@@ -371,6 +372,14 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
 
 
+def _at_rest(samples: "stages.Samples") -> dict[str, Any]:
+    """Resistances of samples without a load, where no design says what the sensor shows at rest."""
+    largest_n = np.abs(samples.force_n).max(axis=(1, 2, 3))
+    idle = largest_n <= AT_REST * largest_n.max()
+    is_known = samples.design is not None or not idle.any()
+    return {} if is_known else {"rest_ohm": np.median(samples.resistance_ohm[idle], axis=0).tolist()}
+
+
 def _mention_untrusted(model: "stages.Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
     for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
@@ -393,13 +402,15 @@ def _checked(
     design = None if stated is None else design_of(stated)
     network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
     named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
+    if component is None and named == "all" and untold(Unit(layout=samples.layout)):
+        named = "fz"
     parts = stages.component_named(named)
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
+    require_told(Unit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
-        require_told(sensor.unit, parts.axes)
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
@@ -424,7 +435,7 @@ def _checked(
 
 
 def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:
-    return samples.shape == (design.array.rows, design.array.cols)
+    return (*samples.shape, samples.layout) == (design.array.rows, design.array.cols, design.unit.layout)
 
 
 def _response(
