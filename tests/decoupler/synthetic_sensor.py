@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dataset import Samples, pillar_lengths, pillar_resistances
+from decoupler.data.columns import component_named
 from fem.array.closed_forms import layer_response
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import ResponseSensitivities
@@ -19,6 +20,7 @@ from geometry.tolerances import RESISTIVITY, changed, usual_deviations
 from tests.fem.scenes import BESIDE
 
 EVERY = {**LAYOUTS, "reference": BESIDE}  #: layouts by name, one of them with a pillar that no load reaches
+ALL = component_named("all")
 _RANGE_N = {"x": (29.0, 144.0), "y": (29.0, 144.0), "z": (144.0, 720.0)}  #: of independent pad loads
 
 

@@ -1,36 +1,26 @@
-"""Eq. 17, RMSE and % of full scale by hand, the marks to beat where they are exact, and an assessment of its parts."""
+"""Eq. 17, RMSE and % of full scale by hand, the marks to beat, the limits of readings, and an assessment of all."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dataset import pillar_lengths, pillar_resistances
+from dataset import SampleError, pillar_lengths, pillar_resistances
 from dataset.measurement import ReadingError
-from decoupler import (
-    LeastSquares,
-    NetworkConfig,
-    SampleError,
-    TrainingConfig,
-    assess,
-    component_errors,
-    component_named,
-    evaluate,
-    force_errors,
-    hooke_forces,
-    pca_floor,
-    train,
-)
-from decoupler.data.columns import Columns, force_columns
+from decoupler import LeastSquares, NetworkConfig, TrainingConfig, assess, hooke_forces, train
+from decoupler.data.columns import Columns, component_named, force_columns
 from decoupler.evaluation.assessment import as_plain
-from decoupler.inverse.limits import cramer_rao
+from decoupler.evaluation.metrics import component_errors, evaluate, force_errors, pca_floor
+from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
 from geometry import SensorDesign
 from geometry.layout import pillar_volumes
-from tests.decoupler.synthetic_sensor import labelled, noisy, response, sensor, split
+from tests.decoupler.synthetic_sensor import ALL, labelled, noisy, response, sensor, split
 
 SENSOR, PAPER = sensor(2, 3), SensorDesign()
-ALL, FZ = component_named("all"), component_named("fz")
+FZ = component_named("fz")
+FORWARD = SensorModel.of(response(SENSOR), ALL)
+FORCES = force_columns(labelled(SENSOR, "xyz", n_samples=150, seed=0).force_n, ALL)
 
 
 def test_errors_by_hand_and_what_means_nothing_is_none():
@@ -88,6 +78,26 @@ def test_least_squares_is_exact_where_force_is_linear_in_root_resistance():
     for few, asked, rtol in ((learned, test, 1e-8), (learned[:3], learned[:3], 1e-9)):  # of a matrix of condition 1e4
         forces = LeastSquares.fitted(Columns.of(few, FZ)).forces(asked.resistance_ohm)
         np.testing.assert_allclose(forces[..., 0], asked.force_n[..., 2], rtol=rtol)
+
+
+def test_knowing_the_usual_loads_helps_and_most_where_noise_is_large():
+    """Bayes' bound lies below the other, meets it without noise and the forces' own spread with endless noise."""
+    read = [(ReadingError(noise=noise), (2, 3)) for noise in (1e-5, 0.05, 1e3)]
+    small, some, large = (bayes(FORWARD, FORCES, *each) for each in read)
+    np.testing.assert_allclose(small, cramer_rao(FORWARD, FORCES, *read[0]), rtol=0.01)
+    assert (some < cramer_rao(FORWARD, FORCES, *read[1])).all()
+    np.testing.assert_allclose(large, np.broadcast_to(FORCES.std(axis=0), large.shape), rtol=0.01)
+    assert not cramer_rao(FORWARD, FORCES[:3], ReadingError(), (2, 3)).any()
+
+
+def test_fewer_pillars_than_forces_determine_nothing_without_the_usual_loads():
+    known, readable = (ReadingError(noise=2e-3), (2, 3)), np.ones(FORWARD.n_pillars, dtype=bool)
+    readable[0] = False
+    assert np.isinf(cramer_rao(FORWARD, FORCES, *known, readable)).all()
+    healthy, hurt = bayes(FORWARD, FORCES, *known), bayes(FORWARD, FORCES, *known, readable)
+    assert (hurt >= healthy * (1 - 1e-9)).all()
+    assert (hurt < 1.001 * FORCES.std(axis=0).max()).all()
+    assert hurt[:, :3].max() > 10 * healthy[:, :3].max()  # the unit whose z pillar is gone
 
 
 def test_an_assessment_holds_what_its_parts_say():
