@@ -4,17 +4,22 @@ The same bits from its file and for a scan alone, the same forces in torch, ONNX
 deviations that hold on scans that it has not seen.
 """
 
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 
-from dataset import Imperfections, Samples
-from decoupler import Decoupler, NetworkConfig, TrainingConfig, component_named, read_model, train, write_model
+from dataset import Imperfections, Samples, measured
+from decoupler import Decoupler, NetworkConfig, SampleError, TrainingConfig, read_model, train, write_model
 from decoupler.data.columns import DEAD_OHM, Resting, pillar_columns
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.faults import FaultTest
@@ -32,8 +37,8 @@ from geometry.design import Electrics
 from geometry.wiring import pillars_of_wires
 from tests.decoupler import test_finite_strain as finite
 from tests.decoupler import test_plates as on_plates
-from tests.decoupler.exported import CC, by_header, by_onnx
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler import test_touch as on_rubber
+from tests.decoupler.synthetic_sensor import ALL, labelled, response, sensor
 from tests.decoupler.test_sensor_model import conducted
 
 SENSOR = sensor(2, 3)
@@ -45,6 +50,21 @@ DEAD[0, 1], DEAD[1, 2, 0] = True, True
 DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002, "drift_offset_ohm": 50.0}
 ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
 SCANS = 7  #: looked at one by one
+CC = shutil.which("cc")
+STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
+MAIN = """
+#include <stdio.h>
+#include "model.h"
+int main(void)
+{
+    static tripillar_real resistance_ohm[TRIPILLAR_RESISTANCES], force_n[TRIPILLAR_FORCES];
+    while (fread(resistance_ohm, sizeof resistance_ohm, 1, stdin) == 1) {
+        tripillar_forces(resistance_ohm, force_n);
+        fwrite(force_n, sizeof force_n, 1, stdout);
+    }
+    return 0;
+}
+"""
 OTHER_ORDER = 5.0  #: another order of sums rounds to float as much, to its order
 
 
@@ -84,7 +104,7 @@ def dead(feature: str) -> Case:
 def conducting() -> Case:
     given = conducted(0.5)
     data = labelled(SENSOR, "xyz", 500, seed=0)
-    ohms = SensorModel.of(given, component_named("all")).resistances(data.force_n.reshape(500, -1))
+    ohms = SensorModel.of(given, ALL).resistances(data.force_n.reshape(500, -1))
     data = read(replace(data, resistance_ohm=ohms.reshape(data.resistance_ohm.shape)), noise=1e-3)
     return Case(train(data[:300], "all", NetworkConfig(feature="inverse"), response=given), data[300:])
 
@@ -110,6 +130,7 @@ def at_finite_strain(layout: str = "song2018") -> Case:
 #: by what is particular about each; noise-free ones learn nothing but what the response leaves
 CASES: dict[str, Callable[[], Case]] = {
     "fz-plain-resistance": lambda: linear("fz", "plain", "resistance"),
+    "fz-inverse": lambda: linear("fz", bits=12),
     "fy-skip-root": lambda: linear("fy", "skip", "root", noise=1e-3, bits=12),
     "all-skip-root": lambda: linear("all", "skip", "root", noise=1e-3),
     "convolution": lambda: linear("all", "convolution", "root", noise=1e-3),
@@ -130,49 +151,57 @@ CASES: dict[str, Callable[[], Case]] = {
 made = cache(lambda name: CASES[name]())
 
 
+def by_onnx(content: bytes, resistance_ohm: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    return session.run(["force_n"], {"resistance_ohm": resistance_ohm.astype(dtype)})[0].astype(np.float64)
+
+
+def by_header(header: str, resistance_ohm: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
+    assert CC is not None
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "model.h").write_text(header, encoding="utf-8")
+        (Path(folder) / "main.c").write_text(MAIN, encoding="utf-8")
+        subprocess.run([CC, "-std=c99", *STRICT, "main.c", "-o", "main", "-lm"], cwd=folder, check=True)
+        readings = resistance_ohm.astype(dtype).tobytes()
+        done = subprocess.run([Path(folder) / "main"], input=readings, capture_output=True, check=True)
+    return np.frombuffer(done.stdout, dtype).astype(np.float64).reshape(*resistance_ohm.shape[:3], -1)
+
+
+def place_of(model: Decoder) -> tuple[int, int, int]:
+    """A pillar that it reads."""
+    return tuple(np.argwhere(model.read)[-1])
+
+
+def off_n(case: Case, ohms: np.ndarray) -> np.ndarray:
+    return case.model.forces(ohms) - case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
+
+
+def trusted(model: Decoder) -> np.ndarray:
+    """Which forces (rows, cols, n_axes) it does not call unknown."""
+    found = np.ones((model.rows, model.cols, len(model.component.axes)), dtype=bool)
+    for row, col, name in model.untrusted() if isinstance(model, Decoupler) else ():
+        found[row, col, model.component.forces.index(name)] = False
+    return found
+
+
+def of_net_force(model: Decoder) -> np.ndarray:
+    """Weights (m, 1) of a unit's loads in the sum of the forces along its last axis that it trusts."""
+    axes = len(model.component.axes)
+    weights = np.zeros((model.rows, model.cols, getattr(model, "n_loads", axes), 1))
+    weights[:, :, axes - 1, 0] = trusted(model)[..., -1]
+    return weights.reshape(-1, 1)
+
+
 @pytest.fixture(params=CASES)
 def case(request) -> Case:
     return made(request.param)
 
 
-def test_its_file_gives_the_same_bits(case, tmp_path):
-    """Forces, deviations, tests of loads and of pillars, the mark to beat."""
-    write_model(case.model, tmp_path / "model.safetensors")
-    again, ohms = read_model(tmp_path / "model.safetensors"), case.test.resistance_ohm[:40]
-    assert again.made_from == case.model.made_from
-    weights = np.ones((case.test.force_n[0].size // 3 * len(again.component.axes), 1))
-    answers = [
-        lambda model: model.forces(ohms),
-        lambda model: model.half_widths(ohms),
-        lambda model: model.deviations(ohms, weights)[1],
-        lambda model: model.untrusted(),
-        lambda model: model.consistency(ohms),
-        lambda model: model.least_squares and model.least_squares.forces(ohms),
-        lambda model: (test := FaultTest.of(model)) and test.named(ohms),
-    ]
-    for answer in answers:
-        np.testing.assert_array_equal(answer(again), answer(case.model))
-
-
-def test_a_scan_alone_gives_the_bits_of_the_batch(case):
-    ohms = case.test.resistance_ohm
-    batch = case.model.forces(ohms)
-    assert batch.shape == (*ohms.shape[:3], len(case.model.component.axes))
-    for size in (1, 3):
-        parts = [case.model.forces(ohms[start : start + size]) for start in range(0, 2 * SCANS, size)]
-        np.testing.assert_array_equal(np.concatenate(parts)[: 2 * SCANS], batch[: 2 * SCANS])
-
-
 def test_deviations_hold_on_unseen_scans(case):
     """200 scans: errors of one scan go together, so that the shares are known to some points."""
-    model, truth = case.model, case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
-    trusted = np.ones(truth.shape[1:], dtype=bool)
-    for row, col, name in model.untrusted():
-        trusted[row, col, model.component.forces.index(name)] = False
-    off = np.abs(model.forces(case.test.resistance_ohm) - truth)
-    one, two = model.half_widths(case.test.resistance_ohm)
-    assert 0.6 < (off <= one)[:, trusted].mean() < 0.8  # what is promised of every decoder
-    assert (off <= two)[:, trusted].mean() > 0.92
+    off, (one, two) = np.abs(off_n(case, case.test.resistance_ohm)), case.model.half_widths(case.test.resistance_ohm)
+    assert 0.6 < (off <= one)[:, trusted(case.model)].mean() < 0.8  # what is promised of every decoder
+    assert (off <= two)[:, trusted(case.model)].mean() > 0.92
 
 
 def test_derivatives_are_slopes(case):
@@ -225,24 +254,149 @@ def plates(name: str) -> Case:
 
 
 EVERY = CASES | {f"plates-{name}": lambda name=name: plates(name) for name in ("six-pillar", "song2018", "conduction")}
+EVERY["bare"] = lambda: Case(on_rubber.made_decoder(), on_rubber.made_contacts())
 each_made = cache(lambda name: EVERY[name]() if name not in CASES else made(name))
 #: least share that 95 % deviations of the unit with a broken pillar hold, where it is not 0.9: two pillars of three
 #: leave a force to the usual loads, and those of these tests are wider than the ones that such decoders know
 LEAST_HELD = {"finite-strain": 0.85, "identified": 0.85}
+#: the same of the net force under a drift: of 200 scans 0.9 are three deviations below 95 %
+LEAST_NET_HELD = {"exact": 0.8, "upright-four": 0.85, "dead-inverse": 0.75, "dead-root": 0.75}
 
 
 @pytest.fixture(params=EVERY)
-def every(request) -> tuple[str, Case]:
+def every(request, shared_cache) -> tuple[str, Case]:
     return request.param, each_made(request.param)
 
 
-def place_of(model: Decoder) -> tuple[int, int, int]:
-    """A pillar that it reads."""
-    return tuple(np.argwhere(model.read)[-1])
+def test_its_file_gives_the_same_bits(every, tmp_path):
+    """Forces, deviations, tests of loads and of pillars, the mark to beat."""
+    model, ohms = every[1].model, every[1].test.resistance_ohm[:SCANS]
+    write_model(model, tmp_path / "model.safetensors")
+    again = read_model(tmp_path / "model.safetensors")
+    assert (type(again), again.made_from) == (type(model), model.made_from)
+    answers = [
+        lambda model: model.forces(ohms),
+        lambda model: model.half_widths(ohms),
+        lambda model: model.deviations(ohms, of_net_force(model))[1],
+        lambda model: model.consistency(ohms),
+        lambda model: (test := FaultTest.of(model)) and test.named(ohms),
+    ]
+    if isinstance(model, Decoupler):
+        answers += [lambda model: model.untrusted()]
+        answers += [lambda model: model.least_squares and model.least_squares.forces(ohms)]
+    for answer in answers:
+        np.testing.assert_array_equal(answer(again), answer(model))
 
 
-def off_n(case: Case, ohms: np.ndarray) -> np.ndarray:
-    return case.model.forces(ohms) - case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
+def test_a_scan_alone_gives_the_bits_of_the_batch(every):
+    model, ohms = every[1].model, every[1].test.resistance_ohm
+    batch = model.forces(ohms)
+    assert batch.shape == (*ohms.shape[:3], len(model.component.axes))
+    for size in (1, 3):
+        parts = [model.forces(ohms[start : start + size]) for start in range(0, 2 * SCANS, size)]
+        np.testing.assert_array_equal(np.concatenate(parts)[: 2 * SCANS], batch[: 2 * SCANS])
+
+
+def test_what_is_no_scan_is_refused_and_what_is_not_read_does_no_harm(every):
+    model, ohms = every[1].model, every[1].test.resistance_ohm[:SCANS]
+    below = ohms.copy()
+    below[(4, *place_of(model))] = -1.0
+    for given, said in (
+        (
+            below,
+            "resistance_ohm is -1.0 at sample 4, row . col . pillar .*; it must be finite|not finite or not above 0",
+        ),
+        (ohms[0], r"expected \(n"),
+        (np.repeat(ohms, 2, axis=1), r"of \d × \d units, the model's sensor has \d × \d|expected \(n"),
+    ):
+        with pytest.raises(SampleError, match=said):
+            model.forces(given)
+    assert np.array_equal(model.forces(np.where(model.read, ohms, np.nan)), model.forces(ohms))
+
+
+def test_rest_is_within_its_deviations_and_no_strange_load(every):
+    """As it reads with its noise and converter; networks that know no response have not seen it."""
+    model = every[1].model
+    if isinstance(model, Decoupler) and model.inverse is None:
+        return
+    rest_ohm = np.repeat(model.rest_resistances()[None], 50, axis=0)
+    read_ohm = model.errors.read(rest_ohm, np.random.default_rng(0))
+    assert (np.abs(model.forces(read_ohm)) <= model.half_widths(read_ohm)[1]).mean() > 0.94
+    assert not np.greater(*model.consistency(read_ohm)).any()
+
+
+def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off():
+    """10 kΩ before 10 kΩ is the worst place, between two counts. The calibration of 600 samples leaves a fifth.
+
+    Where most of a scan is loaded, none of it is taken to rest.
+    """
+    model, rest_ohm = made("fz-inverse").model, np.full((1, 2, 3, 3), 1e4)
+    read_ohm = measured(rest_ohm, 0.0, 12, np.random.default_rng(0))
+    assert np.abs(read_ohm - rest_ohm).min() > 4.8
+    plain = replace(model, front=replace(model.front, resting=Resting.read_with(model.front.resting.rest_ohm, None)))
+    assert np.abs(model.forces(read_ohm)).max() < 0.2 * np.abs(plain.forces(read_ohm)).max()
+    read_ohm[:, 0] *= 0.95
+    read_ohm[:, 1, 0] *= 0.95
+    np.testing.assert_array_equal(model.forces(read_ohm), plain.forces(read_ohm))
+
+
+def test_a_drift_that_is_stated_is_in_all_deviations(every):
+    """0.5 % that all readings of a scan share, of units and of the net Fz; of whoever does not know it fewer hold."""
+    name, case = every
+    ohms = case.test.resistance_ohm * (
+        1.0 + (name != "drifts") * 0.005 * np.random.default_rng(3).standard_normal((len(case.test.force_n), 1, 1, 1))
+    )
+    held = []
+    for drift in (0.005, 0.0):
+        model = case.model.read_by(replace(case.model.errors, drift=drift))
+        weights, own = of_net_force(model), trusted(model)
+        off = off_n(Case(model, case.test), ohms)
+        variance = model.deviations(ohms, weights)[1][:, 0, 0]
+        net_n = np.abs((off * own)[..., -1].sum(axis=(1, 2)))
+        held.append([(np.abs(off) <= model.half_widths(ohms)[1])[:, own].mean(), (net_n**2 <= 4.0 * variance).mean()])
+    assert held[0][0] >= LEAST_HELD.get(name, 0.9)
+    assert held[0][1] >= LEAST_NET_HELD.get(name, 0.9)
+    assert (np.array(held[1]) < held[0]).all() or name == "bare"  # whose few contacts are far from linear
+
+
+def test_few_errors_of_the_net_force_under_stated_drifts_are_avoidable():
+    """A tenth above the linear-Gaussian posterior about each load, C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C; and they are stated."""
+    model, test = made("drifts").model, made("drifts").test
+    weights, forward = of_net_force(model), SensorModel.of(RESPONSE, ALL)
+    C, force_n = (
+        np.cov(labelled(SENSOR, "xyz", 2000, seed=3).force_n.reshape(2000, -1).T),
+        test.force_n.reshape(200, -1),
+    )
+    lengths, J = forward.jacobian(force_n)
+    ohm = forward.ohm_per_mm2 * lengths**2
+    J, shared = (2.0 * ohm / lengths)[..., None] * J, model.errors.shared(ohm, 2, 3)
+    S = J @ C @ J.swapaxes(1, 2) + shared @ shared.swapaxes(1, 2)
+    S += model.errors.deviation(ohm)[..., None] ** 2 * np.eye(18)
+    least = C - C @ J.swapaxes(1, 2) @ np.linalg.solve(S, J @ C)
+    least_n, stated_n, off_n = (
+        np.sqrt(np.mean(variance))
+        for variance in (
+            weights.T @ least @ weights,
+            model.deviations(test.resistance_ohm, weights)[1],
+            ((model.forces(test.resistance_ohm).reshape(200, -1) - force_n) @ weights) ** 2,
+        )
+    )
+    assert off_n < 1.1 * least_n
+    assert stated_n > 0.8 * off_n
+
+
+def test_a_pillar_that_stays_is_named_and_sound_ones_are_not(every):
+    """At its last value, through a window of scans, unless 1 % of noise hides it; nor is one that rests."""
+    name, case = every
+    if (test := FaultTest.of(case.model)) is None or name == "bare":  # which has a test of its own
+        return
+    ohms, (row, col, pillar) = case.test.resistance_ohm[: test.window].copy(), place_of(case.model)
+    assert test.named(ohms) == ()
+    ohms[:, row, col, pillar] = ohms[0, row, col, pillar]
+    said = f"pillar {case.model.layout.pillar_names[pillar]} of row {row}, col {col} stuck"
+    assert [str(fault) for fault in test.named(ohms)] == [said] * (name != "converter")
+    rest_ohm = np.repeat(case.model.rest_resistances()[None], test.window, axis=0)
+    assert test.named(case.model.errors.read(rest_ohm, np.random.default_rng(5))) == ()
 
 
 @pytest.mark.parametrize("reads", ["open", "shorted", "ten times as much"])
@@ -283,4 +437,5 @@ def test_readings_of_another_sensor_are_told(every):
     found = case.model.consistency(gains * case.test.resistance_ohm)
     told = found is not None and np.greater(*found).mean()
     assert found is None or told > (0.4 if "plain" in name else 0.9)
-    assert found is None or np.greater(*case.model.consistency(case.test.resistance_ohm)).mean() < 0.05
+    alarms = found is not None and np.greater(*case.model.consistency(case.test.resistance_ohm)).mean()
+    assert alarms <= (0.2 if name == "bare" else 0.05)  # of a library of 80 presses

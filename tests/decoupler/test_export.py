@@ -16,8 +16,7 @@ from decoupler.export.checked import facts_of, traced
 from decoupler.export.onnx_file import onnx_model
 from decoupler.export.traced import ExportError, Traced
 from geometry import DesignError
-from tests.decoupler.exported import CC, STRICT, by_header, by_onnx
-from tests.decoupler.test_contract import made
+from tests.decoupler.test_contract import CC, STRICT, by_header, by_onnx, made
 from tests.house import House
 
 

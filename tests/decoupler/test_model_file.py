@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +12,10 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from common.storage.seal import BLANK, MARK, sealed
-from decoupler import (
-    NetworkConfig,
-    TrainingConfig,
-    model_cache_key,
-    read_model,
-    require_same_sensor,
-    train,
-    write_model,
-)
+from decoupler import NetworkConfig, TrainingConfig, train
+from decoupler.model_file import model_cache_key, read_model, require_same_sensor, write_model
 from geometry import Array, FileFormatError
+from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 
 DATA = labelled(sensor(2, 3), "xyz", n_samples=40, seed=0)
@@ -114,9 +110,11 @@ def test_file_that_contradicts_itself_is_refused(path, change, message):
 
 
 def test_data_of_another_sensor_are_refused(decoupler):
-    """What differs is named with both values; data that state no design are taken if the array fits."""
+    """What differs is named with both values; data of no stated design, or of other drifts, are taken."""
     require_same_sensor(decoupler, DATA, "m", "d")
-    require_same_sensor(decoupler, replace(DATA, design=None), "m", "d")
+    drifting = replace(DATA.design, electrics=Electrics(drift=0.005))
+    for design in (None, drifting):
+        require_same_sensor(decoupler, replace(DATA, design=design), "m", "d")
     other = replace(DATA.design, array=Array(rows=2, cols=3, pitch_mm=17.0))
     for data, said in (
         (replace(DATA, design=other), r"another sensor .* \(array.pitch_mm: model 15, data 17\)"),
@@ -124,3 +122,12 @@ def test_data_of_another_sensor_are_refused(decoupler):
     ):
         with pytest.raises(FileFormatError, match=said):
             require_same_sensor(decoupler, data, "m", "d")
+
+
+def test_using_a_model_loads_no_torch_and_nothing_that_solves(path):
+    """A live sensor starts in a fraction of a second; torch alone takes seconds."""
+    code = (
+        "import sys, pathlib, tripillar; tripillar.read_model(pathlib.Path(sys.argv[1])); "
+        "sys.exit(bool({'torch', 'skfem', 'fem'} & {name.split('.')[0] for name in sys.modules}))"
+    )
+    assert subprocess.run([sys.executable, "-c", code, path], check=False).returncode == 0

@@ -10,8 +10,6 @@ from dataset import DatasetSettings, simulate
 from dataset.indentation import drawn_press, samples_of
 from dataset.measurement import ReadingError
 from dataset.resistance import conducted_lengths, exact_resistances, rest_resistances
-from decoupler.evaluation.faults import FaultTest
-from decoupler.model_file import read_model, write_model
 from decoupler.readings import Pillars
 from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
@@ -164,30 +162,3 @@ def test_samples_of_contacts_hold_resistances_by_conduction(surfaces, monkeypatc
     coarse_ohm = exact_resistances(surface.conducted.rest_mm[0, 0, :, 0], surface.design)
     change = data.resistance_ohm / coarse_ohm - 1
     assert 0.02 < np.linalg.norm(by_eq1 - change) / np.linalg.norm(change) < 0.5
-
-
-@pytest.mark.parametrize("name", ["six-pillar", "conduction"])
-def test_rest_is_rest_and_the_file_holds_all(surfaces, tmp_path, name: str):
-    decoder = decoder_of(surfaces[name])
-    at_rest = decoder.rest_resistances()[None]
-    assert not decoder.forces(at_rest).any()
-    write_model(decoder, tmp_path / "plates.safetensors")
-    again = read_model(tmp_path / "plates.safetensors")
-    pressed = 0.98 * at_rest
-    assert isinstance(again, PlateDecoder)
-    assert np.array_equal(again.forces(pressed), decoder.forces(pressed))
-    assert np.array_equal(again.half_widths(pressed), decoder.half_widths(pressed))
-
-
-def test_a_pillar_that_stays_at_its_last_value_is_named(surfaces):
-    """Within a window of scans under changing contacts; honest windows, at rest as well, name nothing."""
-    decoder = decoder_of(surfaces["six-pillar"])
-    test, generator = FaultTest.of(decoder), np.random.default_rng(5)
-    moved = wrenches(6 * test.window).reshape(-1, 24) @ decoder.library.moved_mm.reshape(24, -1)
-    for ohms in decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(6, test.window, *SHAPE, -1):
-        read_ohm = READ.read(ohms, generator)
-        assert test.named(read_ohm) == ()
-        read_ohm[:, 1, 0, 2] = read_ohm[0, 1, 0, 2]
-        assert [str(fault) for fault in test.named(read_ohm)] == ["pillar y of row 1, col 0 stuck"]
-    rest = np.repeat(decoder.rest_resistances()[None], test.window, axis=0)
-    assert test.named(READ.read(rest, generator)) == ()

@@ -8,6 +8,7 @@ import pytest
 
 from common.errors import ArgumentError, DesignError
 from dataset import DatasetSettings, SampleError, read_samples, simulate
+from dataset.samples import joined
 from decoupler import NetworkConfig, TrainingConfig, assess, cross_validate, evaluate, train
 from decoupler.data import enough
 from decoupler.data.columns import COMPONENTS, Columns, Scaling, acting_component, component_named, load_numbers
@@ -162,6 +163,8 @@ def test_few_are_all_and_many_a_random_draw_from_memory_and_disk_alike(tmp_path,
     assert len(np.unique(one.force_n.reshape(MANY, -1), axis=0)) == MANY  # none twice
     with pytest.raises(ArgumentError, match="samples is of type list"):
         drawn([1, 2])
+    with pytest.raises(SampleError, match="another drift"):
+        joined([one[:2], simulate(own, DatasetSettings(samples=2, noise=1e-3, drift=0.01)).labels()])
     asked = "all", replace(NETWORK, feature="inverse"), TrainingConfig(max_iterations=5, seed=1)
     model, again, of_draw = (train(data, *asked, response=own) for data in (stored, many, one))
     for each in (again, of_draw):
