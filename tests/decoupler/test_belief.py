@@ -152,10 +152,7 @@ def test_an_hour_leaves_the_state_bounded_and_rest_at_rest():
     assert all(np.isfinite(each).all() and np.abs(each).max() < 1e5 for each in kept)
     assert (np.abs(found) < 0.003).all()
     assert (deviation < 0.02).all()
-
-
-def test_readings_that_come_at_once_or_never_leave_numbers():
-    follower = SensorFilter(memory=UNKNOWN).start(3)
+    follower = SensorFilter(memory=UNKNOWN).start(3)  # of readings that come at once, or never
     for seconds in (0.0, 0.0, 1e9, 1e-9, 0.1):
         mean, deviation = follower.step(np.array([0.0, 3.0, -3.0]), seconds)
         assert np.isfinite(mean).all()

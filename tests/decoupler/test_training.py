@@ -150,9 +150,11 @@ SECOND_ORDER = pytest.mark.parametrize("trainer", ["varpro", "lm"])
 NETS = pytest.mark.parametrize("net", ["plain", "skip"])
 
 
-def trained(data=TRAIN, progress=lambda *_: None, known=None, hidden=12, net="skip", feature="root", **config):
+def trained(
+    data=TRAIN, progress=lambda *_: None, known=None, hidden=12, net="skip", feature="root", asked="fx", **config
+):
     network = NetworkConfig(hidden=hidden, net=net, feature=feature)
-    return train(data, "fx", network, TrainingConfig(**config), progress, known)
+    return train(data, asked, network, TrainingConfig(**config), progress, known)
 
 
 def changed(data, change):
@@ -322,33 +324,8 @@ JOINT, UNSEEN = split(noisy(EXACT, 1e-3), 600)
 FEATURES = pytest.mark.parametrize("feature", ["inverse", "root"])
 
 
-def jointly(data, feature, **config):
-    return train(
-        data, "all", NetworkConfig(hidden=6, feature=feature), TrainingConfig(**config), response=response(SENSOR)
-    )
-
-
-@FEATURES
-@pytest.mark.parametrize(("at_ohm", "wanders_ohm"), [(3e3, 30.0), (1e9, 0.0)], ids=["stuck", "open"])
-def test_a_pillar_stuck_in_training_is_masked_and_its_unit_named(feature, at_ohm, wanders_ohm):
-    """To the bit the model of a pillar stated as dead, whether it is alive later or not; 576 N is the range."""
-    dead = np.zeros((2, 3, 3), dtype=bool)
-    dead[1, 2, 0] = True
-    read_ohm = at_ohm + wanders_ohm * np.random.default_rng(5).uniform(-1.0, 1.0, (600, 1, 1, 1))
-    stuck, later = (
-        replace(data, resistance_ohm=np.where(dead, read_ohm[: len(data)], data.resistance_ohm))
-        for data in (JOINT, UNSEEN)
-    )
-    model = jointly(stuck, feature, max_iterations=20)
-    stated = jointly(replace(JOINT, dead=dead), feature, max_iterations=20)
-    assert np.array_equal(model.dead, dead)
-    assert {(row, col) for row, col, _ in model.untrusted()} == {(1, 2)}
-    forces = model.forces(UNSEEN.resistance_ohm)
-    assert np.array_equal(forces, stated.forces(np.where(dead, np.nan, UNSEEN.resistance_ohm)))
-    assert np.array_equal(forces, model.forces(later.resistance_ohm))
-    assert np.abs(forces - UNSEEN.force_n).max() < 576
-    missed = np.sqrt(((forces - UNSEEN.force_n) ** 2).mean(axis=0))[..., 2].reshape(-1)
-    assert missed[5] > 3 * missed[:5].max()
+def jointly(data, feature):
+    return trained(data, known=response(SENSOR), hidden=6, feature=feature, asked="all")
 
 
 @FEATURES
@@ -381,8 +358,8 @@ def test_ten_readings_of_each_load_do_not_vouch_for_each_other(feature, noise, l
     assert np.median(one) < np.ptp(EXACT.force_n, axis=(0, 1, 2)).max()
 
 
-@pytest.mark.parametrize("trainer", ["varpro", "lm"])
-@pytest.mark.parametrize("net", ["plain", "skip"])
+@SECOND_ORDER
+@NETS
 def test_few_samples_are_not_called_sure(trainer, net):
     """With more weights than samples the size of errors is known to its order, and none is absurd."""
     training, test = split(EXACT, 600)

@@ -151,17 +151,6 @@ def test_a_weight_on_a_plate_tells_its_sum():
     assert abs(young_mpa - OFF["rubber.young_mpa"]) < 3.5 * together
 
 
-def test_a_pillar_that_was_not_read_is_left_out():
-    dead = np.zeros((2, 3, 3), dtype=bool)
-    dead[1, 2, 0] = True
-    model = identified(Pairs.of(replace(measured("made", 20, 3), dead=dead))).decoder
-    test = measured("made", 100, 2)
-    whole = model.forces(test.resistance_ohm)
-    assert np.array_equal(model.forces(np.where(dead, np.nan, test.resistance_ohm)), whole)
-    off = np.sqrt(np.mean((whole - test.force_n) ** 2, axis=0))
-    assert off[0, 0, 2] < 0.5 * off[1, 2, 2]
-
-
 NINE = sensor(3, 3)
 EXPECTED = Expectation.of(response(NINE), softness(NINE), ALL)
 BEFORE = Knowledge.before(EXPECTED, EXPECTED.mean(), ReadingError(noise=1e-3, bits=12))
