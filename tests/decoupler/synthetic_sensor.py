@@ -11,11 +11,11 @@ import numpy as np
 from dataset import Samples, pillar_lengths, pillar_resistances
 from decoupler.data.columns import component_named
 from fem.array.closed_forms import layer_response
-from fem.array.response import ArrayResponse
+from fem.array.response import ArrayResponse, ConductedPillars
 from fem.array.sensitivities import ResponseSensitivities
 from geometry import Array, SensorDesign
 from geometry.design import Unit
-from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_volumes, unit_centres
+from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_ends, pillar_volumes, unit_centres
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations
 from tests.fem.scenes import BESIDE
 
@@ -102,3 +102,24 @@ def noisy(data: Samples, noise: float) -> Samples:
 def split(data: Samples, n_train: int) -> tuple[Samples, Samples]:
     """The first `n_train` samples and the others."""
     return data[:n_train], data[n_train:]
+
+
+SMALL = sensor(2, 3)  #: a sensor that does for most
+RESPONSE = response(SMALL)
+
+
+def conducted(factor: float) -> ArrayResponse:
+    """The response with resistances as by conduction: eq. 1 with components turned, one more whose square counts −1."""
+    B = RESPONSE.influence_mm_per_n[:, :, SMALL.unit.layout.pillar_top]  # (rows, cols, 3 pillars, 3, ...)
+    d = np.broadcast_to(np.diff(pillar_ends(SMALL.unit), axis=1)[:, 0], B.shape[:4])
+    turn = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    more = factor * B[..., :1, :, :, :]
+    return replace(
+        RESPONSE,
+        conducted=ConductedPillars(
+            rest_mm=np.concatenate([d @ turn.T, 0 * d[..., :1]], axis=3),
+            influence_mm_per_n=np.concatenate([np.einsum("kb,ijpbrca->ijpkrca", turn, B), more], axis=3),
+            sign=np.broadcast_to([1.0, 1.0, 1.0, -1.0], (*d.shape[:3], 4)),
+            error_estimate=0.0,
+        ),
+    )

@@ -37,11 +37,8 @@ from geometry.design import Electrics
 from geometry.wiring import pillars_of_wires
 from tests.decoupler import test_finite_strain as finite
 from tests.decoupler import test_touch as touch
-from tests.decoupler.synthetic_sensor import ALL, labelled, response, sensor
-from tests.decoupler.test_sensor_model import conducted
+from tests.decoupler.synthetic_sensor import ALL, RESPONSE, SMALL, conducted, labelled, response, sensor
 
-SENSOR = sensor(2, 3)
-RESPONSE = response(SENSOR)
 OTHERS = ("six-pillar", "eight-pillar", "upright-four")  #: layouts
 AXES = {"fz": "z", "fx": "x", "fy": "y", "all": "xyz"}
 DEAD = np.zeros((2, 3, 3), dtype=bool)
@@ -95,7 +92,7 @@ def linear(
 
 def dead(feature: str, stays: bool = False) -> Case:
     """Dead pillars and a specimen's gains and offsets, by a converter; or pillars that stay, unstated."""
-    data = read(labelled(SENSOR, "xyz", 500, seed=0), gain_spread=0.2, offset_ohm=200.0, noise=1e-3, bits=12)
+    data = read(labelled(SMALL, "xyz", 500, seed=0), gain_spread=0.2, offset_ohm=200.0, noise=1e-3, bits=12)
     stuck_ohm = np.array([1e9, 3e3, 3e3]) + np.random.default_rng(5).uniform(-30.0, 30.0, data.resistance_ohm.shape)
     read_ohm = np.where(DEAD, stuck_ohm if stays else np.nan, data.resistance_ohm)
     data = replace(data, resistance_ohm=read_ohm, dead=None if stays else DEAD)
@@ -104,7 +101,7 @@ def dead(feature: str, stays: bool = False) -> Case:
 
 def conducting() -> Case:
     given = conducted(0.5)
-    data = labelled(SENSOR, "xyz", 500, seed=0)
+    data = labelled(SMALL, "xyz", 500, seed=0)
     ohms = SensorModel.of(given, ALL).resistances(data.force_n.reshape(500, -1))
     data = read(replace(data, resistance_ohm=ohms.reshape(data.resistance_ohm.shape)), noise=1e-3)
     return Case(train(data[:300], "all", NetworkConfig(feature="inverse"), response=given), data[300:])
@@ -112,8 +109,8 @@ def conducting() -> Case:
 
 def drifting() -> Case:
     """The design states drifts, and the training data have none."""
-    stated = replace(SENSOR, electrics=Electrics(**DRIFTS))
-    data = replace(labelled(SENSOR, "xyz", 2200, seed=0), design=stated, noise=1e-3)
+    stated = replace(SMALL, electrics=Electrics(**DRIFTS))
+    data = replace(labelled(SMALL, "xyz", 2200, seed=0), design=stated, noise=1e-3)
     model = train(read(data[:2000], noise=1e-3), response=replace(RESPONSE, design=stated))
     return Case(model, read(data[2000:], noise=1e-3, **DRIFTS))
 
@@ -307,10 +304,7 @@ def test_what_is_no_scan_is_refused_and_what_is_not_read_does_no_harm(every):
     below = ohms.copy()
     below[(4, *place_of(model))] = -1.0
     for given, said in (
-        (
-            below,
-            "resistance_ohm is -1.0 at sample 4, row ., col ., pillar .*; it must be|not finite or not above 0",
-        ),
+        (below, "resistance_ohm is -1.0 at sample 4, row ., col ., pillar .*; it must be|not finite or not above 0"),
         (ohms[0], r"expected \(n"),
         (np.repeat(ohms, 2, axis=1), r"of \d × \d units, the model's sensor has \d × \d|expected \(n"),
     ):
@@ -369,7 +363,7 @@ def test_few_errors_of_the_net_force_under_stated_drifts_are_avoidable():
     model, test = made("drifts").model, made("drifts").test
     weights, forward = of_net_force(model), SensorModel.of(RESPONSE, ALL)
     C, force_n = (
-        np.cov(labelled(SENSOR, "xyz", 2000, seed=3).force_n.reshape(2000, -1).T),
+        np.cov(labelled(SMALL, "xyz", 2000, seed=3).force_n.reshape(2000, -1).T),
         test.force_n.reshape(200, -1),
     )
     lengths, J = forward.jacobian(force_n)
@@ -430,7 +424,7 @@ def test_pillars_that_stay_in_training_are_masked_and_their_units_named(feature)
     found = dead(feature, stays=True).model
     assert np.array_equal(found.dead, DEAD)
     assert {(row, col) for row, col, _ in found.untrusted()} == {(0, 1), (1, 2)}
-    alive_ohm = labelled(SENSOR, "xyz", 500, seed=0).resistance_ohm[300:]
+    alive_ohm = labelled(SMALL, "xyz", 500, seed=0).resistance_ohm[300:]
     for ohms in (test.resistance_ohm, np.where(DEAD, alive_ohm, test.resistance_ohm)):
         assert np.array_equal(found.forces(ohms), stated.forces(test.resistance_ohm))
     assert np.abs(off_n(Case(stated, test), test.resistance_ohm)).max() < 576  # the range

@@ -288,9 +288,7 @@ def test_the_samples_that_judge_are_drawn_from_all_and_readings_of_one_load_stay
     data = TRAIN[1:]  # of 897 readings a tenth is no whole number of loads
     factor = 1 + 1e-3 * np.random.default_rng(0).standard_normal((3, *data.resistance_ohm.shape))
     often = replace(
-        data,
-        resistance_ohm=np.concatenate(data.resistance_ohm * factor),
-        force_n=np.tile(data.force_n, (3, 1, 1, 1)),
+        data, resistance_ohm=np.concatenate(data.resistance_ohm * factor), force_n=np.tile(data.force_n, (3, 1, 1, 1))
     )
     for seed in (1, 1, 2):
         scaling = trained(often, hidden=2, max_iterations=1, seed=seed).output_scaling
