@@ -63,31 +63,29 @@ def response(design: SensorDesign) -> ArrayResponse:
 
 def layer_sensitivities(design: SensorDesign) -> ResponseSensitivities:
     """Derivatives of the closed form of a layer by all uncertain parameters of its design, central differences."""
-    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
-    by = []
-    for name, sd in deviations.items():
-        above, below = (layer_response(changed(design, name, step * sd)).influence_mm_per_n for step in (0.1, -0.1))
-        by.append((above - below) / (0.2 * sd))
-    return ResponseSensitivities(
-        design=design,
-        parameters=tuple(deviations),
-        deviation=np.array(list(deviations.values())),
-        influence_mm_per_n=np.stack(by),
-    )
+    by = {}
+    for name, sd in usual_deviations(design).items():
+        if name != RESISTIVITY:
+            above, below = (layer_response(changed(design, name, step * sd)).influence_mm_per_n for step in (0.1, -0.1))
+            by[name] = (above - below) / (0.2 * sd)
+    return sensitivities(design, by)
 
 
 def softness(design: SensorDesign) -> ResponseSensitivities:
     """Derivatives of `response` by the rubber's modulus alone."""
-    return ResponseSensitivities(
-        design=design,
-        parameters=("rubber.young_mpa",),
-        deviation=np.array([0.61]),
-        influence_mm_per_n=-response(design).influence_mm_per_n[None] / 6.1,
-    )
+    return sensitivities(design, {"rubber.young_mpa": -response(design).influence_mm_per_n / 6.1})
+
+
+def sensitivities(design: SensorDesign, by: dict[str, FloatArray]) -> ResponseSensitivities:
+    """Of derivatives by parameters, with their usual deviations."""
+    sd = usual_deviations(design)
+    names, influence = tuple(by), np.stack(list(by.values()))
+    deviation = np.array([sd[name] for name in by])
+    return ResponseSensitivities(design=design, parameters=names, deviation=deviation, influence_mm_per_n=influence)
 
 
 def _neighbour(design: SensorDesign) -> FloatArray:
-    """How much of its own displacement a unit passes on to each other one, shape (n_units, n_units)."""
+    """How much of its displacement a unit passes on to each, (n_units, n_units)."""
     centres = unit_centres(design)
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
     return np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge

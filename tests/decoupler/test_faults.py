@@ -8,6 +8,7 @@ from dataset.measurement import measured
 from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.foretold import Foretold
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
@@ -148,3 +149,31 @@ def test_the_limit_is_the_quantile_of_correlated_errors(common):
     errors = np.random.default_rng(0).standard_normal((100_000, 30)) @ np.linalg.cholesky(correlation).T
     # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
     assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)
+
+
+GENERATOR = np.random.default_rng(0)
+S = np.cov(GENERATOR.standard_normal((7, 7)) @ GENERATOR.standard_normal((7, 200)))
+MEAN = np.arange(7.0)
+
+
+@pytest.mark.parametrize("which", [[2], [0, 5], [6, 1, 3]])
+def test_the_conditional_mean_and_covariance_are_those_of_the_others(which):
+    """S_go S_oo⁻¹ (y_o − mean_o) and S_gg − S_go S_oo⁻¹ S_og, whatever stands in the places of the group."""
+    known = Foretold.by(np.linalg.inv(S), np.array(which), MEAN)
+    others = np.setdiff1d(np.arange(7), which)
+    by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
+    y = np.random.default_rng(1).standard_normal((5, 7))
+    expected = MEAN[which] + (y - MEAN)[:, others] @ by_others
+    y[:, which] = 1e3
+    assert known.told(y) == pytest.approx(expected, rel=1e-9)
+    left = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
+    assert known.covariance == pytest.approx(left, rel=1e-9)
+
+
+def test_groups_are_foretold_as_each_alone():
+    groups, K = np.array([[0, 5], [2, 3], [6, 1]]), np.linalg.inv(S)
+    together = Foretold.by(K, groups)
+    for number, which in enumerate(groups):
+        alone = Foretold.by(K, which)
+        assert together.weights[number] == pytest.approx(alone.weights, rel=1e-9, abs=1e-12)
+        assert together.covariance[number] == pytest.approx(alone.covariance, rel=1e-9)

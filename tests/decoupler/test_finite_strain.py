@@ -15,7 +15,7 @@ from dataset.resistance import pillar_lengths
 from dataset.samples import Samples, joined
 from dataset.settings import BLOCK
 from dataset.simulation import LoadError
-from decoupler import SampleError, component_named, train
+from decoupler import SampleError, train
 from decoupler.data.pairs import Pairs
 from decoupler.inverse import posterior
 from decoupler.inverse.sensor_model import SensorModel
@@ -33,14 +33,13 @@ from geometry import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from geometry.tolerances import usual_deviations
 from hardware.virtual import VirtualSensor
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import ALL, labelled, response, sensitivities, sensor
 
-SENSOR, ALL = sensor(1, 2), component_named("all")
+SENSOR = sensor(1, 2)
 EVEN = response(SENSOR)
 #: not its own image in a mirror, as made-up laws are not
-RESPONSE = replace(
-    EVEN, influence_mm_per_n=EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
-)
+UNEVEN = EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
+RESPONSE = replace(EVEN, influence_mm_per_n=UNEVEN)
 LINEAR = SensorModel.of(RESPONSE, ALL)
 STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
@@ -52,15 +51,9 @@ def law(strength: float, linear: SensorModel = LINEAR) -> SensorModel:
     weights = np.zeros((N_FEATURES, sum(sizes)))
     weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, sum(sizes)))
     weights *= strength * 2e-4 * np.repeat([np.std(STATES), 100.0], sizes)
-    maps = StrainMaps(
-        influence=linear.influence,
-        near=neighbours(1, 2),
-        sizes=SIZES,
-        weights=weights,
-        misfit=np.repeat([0.1, 1e-3], sizes),
-        growth=np.array([1.0, 0.0]),
-    )
-    return replace(linear, maps=maps)
+    errors = {"misfit": np.repeat([0.1, 1e-3], sizes), "growth": np.array([1.0, 0.0])}
+    known = {"influence": linear.influence, "near": neighbours(1, 2), "sizes": SIZES}
+    return replace(linear, maps=StrainMaps(**known, weights=weights, **errors))
 
 
 def forces(maps: StrainMaps, state_n: np.ndarray) -> np.ndarray:
@@ -150,9 +143,8 @@ def test_maps_of_every_layout_follow_the_solver_under_loads_that_they_have_not_s
     missed_n = states_of(test.displacement_mm, forward.maps.influence)
     off_n = forces(forward.maps, missed_n) - force_n
     assert np.std(off_n) < 0.1 * np.std(missed_n - force_n)
-    assert np.std(forward.at_states(state_n)[0] - squares) < 0.1 * np.std(
-        forward.linear.lengths(force_n) ** 2 - squares
-    )
+    linear_squares = forward.linear.lengths(force_n) ** 2
+    assert np.std(forward.at_states(state_n)[0] - squares) < 0.1 * np.std(linear_squares - squares)
     assert np.std(off_n) < 3 * np.sqrt(np.mean(forward.maps.misfit[:3] ** 2))
 
 
@@ -217,13 +209,7 @@ def test_derivatives_are_slopes():
 
 def two_parameters() -> ResponseSensitivities:
     """The parameters of specimens; derivatives of the linear response do not count at finite strain."""
-    names = "rubber.young_mpa", "pad.size_mm"
-    return ResponseSensitivities(
-        design=SENSOR,
-        parameters=names,
-        deviation=np.array([usual_deviations(SENSOR)[name] for name in names]),
-        influence_mm_per_n=np.stack([response(SENSOR).influence_mm_per_n] * 2),
-    )
+    return sensitivities(SENSOR, dict.fromkeys(("rubber.young_mpa", "pad.size_mm"), EVEN.influence_mm_per_n))
 
 
 def assert_slopes(function, point, slopes, size):
@@ -344,17 +330,15 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     write_model(identified()[0].decoder, tmp_path / "own.safetensors")
     write_twin(identified()[0], tmp_path / "twin.toml", tmp_path / "own.safetensors")
     twin = read_twin(tmp_path / "twin.toml")
-    known, many = (
-        replace(RESPONSE, design=twin.design),
-        DatasetSettings(protocol="three-axis", samples=BLOCK + 88, seed=5),
-    )
-    drawn, decoder = simulate_twin(twin, known, replace(many, noise=1e-3)), twin.read_decoder()
+    known = replace(RESPONSE, design=twin.design)
+    many = DatasetSettings(protocol="three-axis", samples=BLOCK + 88, seed=5, noise=1e-3)
+    drawn, decoder = simulate_twin(twin, known, many), twin.read_decoder()
     assert drawn.is_finite.all()
     off = np.abs(decoder.forces(drawn.resistance_ohm) - drawn.force_n)
     one, two = decoder.half_widths(drawn.resistance_ohm)
     assert 0.65 < (off < one).mean() < 0.73  # 0.75 and 0.81 without what maps miss, or of one sensor alone
     assert 0.92 < (off < two).mean() < 0.98
-    part = simulate_twin(twin, known, replace(many, noise=1e-3), numbers=range(BLOCK, BLOCK + 88))
+    part = simulate_twin(twin, known, many, numbers=range(BLOCK, BLOCK + 88))
     assert np.array_equal(part.resistance_ohm, drawn.resistance_ohm[BLOCK:])
     with pytest.raises(SampleError, match="of a twin hold no displacements: its own decoder has learned finite strain"):
         train(drawn, response=known)

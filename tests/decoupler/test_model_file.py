@@ -165,9 +165,8 @@ def test_a_header_states_its_size_and_is_cpp_too(tmp_path):
     sizes = [{"float": 4, "short": 2}[kind] * np.prod([*map(int, re.findall(r"\d+", size))]) for kind, size in arrays]
     assert f"Flash: {sum(sizes)} bytes" in header
     (tmp_path / "model.h").write_text(header, encoding="utf-8")
-    (tmp_path / "sketch.cpp").write_text(
-        '#include "model.h"\nvoid loop(float *r, float *f) { tripillar_forces(r, f); }'
-    )
+    sketch = '#include "model.h"\nvoid loop(float *r, float *f) { tripillar_forces(r, f); }'
+    (tmp_path / "sketch.cpp").write_text(sketch)
     if (compiler := shutil.which("c++")) is not None:
         subprocess.run([compiler, "-std=c++11", *STRICT, "-fsyntax-only", "sketch.cpp"], cwd=tmp_path, check=True)
 

@@ -66,15 +66,9 @@ def test_a_noisy_one_comes_back_within_its_deviations(found):
 
 def a_memory(generator):
     """One that a silicone may have: what was published, and half as much again around it."""
-    b_lengthen, ratio, first, second = generator.uniform([0.8, 3.0, 4.0, 60.0], [2.5, 9.0, 14.0, 250.0])
-    return Memory(
-        a=generator.uniform(0.12, 0.5, 2),
-        b_lengthen=b_lengthen,
-        b_shorten=ratio * b_lengthen,
-        tau_s=(first, second),
-        g1=generator.uniform(0.5, 3.0),
-        g2=generator.uniform(-7.0, -3.0),
-    )
+    b, ratio, first, second = generator.uniform([0.8, 3.0, 4.0, 60.0], [2.5, 9.0, 14.0, 250.0])
+    a, g1, g2 = generator.uniform(0.12, 0.5, 2), generator.uniform(0.5, 3.0), generator.uniform(-7.0, -3.0)
+    return Memory(a=a, b_lengthen=b, b_shorten=ratio * b, tau_s=(first, second), g1=g1, g2=g2)
 
 
 @pytest.mark.parametrize("seeds", [3, pytest.param(20, marks=pytest.mark.long)])
@@ -105,11 +99,9 @@ def test_the_law_of_the_force_is_the_one_that_made_it(law, stiffening, second):
 
 def test_what_a_series_does_not_tell_is_said_by_name():
     """Holds at one level leave g1 and g2 together; no test in tension tells of compression."""
-    one_level = (
-        np.array([0.0, 60, 60.2, 300, 300.2, 600, 600.2, 800, 800.2, 1200]),
-        np.array([0, 0, 1, 1, 0, 0, 1, 1, 0, 0]) * 0.3,
-    )
-    said = dict(identified(bench(programme=one_level, noise=0.02, rate_hz=1.0)).unknown)
+    times_s = np.array([0.0, 60, 60.2, 300, 300.2, 600, 600.2, 800, 800.2, 1200])
+    one_level = np.array([0, 0, 1, 1, 0, 0, 1, 1, 0, 0]) * 0.3
+    said = dict(identified(bench(programme=(times_s, one_level), noise=0.02, rate_hz=1.0)).unknown)
     assert any("g1" in what and "g2" in what for what in said)
     assert said["compression"].startswith("the same test pressed")
     whole = dict(identified(bench(noise=0.003, rate_hz=1.0)).unknown)

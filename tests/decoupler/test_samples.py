@@ -124,18 +124,13 @@ def test_functions_find_what_suits_the_samples():
         (lambda: evaluate(DATA, DATA), ArgumentError, NONE_GIVEN),
         (lambda: cross_validate("data.nc"), ArgumentError, NONE_GIVEN),
         (lambda: train(DATA, "fw"), DesignError, "component='fw' is unknown; choose one of fz, fx, fy, all"),
-        *(
-            (
-                lambda ohm=ohm: train(with_value("resistance_ohm", ohm)),
-                SampleError,
-                r"sample 2, row 1, col 0, pillar y; it",
-            )
-            for ohm in (1e300, np.nan, 0.0)
-        ),
+        (lambda: train(with_value("resistance_ohm", 1e300)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
+        (lambda: train(with_value("resistance_ohm", np.nan)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
+        (lambda: train(with_value("resistance_ohm", 0.0)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
         (
             lambda: train(with_value("force_n", 1e300)),
             SampleError,
-            r"force_n is 1e\+300 at sample 2, row 1, col 0, axis z",
+            r"force_n is 1e\+300 at sample 2, row 1, col 0, axis",
         ),
     ],
 )
@@ -163,8 +158,9 @@ def test_few_are_all_and_many_a_random_draw_from_memory_and_disk_alike(tmp_path,
     assert len(np.unique(one.force_n.reshape(MANY, -1), axis=0)) == MANY  # none twice
     with pytest.raises(ArgumentError, match="samples is of type list"):
         drawn([1, 2])
+    drifting = simulate(own, DatasetSettings(protocol="three-axis", samples=2, noise=1e-3, drift=0.01)).labels()
     with pytest.raises(SampleError, match="another drift"):
-        joined([one[:2], simulate(own, DatasetSettings(samples=2, noise=1e-3, drift=0.01)).labels()])
+        joined([one[:2], drifting])
     asked = "all", replace(NETWORK, feature="inverse"), TrainingConfig(max_iterations=5, seed=1)
     model, again, of_draw = (train(data, *asked, response=own) for data in (stored, many, one))
     for each in (again, of_draw):
@@ -214,14 +210,10 @@ def test_a_fold_is_a_network_trained_on_the_rest_which_never_saw_its_scaling():
 
 def test_copies_and_readings_of_one_load_come_into_one_fold():
     """No load of a test set is among those of training; a copy of a sample counts once."""
-    noisy = FOLDED.resistance_ohm[:20] * (1 + 1e-3 * np.random.default_rng(0).standard_normal((20, 2, 3, 3)))
-    again = replace(
-        FOLDED,
-        force_n=np.concatenate([FOLDED.force_n, FOLDED.force_n, FOLDED.force_n[:20]]),
-        resistance_ohm=np.concatenate([FOLDED.resistance_ohm, FOLDED.resistance_ohm, noisy]),
-    )
+    twice = FOLDED[np.concatenate([np.arange(53), np.arange(53), np.arange(20)])]
+    twice.resistance_ohm[106:] *= 1 + 1e-3 * np.random.default_rng(0).standard_normal((20, 2, 3, 3))
     tested = []
-    jobs = pickle.loads(pickle.dumps(list(jobs_of(again, "fx", NETWORK, FEW, 4, None))))  # for another process
+    jobs = pickle.loads(pickle.dumps(list(jobs_of(twice, "fx", NETWORK, FEW, 4, None))))  # for another process
     for _, data, *_, trained_on, tested_on in jobs:
         assert len(data.force_n) == 73
         assert not np.isin(data.force_n[tested_on, 0, 0, 0], data.force_n[trained_on, 0, 0, 0]).any()

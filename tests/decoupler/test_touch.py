@@ -34,6 +34,7 @@ from tests.fem.coarse_plates import coarse, coarse_surface, rigid_plates
 DESIGN = SensorDesign(array=Array(rows=3, cols=3))
 READ = ReadingError(noise=1e-3, bits=12)
 PLATE = Pad(kind="stiff")
+NONE = np.zeros((1, len(PRIOR)))  #: nothing is changed of a press
 N = 16
 
 
@@ -74,9 +75,8 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
         for bit, axis in ((1, 0), (2, 1)):
             if symmetry & bit:
                 turn, at, slide = -turn, at * (1 - 2 * np.eye(2)[axis]), slide * (1 - 2 * np.eye(2)[axis])
-        return press(
-            surface, Cylinder(6.0, 9.0, turn=about_z(turn)), 1.0, at_mm=tuple(at), slide_mm=tuple(slide), friction=0.5
-        )
+        bar, dragged = Cylinder(6.0, 9.0, turn=about_z(turn)), {"slide_mm": tuple(slide), "friction": 0.5}
+        return press(surface, bar, 1.0, at_mm=tuple(at), **dragged)
 
     first = contact(0)
     solved = contact(symmetry)
@@ -84,9 +84,9 @@ def test_a_field_that_is_turned_is_that_of_the_turned_press(decoder, symmetry):
     moved = decoder.library.grid.pressed_mm(*turned)
     assert moved == pytest.approx(solved.electrode_mm.ravel(), abs=0.01 * float(np.abs(solved.electrode_mm).max()))
     part = Part.of(decoder.sensing, *turned)
-    force_n = part.units(np.zeros((1, len(PRIOR))))[0, :, :3]
+    force_n = part.units(NONE)[0, :, :3]
     assert force_n == pytest.approx(solved.force_n.reshape(-1, 3), abs=0.03 * solved.force_n.max())
-    spread = part.moved(np.zeros((1, len(PRIOR))))[0]
+    spread = part.moved(NONE)[0]
     assert spread == pytest.approx(moved, abs=0.02 * float(np.abs(moved).max()))
 
 
@@ -110,12 +110,11 @@ def test_a_changed_press_is_found_again(decoder):
     true = 0.4 * PRIOR[None] * np.resize([1, -1, 1, 1, -1, 1, 1, -1, 1], len(PRIOR))
     reading = decoder.sensing.reading(part.moved(true))[0]
     white = Whitening.of(decoder.sensing.whitening(reading, READ).deviation / 10, np.zeros((len(reading), 0)))
-    (fit,) = fitted(reading, white, [([part], np.zeros((1, len(PRIOR))))], 20)
+    (fit,) = fitted(reading, white, [([part], NONE)], 20)
     assert fit.cost < ((true / PRIOR) ** 2).sum()  # which is the cost of the truth: of exact readings, by its prior
     (again,) = fitted(reading, white, [(fit.parts, fit.q)], 0)
-    assert (fit.chi2, fit.cost) == pytest.approx(
-        (again.chi2, again.chi2 + ((fit.q / PRIOR) ** 2).sum())
-    )  # of each step, too
+    by_prior = ((fit.q / PRIOR) ** 2).sum()
+    assert (fit.chi2, fit.cost) == pytest.approx((again.chi2, again.chi2 + by_prior))  # of each step, too
     found, root = fit.loads()
     expected = part.units(true)[0]
     sure = np.sqrt((root.reshape(-1, 5, len(PRIOR))[:, :3] ** 2).sum(axis=-1))
@@ -161,9 +160,9 @@ def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder):
     reading, net_n = decoder.regression.reading, decoder.regression.unit[:, :, 2].sum(axis=1)
     seen_by = np.linalg.norm(reading, axis=1) / net_n
     part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
-    light = part.units(np.zeros((1, len(PRIOR))))[0, :, :3]
+    light = part.units(NONE)[0, :, :3]
     net_n = light[:, 2].sum()
-    ohms = decoder.sensing.ohms(decoder.sensing.reading(part.moved(np.zeros((1, len(PRIOR)))) / net_n))  # of 1 N
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(part.moved(NONE) / net_n))  # of 1 N
     touches = decoder.touches(READ.read(np.repeat(ohms.reshape(1, 3, 3, 3), 20, axis=0), generator))
     missed = np.abs(np.stack([each.force_n for each in touches]) - light / net_n)
     assert missed[..., 2].max() < 1.1
@@ -173,10 +172,8 @@ def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder):
 def test_two_contacts_are_told_apart(decoder):
     """One near an electrode of each of two opposite units, solved alone: together they are no press of the library."""
     surface = surface_compliance(DESIGN)[0]
-    both = [
-        press(surface, Cylinder(4.0, 4.0, turn=about_z(30.0)), 0.8, at_mm=at, friction=0.3)
-        for at in ((-18.0, -12.0), (11.0, 17.0))
-    ]
+    bar, places_mm = Cylinder(4.0, 4.0, turn=about_z(30.0)), ((-18.0, -12.0), (11.0, 17.0))
+    both = [press(surface, bar, 0.8, at_mm=at_mm, friction=0.3) for at_mm in places_mm]
     moved = sum(one.electrode_mm.reshape(1, -1) for one in both)
     found = decoder.touched(decoder.sensing.reading(moved)[0])
     expected = sum(one.force_n for one in both).reshape(-1, 3)
@@ -186,9 +183,8 @@ def test_two_contacts_are_told_apart(decoder):
     for one, solved in zip(sorted(found.contacts, key=lambda one: one.centre_mm[0]), both, strict=True):
         assert one.force_n[2] == pytest.approx(solved.force_n[..., 2].sum(), abs=3 * one.force_deviation_n[2] + 1.0)
         assert one.centre_mm == pytest.approx(solved.centre_mm, abs=1.0)
-        pressed = Part.of(
-            decoder.sensing, *presses_of([(solved.patch, solved.cell_force_n)]).turned(0, 0, np.zeros(2))
-        ).contact(np.zeros((1, len(PRIOR))))
+        true = presses_of([(solved.patch, solved.cell_force_n)]).turned(0, 0, np.zeros(2))
+        pressed = Part.of(decoder.sensing, *true).contact(NONE)
         assert (np.abs(one.half_mm - pressed[0, 5:]) < 3 * one.half_deviation_mm).all()
 
 
@@ -249,10 +245,7 @@ def test_a_pillar_that_stays_under_presses_that_come_and_go_is_named(decoder):
     for _ in range(3):
         rows = generator.integers(len(decoder.library.moved_mm), size=test.window)
         exact = decoder.sensing.ohms(decoder.sensing.reading(decoder.library.moved_mm[rows].astype(float)))
-        held, rest = (
-            np.repeat(exact[:1], test.window, axis=0),
-            np.repeat(decoder.rest_resistances()[None], test.window, 0),
-        )
+        held, rest = (np.repeat(one[None], test.window, 0) for one in (exact[0], decoder.rest_resistances()))
         for ohms in (exact, held, rest):
             assert test.named(READ.read(ohms.reshape(-1, 3, 3, 3), generator)) == ()
         stuck = READ.read(exact.reshape(-1, 3, 3, 3), generator)
@@ -279,11 +272,6 @@ def made_surfaces() -> dict[str, SurfaceCompliance]:
     return made
 
 
-@pytest.fixture
-def surfaces() -> dict[str, SurfaceCompliance]:
-    return made_surfaces()
-
-
 def decoder_of(surface: SurfaceCompliance) -> PlateDecoder:
     design = surface.design
     with pytest.MonkeyPatch.context() as patch:
@@ -305,9 +293,9 @@ def wrenches(n: int) -> np.ndarray:
     return loads
 
 
-def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do(surfaces):
+def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do():
     """Pressure that pushes its tiles evenly, and that tilts them, of the whole compliance: to its single precision."""
-    surface = surfaces["six-pillar"]
+    surface = made_surfaces()["six-pillar"]
     tiles, _ = tiles_per_pitch(surface.design)
     squares = cell_rectangles(surface.design)[: tiles**2]
     x, y = ((squares[:, :2] + squares[:, 2:]) / 2).T.reshape(2, tiles, tiles)
@@ -320,34 +308,29 @@ def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do(surfaces):
 
 
 @pytest.mark.parametrize(("layout", "bound_n"), [("six-pillar", 0.6), ("conduction", 0.6), ("song2018", 30.0)])
-def test_deviations_hold_whether_the_layout_tells_all_six_or_not(surfaces, layout: str, bound_n: float):
+def test_deviations_hold_whether_the_layout_tells_all_six_or_not(layout: str, bound_n: float):
     """Six pillars tell fz to the bar; three cannot tell a moment from a force, and say so."""
-    decoder, loads = decoder_of(surfaces[layout]), wrenches(60)
+    decoder, loads = decoder_of(made_surfaces()[layout]), wrenches(60)
     moved = loads.reshape(60, -1) @ decoder.library.moved_mm.reshape(24, -1)
     ohms = READ.read(decoder.sensing.ohms(decoder.sensing.reading(moved)), np.random.default_rng(2))
-    found = decoder.touches(ohms.reshape(60, *SHAPE, -1))
-    error = np.stack([each.force_n for each in found]) - loads[..., :3]
-    half = np.stack([each.half_widths_n[1] for each in found])
-    assert np.sqrt((error[..., 2] ** 2).mean()) < bound_n
-    assert (np.abs(error) <= half).mean() > 0.93
-    loaded = loads[..., 2] > 0
-    assert (np.abs(error) <= half)[loaded].mean() > 0.93
+    found, loaded = decoder.touches(ohms.reshape(60, *SHAPE, -1)), loads[..., 2] > 0
+    off = np.abs(np.stack([each.load for each in found]) - loads)
+    one, two = (np.stack(each) for each in zip(*(each.half_widths for each in found), strict=True))
+    assert np.sqrt((off[..., 2] ** 2).mean()) < bound_n
+    assert (off <= two)[..., :3].mean() > 0.93
+    assert (off <= two)[loaded, :3].mean() > 0.93
     if layout != "song2018":
-        moments = np.stack([each.moment_nmm for each in found]) - loads[..., 3:5]
-        assert np.sqrt((moments**2).mean()) < 5.0
-        of_all = np.abs(np.stack([each.load for each in found]) - loads)
-        held = [
-            (of_all <= np.stack(each))[..., 3:].mean() for each in zip(*(one.half_widths for one in found), strict=True)
-        ]
-        assert (held[0] > 0.66, held[1] > 0.93) == (True, True)  # of moments, as of forces
+        assert np.sqrt((off[..., 3:5] ** 2).mean()) < 5.0
+        assert (off <= one)[..., 3:].mean() > 0.66  # of moments, as of forces
+        assert (off <= two)[..., 3:].mean() > 0.93
     else:  # what it cannot tell it calls unsure
-        assert np.median(half[..., 2][loaded]) > 5.0
+        assert np.median(two[loaded, 2]) > 5.0
 
 
 @pytest.mark.parametrize("name", ["six-pillar", "conduction"])
-def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name: str):
+def test_presses_of_any_shape_are_read_and_their_samples_assessed(name: str):
     """A ball across a crossing, and a turned punch that drags one plate, each read ten times."""
-    surface = surfaces[name]
+    surface = made_surfaces()[name]
     punch, dragged = Flat((5.0, 8.0), turn=about_z(20.0)), {"slide_mm": (0.4, 0.0), "friction": 0.5}
     ball = press(surface, Sphere(9.0), 0.9, at_mm=(1.0, 0.5), cells=24)
     data = samples_of(10 * [ball, press(surface, punch, 0.3, at_mm=(8.0, 6.0), cells=24, **dragged)])
@@ -359,10 +342,10 @@ def test_presses_of_any_shape_are_read_and_their_samples_assessed(surfaces, name
     assert assessed.centre_mm < 0.3
 
 
-def test_a_force_on_a_plate_s_middle_reads_as_in_the_array_s_response_by_conduction(surfaces):
+def test_a_force_on_a_plate_s_middle_reads_as_in_the_array_s_response_by_conduction():
     """Another path, by loads on pads: to 0.2 % of the change, and as squares beyond what is linear."""
-    surface, thickness_mm = surfaces["conduction"], Pad().plate.thickness_mm
-    moved = decoder_of(surfaces["six-pillar"]).library.moved_mm
+    surface, thickness_mm = made_surfaces()["conduction"], Pad().plate.thickness_mm
+    moved = decoder_of(made_surfaces()["six-pillar"]).library.moved_mm
     by_force = moved[:, :3].copy()
     by_force[:, :2] -= thickness_mm * moved[:, 3:5]  # at the middle of the underside
     by_force[:, 2] *= -1.0
@@ -381,9 +364,9 @@ def test_a_force_on_a_plate_s_middle_reads_as_in_the_array_s_response_by_conduct
     assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
 
 
-def test_samples_of_contacts_hold_resistances_by_conduction(surfaces, monkeypatch):
+def test_samples_of_contacts_hold_resistances_by_conduction(monkeypatch):
     """Those of `indent` are those of its contacts, and change otherwise than by eq. 1: by 2 to 50 % of the change."""
-    surface = surfaces["conduction"]
+    surface = made_surfaces()["conduction"]
     monkeypatch.setattr("dataset.indentation._surface", lambda design: surface)
     response = replace(made_up_response(surface.design), conducted=surface.conducted)  # which contact does not ask
     monkeypatch.setattr("dataset.indentation.drawn_press", partial(drawn_press, cells=16))

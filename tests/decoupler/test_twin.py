@@ -83,18 +83,15 @@ def test_pairs_tell_the_parameters_and_bring_errors_near_those_of_the_true_respo
     assert (errors_n(twin_of("made", 100).decoder, test) < 1.15 * best).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "n", "most"),
-    [
-        *[("made", 3, 0.8), ("made", 10, 0.8), ("made", 100, 0.8), ("pads", 10, 0.85), ("pads", 56, 0.85)],
-        *[("pitch", 10, 0.85), ("thickness", 56, 0.85), ("rubber", 10, 0.85)],
-    ],
-)
-def test_deviations_hold_on_a_sensor_unlike_the_design(name, n, most):
+PAIRS = [("made", 3), ("made", 10), ("made", 100), ("pads", 10), ("pads", 56), ("pitch", 10), ("rubber", 10)]
+
+
+@pytest.mark.parametrize(("name", "n"), [*PAIRS, ("thickness", 56)])
+def test_deviations_hold_on_a_sensor_unlike_the_design(name, n):
     test, model = measured(name, 200, 2), twin_of(name, n).decoder
     off = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.half_widths(test.resistance_ohm)
-    assert 0.6 < (off < one).mean() < most
+    assert 0.6 < (off < one).mean() < (0.8 if name == "made" else 0.85)
     assert (off < two).mean() > 0.9
 
 
@@ -138,17 +135,21 @@ def test_a_weight_on_a_plate_tells_its_sum():
     even[..., 2] = total_n / 6
     unknown[:6, ..., 2] = 0.5 * total_n / 6 * (np.zeros((6, 6)) + np.eye(6) - 1 / 6).reshape(6, 2, 3)
     unknown[6, ..., 2] = 0.01 * total_n / 6
-    both = Pairs(
-        resistance_ohm=np.concatenate([pairs.resistance_ohm, plate.resistance_ohm]),
-        force_n=np.concatenate([pairs.force_n, even]),
-        unknown_n=(*pairs.unknown_n, unknown),
-        noise=NOISE,
-    )
-    alone, (young_mpa, together) = (
-        each.parameters["rubber.young_mpa"] for each in (twin_of("made", 3), identified(both))
-    )
-    assert together < alone[1]
+    ohms, force_n = np.concatenate([pairs.resistance_ohm, plate.resistance_ohm]), np.concatenate([pairs.force_n, even])
+    both = Pairs(resistance_ohm=ohms, force_n=force_n, unknown_n=(*pairs.unknown_n, unknown), noise=NOISE)
+    alone, (young_mpa, together) = twin_of("made", 3), identified(both).parameters["rubber.young_mpa"]
+    assert together < alone.parameters["rubber.young_mpa"][1]
     assert abs(young_mpa - OFF["rubber.young_mpa"]) < 3.5 * together
+
+
+def test_a_pillar_that_was_not_read_is_left_out():
+    dead = np.zeros((2, 3, 3), dtype=bool)
+    dead[1, 2, 0] = True
+    model, test = identified(Pairs.of(replace(measured("made", 20, 3), dead=dead))).decoder, measured("made", 100, 2)
+    whole = model.forces(test.resistance_ohm)
+    assert np.array_equal(model.forces(np.where(dead, np.nan, test.resistance_ohm)), whole)
+    off = np.sqrt(np.mean((whole - test.force_n) ** 2, axis=0))
+    assert off[0, 0, 2] < 0.5 * off[1, 2, 2]
 
 
 NINE = sensor(3, 3)
