@@ -45,7 +45,7 @@ DEAD = np.zeros((2, 3, 3), dtype=bool)
 DEAD[0, 1], DEAD[1, 2, 0] = True, True
 DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002, "drift_offset_ohm": 50.0}
 ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
-SCANS = 7  #: looked at one by one
+SCANS = 5  #: looked at one by one
 CC = shutil.which("cc")
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
 MAIN = """
@@ -135,6 +135,7 @@ CASES: dict[str, Callable[[], Case]] = {
     **{layout: lambda layout=layout: linear(layout=layout, noise=1e-3, bits=12) for layout in OTHERS},
     **{f"fx-{layout}": lambda layout=layout: linear("fx", "skip", "root", layout, noise=1e-3) for layout in OTHERS},
     "identified-six-pillar": lambda: identified("six-pillar"),
+    "identified-finite-strain": lambda: Case(finite.identified()[0].decoder, finite.identified()[1][:200]),
     "finite-strain": lambda: Case(*finite.learned()),
     "finite-strain-six-pillar": lambda: Case(*finite.learned("six-pillar")),
 }
@@ -216,7 +217,8 @@ def test_other_forms_give_its_forces(case, tmp_path):
     tensors = in_torch(model, columns.new_zeros(())).outputs(columns).numpy()
     expected = model.forces(scans)
     exact = ROUNDING * np.abs(expected).max()
-    np.testing.assert_allclose(tensors.reshape(expected.shape), expected, rtol=0, atol=exact)
+    single = 1e3 if isinstance(model, DecouplerAtStrain) and model.is_identified else 1.0  # its draws' precision
+    np.testing.assert_allclose(tensors.reshape(expected.shape), expected, rtol=0, atol=single * exact)
     if isinstance(model, DecouplerAtStrain):
         with pytest.raises(ExportError, match="are not exported"):
             export_model(model, tmp_path / "model.h")
@@ -236,15 +238,12 @@ def test_other_forms_give_its_forces(case, tmp_path):
 
 def plates(name: str) -> Case:
     """2 × 2 stiff pads on coarse cells, of one or two contacts."""
-    decoder, loads = touch.decoder_of(touch.made_surfaces()[name]), touch.wrenches(60)
-    moved = loads.reshape(60, -1) @ decoder.library.moved_mm.reshape(24, -1)
-    exact = decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(60, *touch.SHAPE, -1)
-    read_ohm = touch.READ.read(exact, np.random.default_rng(2))
-    return Case(decoder, SimpleNamespace(resistance_ohm=read_ohm, force_n=loads[:, :, :3].reshape(60, 2, 2, 3)))
+    decoder, loads, ohms = touch.made_plates(name)
+    return Case(decoder, SimpleNamespace(resistance_ohm=ohms, force_n=loads[:, :, :3].reshape(60, 2, 2, 3)))
 
 
 EVERY = CASES | {f"plates-{name}": lambda name=name: plates(name) for name in ("six-pillar", "song2018", "conduction")}
-EVERY["bare"] = lambda: Case(touch.made_decoder(), touch.made_contacts())
+EVERY["bare"] = lambda: Case(touch.made_decoder(), touch.made_contacts()[:10])
 each_made = cache(lambda name: EVERY[name]() if name not in CASES else made(name))
 intact_n = cache(lambda name: off_n(each_made(name), each_made(name).test.resistance_ohm))
 #: least share that 95 % deviations of the unit with a broken pillar hold, where it is not 0.9: two pillars of three
@@ -351,10 +350,8 @@ def test_few_errors_of_the_net_force_under_stated_drifts_are_avoidable():
     """A tenth above the linear-Gaussian posterior about each load, C − C Jᵀ (J C Jᵀ + Σ)⁻¹ J C; and they are stated."""
     model, test = made("drifts").model, made("drifts").test
     weights, forward = of_net_force(model), SensorModel.of(RESPONSE, ALL)
-    C, force_n = (
-        np.cov(labelled(SMALL, "xyz", 2000, seed=3).force_n.reshape(2000, -1).T),
-        test.force_n.reshape(200, -1),
-    )
+    C = np.cov(labelled(SMALL, "xyz", 2000, seed=3).force_n.reshape(2000, -1).T)
+    force_n = test.force_n.reshape(200, -1)
     lengths, J = forward.jacobian(force_n)
     ohm = forward.ohm_per_mm2 * lengths**2
     J, shared = (2.0 * ohm / lengths)[..., None] * J, model.errors.shared(ohm, 2, 3)

@@ -1,21 +1,22 @@
 """Faults of pillars and wires are named, loads that the model does not know are loud; sound sensors raise no alarm."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from dataset import Samples
 from dataset.measurement import measured
-from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.foretold import Foretold
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
-from tests.decoupler.synthetic_sensor import response, sensor
+from tests.decoupler.synthetic_sensor import ALL, response, sensor
 
 SENSOR = sensor(3, 3)
-FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
+FORWARD = SensorModel.of(response(SENSOR), ALL)
 NOISE = 1e-3
 SMOOTH = np.exp(-0.5 * np.subtract.outer(np.arange(3), np.arange(3)) ** 2 / 1.5**2)  # indenters as wide as two pads
 
@@ -37,9 +38,9 @@ def loads(n, seed):
     return force_n.reshape(n, -1)
 
 
-def readings(force_n, seed=1, bits=12):
+def readings(force_n, seed=1, bits=12, forward=FORWARD):
     """What the sensor shows under forces (n, 27), with noise and a converter."""
-    ohms = FORWARD.resistances(force_n).reshape(-1, 3, 3, 3)
+    ohms = forward.resistances(force_n).reshape(len(force_n), 3, 3, -1)
     return measured(ohms, NOISE, bits, np.random.default_rng(seed))
 
 
@@ -118,17 +119,10 @@ def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
 def test_a_net_without_a_response_tells_another_sensor_by_its_readings(layout):
     """Gains of 0.9 to 1.1 of each pillar; its own under usual and light loads, at rest and without a pillar pass."""
     design = sensor(3, 3, layout)
-    forward = SensorModel.of(response(design), component_named("all"))
-
-    def read_ohm(force_n, seed):
-        return measured(
-            forward.resistances(force_n).reshape(len(force_n), 3, 3, -1), NOISE, 12, np.random.default_rng(seed)
-        )
-
+    read_ohm = partial(readings, forward=SensorModel.of(response(design), ALL))
     force_n, unseen_n = presses(400, 5), presses(1000, 6)
-    data = Samples(
-        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=read_ohm(force_n, 1), design=design, noise=NOISE, bits=12
-    )
+    own = {"force_n": force_n.reshape(-1, 3, 3, 3), "resistance_ohm": read_ohm(force_n)}
+    data = Samples(**own, design=design, noise=NOISE, bits=12)
     model = train(data, "all", NetworkConfig(hidden=4, net="plain", feature="root"))
     own = read_ohm(unseen_n, 2)
     broken = own[:100].copy()

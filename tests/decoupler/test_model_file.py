@@ -1,7 +1,4 @@
-"""Files of models: refusals in one line, nothing half-written, what exports say of themselves.
-
-`test_contract` holds their round trip and the forces of exports.
-"""
+"""Files of models and exports: refusals, nothing half-written, what they say; `test_contract` has their round trip."""
 
 import json
 import re

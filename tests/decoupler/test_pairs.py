@@ -193,7 +193,6 @@ WRONG = {
     "axes": (turned(force=lambda F: F[..., [1, 0, 2]]), "axes seem to stand in the order y, x, z"),
     "transposed": (turned(force=lambda F: F.swapaxes(1, 2)), "rows and columns of the forces seem to be exchanged"),
     "columns": (turned(ohm=lambda R: R[:, :, ::-1]), "columns of the forces seem to stand in reverse order"),
-    "pillars": (turned(ohm=lambda R: R[..., [1, 0, 2]]), "pillars seem to stand in the order x, z, y"),
     "order": (turned(ohm=lambda R: R[SHUFFLED]), NOT_LINKED),
     "of others": (turned(ohm=lambda R: OTHERS.resistance_ohm), NOT_LINKED),
     "constant": (turned(ohm=lambda R: np.repeat(R[:1], 30, axis=0)), NOT_LINKED),

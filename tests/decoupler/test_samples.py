@@ -98,6 +98,7 @@ def test_range_becomes_minus_one_to_one_and_a_constant_zero_and_back():
 
 QUICK = TrainingConfig(max_iterations=1)
 DATA = samples(n=60)
+BAD = "sample 2, row 1, col 0, pillar y; it"
 NONE_GIVEN = r"^\w+ is of type \w+, expected \w+: [^\n]*\.$"
 
 
@@ -124,14 +125,8 @@ def test_functions_find_what_suits_the_samples():
         (lambda: evaluate(DATA, DATA), ArgumentError, NONE_GIVEN),
         (lambda: cross_validate("data.nc"), ArgumentError, NONE_GIVEN),
         (lambda: train(DATA, "fw"), DesignError, "component='fw' is unknown; choose one of fz, fx, fy, all"),
-        (lambda: train(with_value("resistance_ohm", 1e300)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
-        (lambda: train(with_value("resistance_ohm", np.nan)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
-        (lambda: train(with_value("resistance_ohm", 0.0)), SampleError, "sample 2, row 1, col 0, pillar y; it"),
-        (
-            lambda: train(with_value("force_n", 1e300)),
-            SampleError,
-            r"force_n is 1e\+300 at sample 2, row 1, col 0, axis",
-        ),
+        *((lambda ohm=ohm: train(with_value("resistance_ohm", ohm)), SampleError, BAD) for ohm in (1e300, np.nan, 0.0)),
+        (lambda: train(with_value("force_n", 1e300)), SampleError, r"force_n is 1e\+300 at sample 2, row 1, col 0"),
     ],
 )
 def test_what_cannot_be_learned_from_is_named_with_what_to_give(wrong, error, said):
@@ -199,9 +194,6 @@ def test_a_fold_is_a_network_trained_on_the_rest_which_never_saw_its_scaling():
         model = train(wild[np.setdiff1d(np.arange(53), part)], "fx", NETWORK, FEW)
         assert fold.errors == evaluate(model, wild[part])
         assert fold.iterations == model.made_from["outcome"]["iterations"]
-        actual = wild.force_n[part][..., :1]
-        relative = np.abs(model.forces(wild.resistance_ohm[part]) - actual) / actual
-        assert fold.errors["fx"].rel_err == pytest.approx(relative.mean(), rel=1e-12)
     rel_err, found = [fold.errors["fx"].rel_err for fold in tested], summary(tested)
     assert [fold["rel_err"] for fold in found["folds"]] == rel_err
     assert found["mean_rel_err"] == pytest.approx(np.mean(rel_err))

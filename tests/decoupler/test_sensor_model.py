@@ -1,7 +1,4 @@
-"""The forward model and its inverse, of any layout: against the dataset's own lengths and what its readings allow.
-
-Where pillars hardly tell a force, deviations say so.
-"""
+"""The forward model and its inverse, of any layout: against the dataset's own lengths and what readings allow."""
 
 from dataclasses import replace
 
@@ -159,7 +156,6 @@ def test_forces_come_back_within_the_converters_own_error(layout):
 def test_forces_of_a_whole_array_come_back_within_the_converters_own_error(layout, kind, shared_cache):
     design = replace(sensor(6, 6, layout), pad=Pad(kind=kind))
     for one in back_again(array_response(design)[0], 5000, bits=BITS).values():
-        print(layout, kind, one.errors.rmse_n, one.limits.cramer_rao_n, one.ratio, one.coverage)
         assert one.ratio < 1.1
 
 

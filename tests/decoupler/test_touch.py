@@ -153,17 +153,15 @@ def test_unseen_contacts_are_decoded_within_their_deviations(decoder, contacts):
     assert found.by_force["fz"].errors.rmse_n < missed < none
 
 
-def test_rest_is_rest_and_a_light_touch_is_within_its_deviations(decoder):
-    generator, rest_ohm = np.random.default_rng(0), decoder.rest_resistances()
-    scans = READ.read(np.repeat(rest_ohm[None], 50, axis=0), generator)
-    assert np.count_nonzero(decoder.forces(scans).any(axis=(1, 2, 3))) <= 1  # one in a thousand is promised
+def test_a_light_touch_is_within_its_deviations(decoder):
     reading, net_n = decoder.regression.reading, decoder.regression.unit[:, :, 2].sum(axis=1)
     seen_by = np.linalg.norm(reading, axis=1) / net_n
     part = decoder._starts([int(np.argsort(seen_by)[len(seen_by) // 2])], 1)[0]  # where half of all presses show less
     light = part.units(NONE)[0, :, :3]
     net_n = light[:, 2].sum()
     ohms = decoder.sensing.ohms(decoder.sensing.reading(part.moved(NONE) / net_n))  # of 1 N
-    touches = decoder.touches(READ.read(np.repeat(ohms.reshape(1, 3, 3, 3), 20, axis=0), generator))
+    scans = READ.read(np.repeat(ohms.reshape(1, 3, 3, 3), 20, axis=0), np.random.default_rng(0))
+    touches = decoder.touches(scans)
     missed = np.abs(np.stack([each.force_n for each in touches]) - light / net_n)
     assert missed[..., 2].max() < 1.1
     assert (missed <= np.stack([each.half_widths_n[1] for each in touches])).mean() > 0.95
@@ -293,6 +291,15 @@ def wrenches(n: int) -> np.ndarray:
     return loads
 
 
+@cache
+def made_plates(name: str) -> tuple[PlateDecoder, np.ndarray, np.ndarray]:
+    """A decoder, loads of 60 scans, and what is read under them."""
+    decoder, loads = decoder_of(made_surfaces()[name]), wrenches(60)
+    moved = loads.reshape(60, -1) @ decoder.library.moved_mm.reshape(24, -1)
+    exact = decoder.sensing.ohms(decoder.sensing.reading(moved))
+    return decoder, loads, READ.read(exact, np.random.default_rng(2)).reshape(60, *SHAPE, -1)
+
+
 def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do():
     """Pressure that pushes its tiles evenly, and that tilts them, of the whole compliance: to its single precision."""
     surface = made_surfaces()["six-pillar"]
@@ -310,10 +317,8 @@ def test_a_plate_s_own_cell_says_what_forces_on_its_tiles_do():
 @pytest.mark.parametrize(("layout", "bound_n"), [("six-pillar", 0.6), ("conduction", 0.6), ("song2018", 30.0)])
 def test_deviations_hold_whether_the_layout_tells_all_six_or_not(layout: str, bound_n: float):
     """Six pillars tell fz to the bar; three cannot tell a moment from a force, and say so."""
-    decoder, loads = decoder_of(made_surfaces()[layout]), wrenches(60)
-    moved = loads.reshape(60, -1) @ decoder.library.moved_mm.reshape(24, -1)
-    ohms = READ.read(decoder.sensing.ohms(decoder.sensing.reading(moved)), np.random.default_rng(2))
-    found, loaded = decoder.touches(ohms.reshape(60, *SHAPE, -1)), loads[..., 2] > 0
+    decoder, loads, ohms = made_plates(layout)
+    found, loaded = decoder.touches(ohms), loads[..., 2] > 0
     off = np.abs(np.stack([each.load for each in found]) - loads)
     one, two = (np.stack(each) for each in zip(*(each.half_widths for each in found), strict=True))
     assert np.sqrt((off[..., 2] ** 2).mean()) < bound_n

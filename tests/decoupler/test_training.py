@@ -1,7 +1,4 @@
-"""Trainers: their algebra against dense matrices, trainers × problems on a small sensor, and how sure few samples make.
-
-Each trainer lowers the error and stops for the reason that it gives, and a seed fixes it.
-"""
+"""Trainers: their algebra against dense matrices, trainers × problems, and how sure few samples make."""
 
 from dataclasses import replace
 
