@@ -29,12 +29,9 @@ def sensor(rows: int = 6, cols: int = 6, layout: str = "song2018") -> SensorDesi
 
 
 def _own(layout: Layout) -> FloatArray:
-    """Motion (n_upper, 3, 3) [mm/N] of electrodes along x, y, z by forces along x, y, z (last) on their own unit.
-
-    Pressure pushes an electrode towards the unit's middle, and shear tilts the top about it.
-    """
+    """Motion (n_upper, 3, 3) [mm/N] of electrodes along x, y, z by forces along x, y, z (last) on their own unit."""
     found = np.tile(np.diag([1.0e-2, 1.0e-2, 4e-3]), (len(layout.upper), 1, 1))
-    for k, electrode in enumerate(layout.upper):
+    for k, electrode in enumerate(layout.upper):  # pressed towards the middle, about which shear tilts the top
         found[k, :2, 2], found[k, 2, :2] = -2e-3 * np.array(electrode.place), -1e-3 * np.array(electrode.place)
     return found
 

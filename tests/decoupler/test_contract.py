@@ -1,8 +1,4 @@
-"""What every decoder keeps, whatever sensor it decodes and whatever it learned from.
-
-The same bits from its file and for a scan alone, the same forces in torch, ONNX and C, derivatives that are slopes, and
-deviations that hold on scans that it has not seen.
-"""
+"""What every decoder keeps, whatever sensor it decodes and whatever it learned from: decoders × guarantees."""
 
 import shutil
 import subprocess
@@ -315,16 +311,13 @@ def test_rest_is_within_its_deviations_and_no_strange_load(every):
 
 
 def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off():
-    """10 kΩ before 10 kΩ is the worst place, between two counts. The calibration of 600 samples leaves a fifth.
-
-    Where most of a scan is loaded, none of it is taken to rest.
-    """
+    """10 kΩ before 10 kΩ is the worst place, between two counts. The calibration of 600 samples leaves a fifth."""
     model, rest_ohm = made("fz-inverse").model, np.full((1, 2, 3, 3), 1e4)
     read_ohm = measured(rest_ohm, 0.0, 12, np.random.default_rng(0))
     assert np.abs(read_ohm - rest_ohm).min() > 4.8
     plain = replace(model, front=replace(model.front, resting=Resting.read_with(model.front.resting.rest_ohm, None)))
     assert np.abs(model.forces(read_ohm)).max() < 0.2 * np.abs(plain.forces(read_ohm)).max()
-    read_ohm[:, 0] *= 0.95
+    read_ohm[:, 0] *= 0.95  # where most of a scan is loaded, none of it is taken to rest
     read_ohm[:, 1, 0] *= 0.95
     np.testing.assert_array_equal(model.forces(read_ohm), plain.forces(read_ohm))
 

@@ -327,13 +327,10 @@ def test_memory_is_followed_by_the_law_that_holds(stated):
 @pytest.mark.parametrize("stated", [LOADING, UNKNOWN], ids=["stated", "unknown"])
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_wrong_rubber_costs_no_more_than_ignoring_memory(name, stated):
-    """Either way round: the law is contradicted by the first hold, and gives way; deviations hold.
-
-    Of a design its g₁ stays; a file's costs no more than eq. 1 alone.
-    """
+    """Either way round: the law is contradicted by the first hold, and gives way; deviations hold."""
     for truth, file in ((OTHERS[name], stated), (SENSORS_MEMORY, replace(OTHERS[name], direction=stated.direction))):
         strain, y = shown(truth)
-        for is_tested, ignored in ((True, ignoring(y, file)), (False, np.expm1(y / 2))):
+        for is_tested, ignored in ((True, ignoring(y, file)), (False, np.expm1(y / 2))):  # of a design its g₁ stays
             found, deviation = followed(SensorFilter(memory=file, is_tested=is_tested), TIME_S, y)
             assert (size(found - strain) < 1.1 * size(ignored - strain) + 1e-3).all()
             assert (np.abs(found - strain) < 1.96 * deviation).mean() > 0.9

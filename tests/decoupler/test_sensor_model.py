@@ -94,13 +94,10 @@ def test_a_sensor_that_conducts_is_identified_whatever_its_forces(name):
 
 @pytest.mark.parametrize("noise", [0.0, 1e-2])
 def test_corrections_come_near_the_forces_and_are_right_at_rest(noise):
-    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that.
-
-    Fitted to pads of 144 to 720 N, exact readings: 0.05 N is what a press of 10 N is to be read to at best.
-    """
+    """A linear estimate is percents off; for loads that they never saw, the corrections leave 1 % of that."""
     inverse = ModelInverse.about(FORWARD, FORCES[:200], READABLE, noise)
     touches = np.vstack([np.zeros(FORWARD.n_forces), 10.0 * np.eye(FORWARD.n_forces)])
-    assert np.abs(inverse.values(FORWARD.resistances(touches)) - touches).max() < 0.05
+    assert np.abs(inverse.values(FORWARD.resistances(touches)) - touches).max() < 0.05  # fitted to 144 to 720 N
     if noise == 0.0:
         others, columns = FORCES[200:], COLUMNS[200:]
         linear = inverse.centre_n + (FORWARD.lengths_of(columns) - inverse.centre_mm) @ inverse.correctors[0]

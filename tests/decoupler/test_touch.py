@@ -221,19 +221,15 @@ def test_whoever_calls_it_reads_a_scan_on_one_thread(decoder, contacts, monkeypa
 
 
 def test_three_pillars_take_a_plate_s_moment_for_a_force_and_six_do_not(monkeypatch, shared_cache):
-    """Plates of their own: three readings leave three of six loads to the prior; six err by the noise.
-
-    A touch that is taken for rest is missed whole, and as much may be hidden.
-    """
-    monkeypatch.setattr(
-        "decoupler.touch.limits.plate_response", lambda one: (PlateResponse(moved_mm=rigid_plates(one)), None, True)
-    )
+    """Plates of their own: three readings leave three of six loads to the prior; six err by the noise."""
+    rigid = "decoupler.touch.limits.plate_response"
+    monkeypatch.setattr(rigid, lambda one: (PlateResponse(moved_mm=rigid_plates(one)), None, True))
     three, six = (replace(DESIGN, unit=Unit(layout=LAYOUTS[name]), pad=PLATE) for name in ("song2018", "six-pillar"))
     assert touch_limits(three, 20.0, ReadingError(noise=1e-3, bits=None))[0] > 20.0
     once, twice = (np.array(touch_limits(six, 20.0, ReadingError(noise=noise, bits=None))) for noise in (2e-4, 4e-4))
     assert ((once < twice) & (twice < 2 * once)).all()  # what rubber between plates may bear stays
     assert once[0] < 2.0
-    assert touch_limits(six, 0.2, ReadingError(noise=1e-2, bits=None))[0] > 90.0
+    assert touch_limits(six, 0.2, ReadingError(noise=1e-2, bits=None))[0] > 90.0  # taken for rest, it is missed whole
 
 
 def test_a_pillar_that_stays_under_presses_that_come_and_go_is_named(decoder):
