@@ -1,8 +1,4 @@
-"""A small sensor whose electrodes follow a made-up linear influence: near-diagonal, decaying with distance.
-
-Lengths and resistances are geometrically exact, so resistances are smooth and mildly nonlinear in the forces,
-as the real ones are, without a finite element in sight.
-"""
+"""A small sensor whose electrodes follow a made-up linear influence: near-diagonal, decaying with distance."""
 
 from dataclasses import replace
 

@@ -66,6 +66,7 @@ class Case:
 
     model: Decoupler
     test: Samples
+    most: float = 0.8  #: of errors, that 68 % deviations hold
 
 
 def read(data: Samples, **errors: float) -> Samples:
@@ -131,7 +132,7 @@ CASES: dict[str, Callable[[], Case]] = {
     **{layout: lambda layout=layout: linear(layout=layout, noise=1e-3, bits=12) for layout in OTHERS},
     **{f"fx-{layout}": lambda layout=layout: linear("fx", "skip", "root", layout, noise=1e-3) for layout in OTHERS},
     "identified-six-pillar": lambda: identified("six-pillar"),
-    "identified-finite-strain": lambda: Case(finite.identified()[0].decoder, finite.identified()[1][:200]),
+    "identified-finite-strain": lambda: Case(finite.identified()[0].decoder, finite.identified()[1], 0.85),
     "finite-strain": lambda: Case(*finite.learned()),
     "finite-strain-six-pillar": lambda: Case(*finite.learned("six-pillar")),
 }
@@ -159,8 +160,12 @@ def place_of(model: Decoder) -> tuple[int, int, int]:
     return tuple(np.argwhere(model.read)[-1])
 
 
+def true_n(case: Case) -> np.ndarray:
+    return case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
+
+
 def off_n(case: Case, ohms: np.ndarray) -> np.ndarray:
-    return case.model.forces(ohms) - case.test.force_n[..., ["xyz".index(axis) for axis in case.model.component.axes]]
+    return case.model.forces(ohms) - true_n(case)
 
 
 def trusted(model: Decoder) -> np.ndarray:
@@ -187,7 +192,7 @@ def case(request) -> Case:
 def test_deviations_hold_on_unseen_scans(case):
     """200 scans: errors of one scan go together, so that the shares are known to some points."""
     off, (one, two) = np.abs(off_n(case, case.test.resistance_ohm)), case.model.half_widths(case.test.resistance_ohm)
-    assert 0.6 < (off <= one)[:, trusted(case.model)].mean() < 0.8  # what is promised of every decoder
+    assert 0.6 < (off <= one)[:, trusted(case.model)].mean() < case.most  # what is promised of every decoder
     assert (off <= two)[:, trusted(case.model)].mean() > 0.92
 
 
@@ -245,8 +250,9 @@ intact_n = cache(lambda name: off_n(each_made(name), each_made(name).test.resist
 #: least share that 95 % deviations of the unit with a broken pillar hold, where it is not 0.9: two pillars of three
 #: leave a force to the usual loads, and those of these tests are wider than the ones that such decoders know
 LEAST_HELD = {"finite-strain": 0.85, "identified": 0.85}
-#: the same of the net force under a drift: of 200 scans 0.9 are three deviations below 95 %
-LEAST_NET_HELD = {"exact": 0.8, "upright-four": 0.85, "dead-inverse": 0.75, "dead-root": 0.75}
+#: the same of 68 and 95 % deviations under errors besides: what learned exact readings knows none
+LEAST_OF_ONE = {"exact": 0.4}
+LEAST_NET_HELD = {"exact": 0.8, "upright-four": 0.7, "dead-inverse": 0.65, "dead-root": 0.7}
 
 
 @pytest.fixture(params=EVERY)
@@ -306,7 +312,9 @@ def test_rest_is_within_its_deviations_and_no_strange_load(every):
         return
     rest_ohm = np.repeat(model.rest_resistances()[None], 50, axis=0)
     read_ohm = model.errors.read(rest_ohm, np.random.default_rng(0))
-    assert (np.abs(model.forces(read_ohm)) <= model.half_widths(read_ohm)[1]).mean() > 0.94
+    force_n = model.forces(read_ohm)
+    assert (np.abs(force_n) <= model.half_widths(read_ohm)[1]).mean() > 0.94
+    assert isinstance(model, Decoupler) or not force_n.any()  # of touches one in a million is promised
     assert not np.greater(*model.consistency(read_ohm)).any()
 
 
@@ -322,21 +330,28 @@ def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off():
     np.testing.assert_array_equal(model.forces(read_ohm), plain.forces(read_ohm))
 
 
-def test_a_drift_that_is_stated_is_in_all_deviations(every):
-    """0.5 % that all readings of a scan share, of units and of the net Fz; of whoever does not know it fewer hold."""
+@pytest.mark.parametrize("kind", ["drift", "10 bits", "of each pillar"])
+def test_errors_that_readings_have_besides_are_in_all_deviations(every, kind):
+    """Of units and of the net Fz: 0.5 % shared, coarser steps, 1 % as of memory; untold, fewer hold."""
     name, case = every
-    drifts = (name != "drifts") * 0.005 * np.random.default_rng(3).standard_normal((len(case.test.force_n), 1, 1, 1))
-    ohms, held = case.test.resistance_ohm * (1.0 + drifts), []
-    for drift in (0.005, 0.0)[: 1 if name in ("drifts", "bare") else 2]:  # bare's few contacts are far from linear
-        model = case.model.read_by(replace(case.model.errors, drift=drift))
-        weights, own = of_net_force(model), trusted(model)
-        off = off_n(Case(model, case.test), ohms)
-        variance = model.deviations(ohms, weights)[1][:, 0, 0]
-        net_n = np.abs((off * own)[..., -1].sum(axis=(1, 2)))
-        held.append([(np.abs(off) <= model.half_widths(ohms)[1])[:, own].mean(), (net_n**2 <= 4.0 * variance).mean()])
-    assert held[0][0] >= LEAST_HELD.get(name, 0.9)
-    assert held[0][1] >= LEAST_NET_HELD.get(name, 0.9)
-    assert (np.array(held[-1]) < held[0]).all() or len(held) == 1
+    ohms, generator = case.test.resistance_ohm, np.random.default_rng(3)
+    drifts = (name != "drifts") * 0.005 * generator.standard_normal((len(ohms), 1, 1, 1))
+    errors, own, read_ohm = {
+        "drift": ({"drift": 0.005}, None, ohms * (1.0 + drifts)),
+        "10 bits": ({"bits": 10}, None, measured(np.where(case.model.read, ohms, 1e4), 0.0, 10, generator)),
+        "of each pillar": ({}, np.full(ohms.shape, 0.01), ohms * (1.0 + 0.01 * generator.standard_normal(ohms.shape))),
+    }[kind]
+    weights, where, held = of_net_force(case.model), trusted(case.model), []
+    told = case.model.read_by(replace(case.model.errors, **errors)), own
+    for model, own_deviations in (told, (case.model, None))[: 1 if name in ("drifts", "bare") else 2]:
+        decoded = model.decoded(read_ohm, weights, own_deviations)
+        one, covariance = decoded.stated or model.deviations(read_ohm, weights, own_deviations)
+        off = decoded.force_n - true_n(case)
+        net_n = np.abs((off * where)[..., -1].sum(axis=(1, 2)))
+        held.append([(np.abs(off) <= one)[:, where].mean(), (net_n**2 <= 4.0 * covariance[:, 0, 0]).mean()])
+    assert held[0][0] > LEAST_OF_ONE.get(name, 0.6)
+    assert held[0][1] > LEAST_NET_HELD.get(name, 0.85)
+    assert len(held) == 1 or held[1][0] < held[0][0]
 
 
 def test_few_errors_of_the_net_force_under_stated_drifts_are_avoidable():
@@ -386,8 +401,12 @@ def test_a_pillar_that_fails_is_named_and_left_out(every, reads):
     assert (np.abs(off) <= half).mean() >= min(LEAST_HELD.get(name, 0.9), 0.9)
     others = np.ones(off.shape[1:], dtype=bool)
     others[row, col] = False
-    if len(model.component.pillars(model.layout)) > len(model.component.axes) + 1:
+    if len(model.component.pillars(model.layout)) > len(model.component.axes) + 1 or name == "bare":
         assert np.sqrt((off[:, others] ** 2).mean()) <= 1.5 * np.sqrt((intact[:, others] ** 2).mean())
+    if not isinstance(model, Decoupler):
+        rest_ohm = model.rest_resistances()[None].copy()
+        rest_ohm[0, row, col, pillar] = ohms[0, row, col, pillar]
+        assert not model.forces(rest_ohm).any()
 
 
 @pytest.mark.parametrize("feature", ["inverse", "root"])
@@ -416,13 +435,13 @@ def test_without_a_whole_wire_forces_are_finite_and_said_to_be_unreliable(every)
 
 
 def test_readings_of_another_sensor_are_told(every):
-    """Gains of 0.7 to 1.3. Six pillars alone or three under a plate fit most: of these, fewer or none."""
+    """Gains of 0.7 to 1.3. Six pillars alone, ten pairs, three pillars under a plate: fewer or none."""
     name, case = every
     if name == "plates-song2018":
         return
     gains = np.random.default_rng(4).uniform(0.7, 1.3, case.test.resistance_ohm.shape[1:])
     found = case.model.consistency(gains * case.test.resistance_ohm)
     told = found is not None and np.greater(*found).mean()
-    assert found is None or told > (0.4 if name.startswith("fz") else 0.9)
+    assert found is None or told > (0.4 if name.startswith(("fz", "identified-fin")) else 0.9)
     alarms = found is not None and np.greater(*case.model.consistency(case.test.resistance_ohm)).mean()
     assert alarms <= (0.2 if name == "bare" else 0.05)  # of a library of 80 presses

@@ -75,11 +75,7 @@ def test_each_fault_is_named_by_pillar_or_wire(where, reads, said, expected):
 
 
 def test_sound_sensors_raise_no_alarm(expected):
-    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches.
-
-    Nor a pillar that reads the same at rest, where nothing says that it should move, nor one of another gain, since
-    forces on its pad move it as well.
-    """
+    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches."""
     touch, rest = np.zeros((2, WINDOW, 27))
     touch[:, 14] = np.linspace(0.0, 300.0, WINDOW)
     light = np.random.default_rng(3).uniform(0.0, 5.0, (WINDOW, 27))
@@ -89,17 +85,13 @@ def test_sound_sensors_raise_no_alarm(expected):
         for force_n in (usual, np.repeat(usual[:4], WINDOW // 4, axis=0), kinds[seed % 3]):
             assert expected.named(readings(force_n, seed)) == ()
     still, other = readings(rest), readings(presses(WINDOW, 100))
-    still[STILL] = still[0, 1, 2, 0]
-    other[:, 1, 1, 0] *= 1.02
+    still[STILL] = still[0, 1, 2, 0]  # at rest nothing says that it should move
+    other[:, 1, 1, 0] *= 1.02  # forces on its pad move it as well
     assert expected.named(still) == expected.named(other) == ()
 
 
 def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
-    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit.
-
-    Another gain, loads 1.3 times beyond the range, tension and shear without pressure always are. A broken pillar is
-    left out instead, and what the others show is a usual load.
-    """
+    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit."""
     model = trained(loads(400, 5), bits=None)
     one_pad, rest = np.zeros((2, 2000, 27))
     one_pad[np.arange(2000), 3 * np.random.default_rng(0).integers(9, size=2000) + 2] = 300.0
@@ -107,9 +99,9 @@ def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
         assert np.greater(*model.consistency(readings(force_n, bits=None))).mean() <= 3 * FALSE_ALARMS
     broken = readings(loads(200, 9), bits=None)
     broken[:, 1, 1, 0] = 1e9
-    pads = [0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0]
+    pads = [0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0]  # beyond the range, tension, shear alone
     beyond = [readings(np.tile(pad, (200, 9)), bits=None) for pad in pads]
-    assert model.lost(broken)[:, 1, 1, 0].all()
+    assert model.lost(broken)[:, 1, 1, 0].all()  # left out, and what the others show is a usual load
     assert np.less(*model.consistency(broken)).mean() > 0.9
     for reading in (1.02 * readings(rest[:200], bits=None), *beyond):
         assert np.greater(*model.consistency(reading)).all()

@@ -26,7 +26,6 @@ from geometry import Array, DesignError, FileFormatError
 from geometry.design import Electrics
 from tests.decoupler.synthetic_sensor import RESPONSE, SMALL, labelled, response, sensor
 from tests.decoupler.test_contract import CC, STRICT, by_header, by_onnx, made
-from tests.house import House
 
 DATA = labelled(SMALL, "xyz", n_samples=40, seed=0)
 NETWORK = NetworkConfig(hidden=4)
@@ -185,13 +184,6 @@ def test_what_cannot_be_exported_is_refused_and_leaves_the_old_file(tmp_path, mo
     monkeypatch.delitem(__import__("sys").modules, "decoupler.export.onnx_file", raising=False)
     with pytest.raises(MissingPackageError, match=r"pip install 'tripillar\[export\]'"):
         export_model(model, tmp_path / "m.onnx")
-
-
-def test_on_the_command_line(tmp_path):
-    write_model(made("fz-plain-resistance").model, tmp_path / "model.safetensors")
-    result = House(tmp_path).result("export", "--model", "model.safetensors", "--out", "model.h")
-    assert (result["precision"], result["deviation"] < 1e-4) == ("float", True)
-    assert (tmp_path / result["file"]).exists()
 
 
 SHAPE = 3, 4, 3  #: rows, columns and pillars of a made-up sensor

@@ -83,16 +83,16 @@ def test_pairs_tell_the_parameters_and_bring_errors_near_those_of_the_true_respo
     assert (errors_n(twin_of("made", 100).decoder, test) < 1.15 * best).all()
 
 
-PAIRS = [("made", 3), ("made", 10), ("made", 100), ("pads", 10), ("pads", 56), ("pitch", 10), ("rubber", 10)]
+TOLD = [("made", 3), ("made", 10), ("made", 100), ("pads", 10), ("pads", 56), ("pitch", 10), ("rubber", 10)]
 
 
-@pytest.mark.parametrize(("name", "n"), [*PAIRS, ("thickness", 56)])
+@pytest.mark.parametrize(("name", "n"), [*TOLD, ("thickness", 56)])
 def test_deviations_hold_on_a_sensor_unlike_the_design(name, n):
     test, model = measured(name, 200, 2), twin_of(name, n).decoder
     off = np.abs(model.forces(test.resistance_ohm) - test.force_n)
     one, two = model.half_widths(test.resistance_ohm)
-    assert 0.6 < (off < one).mean() < (0.8 if name == "made" else 0.85)
-    assert (off < two).mean() > 0.9
+    assert 0.65 < (off < one).mean() < 0.78  # errors of one sensor go together
+    assert (off < two).mean() > 0.93
 
 
 def test_a_pair_left_out_errs_as_if_the_others_alone_were_measured():
