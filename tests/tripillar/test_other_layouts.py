@@ -20,7 +20,7 @@ from tripillar.viewer.page.sensing import inverse_forces
 READ = ("--noise", "0.001", "--bits", "12")
 
 
-@pytest.mark.long  # its parts are in tests/decoupler/test_layouts.py
+@pytest.mark.long  # its parts are in tests/decoupler/test_sensor_model.py
 @pytest.mark.parametrize("layout", ["six-pillar", "eight-pillar"])
 def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
     """Components are forces, whatever the pillars; models, exports and twins are of that layout."""

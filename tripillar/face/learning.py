@@ -10,7 +10,8 @@ import numpy as np
 
 from common.errors import DesignError, require_type
 from decoupler.model.settings import Feature, Net, Trainer
-from geometry.design import SensorDesign, Unit
+from geometry.design import SensorDesign
+from geometry.design import Unit as PillarUnit
 from geometry.layout import require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -402,14 +403,14 @@ def _checked(
     design = None if stated is None else design_of(stated)
     network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
     named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
-    if component is None and named == "all" and untold(Unit(layout=samples.layout)):
+    if component is None and named == "all" and untold(PillarUnit(layout=samples.layout)):
         named = "fz"
     parts = stages.component_named(named)
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    require_told(Unit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
+    require_told(PillarUnit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
