@@ -17,11 +17,10 @@ from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
-from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoder import Decoder
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.front import FEATURES
+from decoupler.model.front import POWERS
 from decoupler.model.network import form_named
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
@@ -255,18 +254,15 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
         "layout": layout,
         "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
-        "uncertainty.errors": _errors_of(header),
+        "errors": _errors_of(header),
         "least_squares.component": component,
         "least_squares.dead": dead,
         "least_squares.layout": layout,
     }
-    feature = FEATURES[form.feature]
-    kinds: dict[str, Any] = {"network": form_named(form.net)}
-    if feature is ModelInverse:
-        kinds["front.feature"] = feature
-    else:
-        said["front.feature"] = feature()
-    found: Decoupler = built_of(DecouplerAtStrain if "misfit" in header else Decoupler, arrays, said, kinds)
+    if form.feature in POWERS:
+        said["front.feature"] = POWERS[form.feature]
+    kind = DecouplerAtStrain if "misfit" in header else Decoupler
+    found: Decoupler = built_of(kind, arrays, said, {"network": form_named(form.net)})
     return found
 
 

@@ -6,7 +6,7 @@ pillars, and `Decoder.without` is the decoder that does without them.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -37,10 +37,14 @@ class Decoded:
     tested: tuple[FloatArray, FloatArray] | None = None  #: of `Decoder.consistency`
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Decoder(ABC):
     """From resistances (n, rows, cols, n_pillars) [Ω] to forces on units; never changed, only used."""
 
-    made_from: dict[str, Any]
+    design: SensorDesign | None  #: the sensor it was made for; None if that is unknown
+    errors: ReadingError  #: of the readings that its deviations are for
+    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): pillars that say nothing; see `without`
+    made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
     moments: ClassVar[int] = 0  #: of a unit, beside its forces: see `TouchDecoder`
 
     if TYPE_CHECKING:  # fields of some, properties of others
@@ -56,16 +60,10 @@ class Decoder(ABC):
         @property
         def cols(self) -> int: ...
         @property
-        def design(self) -> SensorDesign | None: ...
-        @property
         def layout(self) -> Layout: ...
         @property
         def output_scaling(self) -> Scaling:
             """Of forces, over those that it knows."""
-
-        @property
-        def errors(self) -> ReadingError:
-            """Of the readings that its deviations are for."""
 
         @property
         def is_identified(self) -> bool:
@@ -120,13 +118,13 @@ class Decoder(ABC):
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """What is decoded of resistances (n, rows, cols, n_pillars) [Ω], (n, n_in); no such are a `SampleError`."""
 
-    @abstractmethod
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing."""
+        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
 
-    @abstractmethod
     def read_by(self, errors: ReadingError) -> Self:
         """The same decoder for readings that err so."""
+        return replace(self, errors=errors)
 
     @property
     def design_hash(self) -> str | None:

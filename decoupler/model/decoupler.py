@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -57,10 +57,7 @@ class Decoupler(Decoder):
     ensemble: Ensemble  #: draws of the sensor that it was identified as; none if it was trained on one sensor
     least_squares: LeastSquares  #: the baseline to beat, fitted to the same data
     dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
-    left_out: NDArray[np.bool_]  #: the same shape: pillars that say nothing; see `Decoder.without`
-    design: SensorDesign | None  #: the sensor of the training data; None if they did not say
     layout: Layout = PAPERS  #: the design's, if it is known
-    made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
 
     def __post_init__(self) -> None:
         if self.design is not None:
@@ -82,12 +79,12 @@ class Decoupler(Decoder):
             network=network,
             output_scaling=output_scaling,
             usual=UsualLoads.of(data),
-            uncertainty=Uncertainty.untold(data.errors, output_scaling.half_range, network.output, data.component),
+            uncertainty=Uncertainty.untold(output_scaling.half_range, network.output, data.component),
             ensemble=Ensemble.of_none(*(data.resistance_ohm.shape[1], data.force_n.shape[1])),
             least_squares=LeastSquares.fitted(data),
             dead=dead if data.dead is None else data.dead,
-            left_out=dead,
             design=design,
+            errors=data.errors,
             layout=data.layout,
         )
 
@@ -120,17 +117,13 @@ class Decoupler(Decoder):
         return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
         one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
     def deviations(
         self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % of the errors of `forces` [N], and the covariance (n, m, m) of m sums of forces.
-
-        `weights` (rows·cols·n_axes, m) are those of the forces in each sum. `own` are relative deviations that each
-        reading has besides, of the shape of the resistances. It costs as much as `half_widths`.
+        """As of `Decoder.deviations`; it costs as much as `half_widths`.
 
         Notes
         -----
@@ -158,7 +151,7 @@ class Decoupler(Decoder):
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns, found.errors, found.drift_factor):
+        for chunk, factors in self._error_factors(columns, self.errors, found.drift_factor):
             variance[chunk] += (factors**2).sum(axis=2)
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
@@ -198,9 +191,9 @@ class Decoupler(Decoder):
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
-        found = self.uncertainty
         own_n2, (one, two) = self._own_variance(columns_ohm)
-        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors, found.drift_factor))
+        through_n2 = self.noise_variance(columns_ohm, self.errors, self.uncertainty.drift_factor)
+        deviation_n = np.sqrt(own_n2 + through_n2)
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
@@ -244,18 +237,10 @@ class Decoupler(Decoder):
                 common.append(self.filling.by_missing(columns, whole))
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
 
-    def without(self, pillars: NDArray[np.bool_]) -> Self:
-        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
-
-        In their places stands what the others foretell of usual loads; where the response is known, that is moved
-        towards what it shows under the forces that come out, as far as these tell it (`LeftOut`).
-        """
-        return replace(self, left_out=pillars | self.left_out)
-
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
         """Which inputs are left out, (n_in,)."""
-        return self.left_out.reshape(-1)[self.places] & self.readable
+        return (False if self.left_out is None else self.left_out.reshape(-1)[self.places]) & self.readable
 
     @cached_property
     def filling(self) -> LeftOut | None:
@@ -305,11 +290,6 @@ class Decoupler(Decoder):
     def _dead(self) -> NDArray[np.bool_] | None:
         return self.dead if self.dead.any() else None
 
-    @property
-    def errors(self) -> ReadingError:
-        """Of the readings that its deviations are for."""
-        return self.uncertainty.errors
-
     @cached_property
     def usual_ohm(self) -> FloatArray | None:
         """Those of the mean load of training, else at rest."""
@@ -324,12 +304,7 @@ class Decoupler(Decoder):
         n = self.rows * self.cols * len(self.layout.pillars)
         return self.usual.readings(self.places, n)
 
-    def read_by(self, errors: ReadingError) -> Self:
-        """The model with half-widths for readings that err so."""
-        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
-
     def rest_resistances(self) -> FloatArray | None:
-        """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
         if self.design is None:
             return None
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
@@ -341,8 +316,7 @@ class Decoupler(Decoder):
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         limit_n = None
         if self.inverse is not None and self._dead is not None:
-            errors = ReadingError(noise=self.uncertainty.errors.noise, bits=self.uncertainty.errors.bits)
-            shape = self.rows, self.cols
+            errors, shape = ReadingError(noise=self.errors.noise, bits=self.errors.bits), (self.rows, self.cols)
             limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))

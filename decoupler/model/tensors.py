@@ -38,7 +38,7 @@ def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
     unsure = None if unsure_n is None else columns_ohm.new_tensor(unsure_n)
-    return tensors.refined(columns_ohm, doubts=(read, unsure)).force_n
+    return tensors.refined(columns_ohm, doubts=(read, unsure))[0]
 
 
 def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:

@@ -2,9 +2,9 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,11 +92,8 @@ class TouchDecoder(Decoder):
     """A decoder of whatever presses; never changed, only used. `bare` and `plates` have one each."""
 
     design: SensorDesign
-    errors: ReadingError
     library: Displacements
     pillars: Pillars
-    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
-    made_from: dict[str, Any] = field(default_factory=dict)
 
     n_loads: ClassVar[int]  #: of a unit: see `Touched.load`
     of_model: ClassVar[float]  #: of the largest reading: what the model of a press has not
@@ -152,17 +149,12 @@ class TouchDecoder(Decoder):
         return Scaling(np.zeros(3 * n), np.tile(self.usual_n, n))
 
     def rest_resistances(self) -> FloatArray:
-        """Resistances (rows, cols, n_pillars) [Ω] with nothing on the sensor."""
         return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, -1)
 
     @property
     def usual_ohm(self) -> FloatArray:
         """Those at rest."""
         return self.rest_resistances()
-
-    def without(self, pillars: NDArray[np.bool_]) -> Self:
-        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing: they weigh nothing."""
-        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
@@ -171,7 +163,6 @@ class TouchDecoder(Decoder):
         return nothing if self.left_out is None else self.left_out.reshape(-1)
 
     def follower(self) -> Any:
-        """The same decoder for scans that come one after another."""
         return Follower(self)
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
@@ -226,7 +217,6 @@ class TouchDecoder(Decoder):
         return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
         shape = len(resistance_ohm), self.rows, self.cols, -1
         found = [each.half_widths_n for each in self.touches(resistance_ohm)]
         one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
@@ -260,10 +250,6 @@ class TouchDecoder(Decoder):
             if own is not None:
                 more = (own[k] * resistance_ohm[k]).reshape(-1) / self.pillars.ohm_per_mm2
             yield self.doing_without(lost[k]), reading, more
-
-    def read_by(self, errors: ReadingError) -> Self:
-        """The same decoder for readings that err so."""
-        return replace(self, errors=errors)
 
     def consistency(
         self, resistance_ohm: FloatArray, force_n: FloatArray | None = None

@@ -46,29 +46,24 @@ def fitted_uncertainty(
     n_axes = len(decoupler.component.axes)
     smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
     drift_factor = _drift_factor(decoupler, data[loaded], errors[loaded])
-    parts = [loaded, np.arange(n, len(A)) if n_light else loaded]
-    misfits, ratios = [], []
-    for part in parts:
+    light = np.arange(n, len(A)) if n_light else loaded
+    misfits, widths = [], []
+    for part in (light, loaded):
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
         through = decoupler.noise_variance(columns_ohm[some], data.errors, drift_factor)
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
-        if n_light and part is parts[1]:  # few outputs are touched often: all of an axis together tell more
+        if n_light and part is light:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
         misfits.append(left + smallest)
         weights_n2 = np.minimum(unexplained * of_weights[some, None], decoupler.output_scaling.half_range**2)
         deviation = np.sqrt(through + misfits[-1] + weights_n2)
-        ratios.append(np.abs(errors[some] / deviation).reshape(-1, n_axes))
-    widths = [
-        np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
-    ]
+        ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
+        widths.append([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
     return Uncertainty(
-        errors=data.errors,
         inverse_matrix=G,
-        misfit_n2=misfits[0],
+        misfit_n2=np.stack(misfits),
         unexplained_n2=unexplained,
-        widths=widths[0],
-        misfit_at_rest_n2=misfits[1],
-        widths_at_rest=widths[1],
+        widths=np.array(widths),
         light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
         drift_factor=drift_factor,
     )

@@ -13,7 +13,7 @@ from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.front import FEATURES, Front
+from decoupler.model.front import POWERS, Front
 from decoupler.model.network import Task, form_named
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
@@ -120,7 +120,7 @@ def fitted_network(
     Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
     """
     kind, scaling = form_named(form.net), Scaling.fitted(data.force_n)
-    front = Front.of(data, FEATURES[form.feature]() if forward is None else _inverse(forward, data), scaling)
+    front = Front.of(data, POWERS[form.feature] if forward is None else _inverse(forward, data), scaling)
     known, given = front.forward if kind.sees_inputs else None, data
     if known is not None:
         data = _with_light_samples(known, scaling, data)

@@ -73,7 +73,7 @@ def test_deviations_hold_the_net_force_and_a_decoder_that_knows_no_drift_is_sure
 
 
 def test_a_model_knows_the_drifts_and_takes_data_of_a_design_that_states_others(model, test_data):
-    assert model.uncertainty.errors == test_data.errors
+    assert model.errors == test_data.errors
     require_same_sensor(model, samples(PLAIN, 2, 0), "model", "data")
     with pytest.raises(SampleError, match="another drift"):
         joined([samples(PLAIN, 2, 0), samples(PLAIN, 2, 0, drift=0.01)])
