@@ -36,8 +36,7 @@ def cramer_rao(
 
     Notes
     -----
-    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹, linearised about each sample's true forces: J of the lengths, Σ of their errors. With
-    as many lengths as forces that is J⁻¹ Σ J⁻ᵀ.
+    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹, linearised about each sample's true forces: J of the lengths, Σ of their errors.
     """
     n_readable = forward.n_pillars if readable is None else int(readable.sum())
     if n_readable < forward.n_forces:
@@ -45,19 +44,10 @@ def cramer_rao(
     found = np.zeros_like(force_n)
     if not errors.is_exact:
         for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
-            if J.shape[1] == J.shape[2]:
-                inverse = np.linalg.inv(J)
-                own, common = inverse * deviation[:, None], inverse @ U
-                found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
-            else:
-                covariance = _covariance(forward, deviation, U)
-                if U.shape[2]:
-                    told = np.linalg.solve(np.linalg.cholesky(covariance), J)
-                else:  # a diagonal one
-                    told = J / np.sqrt(covariance.diagonal(axis1=1, axis2=2))[..., None]
-                held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
-                root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
-                found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
+            told = np.linalg.solve(np.linalg.cholesky(_covariance(forward, deviation, U)), J)
+            held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
+            root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
+            found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
     return found
 
 

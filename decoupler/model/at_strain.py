@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import namespace
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
@@ -41,12 +40,8 @@ class DecouplerAtStrain(Decoupler):
         self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None, doubts: Doubts | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Most probable forces of resistances (n, n_in) [Ω] with deviations `own_ohm` besides, and their covariance."""
-        settled, errors = self.front.resting.settled(columns_ohm), self.errors
-        first_n, shared_ohm = self.first_answers(columns_ohm), errors.shared(settled, self.rows, self.cols)
-        if len(self.ensemble):
-            unsure_ohm = self.ensemble.factors(self.forward, self.posterior.first_states(first_n))
-            shared_ohm = namespace(columns_ohm).concat([shared_ohm, unsure_ohm], axis=2)
-        deviation_ohm = errors.deviation(settled)
+        settled, first_n = self.front.resting.settled(columns_ohm), self.first_answers(columns_ohm)
+        deviation_ohm, shared_ohm = self.reading_errors(settled, self.posterior.first_states(first_n))
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
         read, unsure_n = self.doubts(columns_ohm) if doubts is None else doubts

@@ -19,8 +19,8 @@ from decoupler.data.columns import (
     Component,
     Scaling,
     in_blocks,
+    namespace,
     pillar_columns,
-    readable_columns,
 )
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
@@ -68,7 +68,6 @@ class Decoupler(Decoder):
         cls, data: Columns, form: NetworkConfig, front: Front, network: Network, design: SensorDesign | None
     ) -> "Decoupler":
         """A network that was trained on samples, as unsure of forces as before."""
-        dead = np.zeros((*data.shape, len(data.layout.pillars)), dtype=bool)
         output_scaling = Scaling.fitted(data.force_n)
         return Decoupler(
             component=data.component,
@@ -82,7 +81,7 @@ class Decoupler(Decoder):
             uncertainty=Uncertainty.untold(output_scaling.half_range, network.output, data.component),
             ensemble=Ensemble.of_none(*(data.resistance_ohm.shape[1], data.force_n.shape[1])),
             least_squares=LeastSquares.fitted(data),
-            dead=dead if data.dead is None else data.dead,
+            dead=data.dead,
             design=design,
             errors=data.errors,
             layout=data.layout,
@@ -151,7 +150,7 @@ class Decoupler(Decoder):
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns, self.errors, found.drift_factor):
+        for chunk, factors in self._error_factors(columns):
             variance[chunk] += (factors**2).sum(axis=2)
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
@@ -163,7 +162,7 @@ class Decoupler(Decoder):
 
     def _own_ohm(self, columns: FloatArray, own: FloatArray) -> FloatArray:
         """Deviations (n, n_in) [Ω] of readings that err by relative ones (n, rows, cols, n_pillars) besides."""
-        return columns * pillar_columns(own, self.component, self.layout, self._dead)
+        return columns * pillar_columns(own, self.component, self.layout, self.dead)
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
@@ -192,8 +191,7 @@ class Decoupler(Decoder):
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
         own_n2, (one, two) = self._own_variance(columns_ohm)
-        through_n2 = self.noise_variance(columns_ohm, self.errors, self.uncertainty.drift_factor)
-        deviation_n = np.sqrt(own_n2 + through_n2)
+        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm))
         return deviation_n * one, deviation_n * two
 
     def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
@@ -201,24 +199,37 @@ class Decoupler(Decoder):
         force_n = self.output_scaling.unscale(A @ self.network.output.T)
         return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
-    def noise_variance(
-        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
-    ) -> FloatArray:
+    def noise_variance(self, columns_ohm: FloatArray) -> FloatArray:
         """Variance of forces (n, n_out) [N²] that errors of readings (n, n_in) [Ω] and of the sensor's model cause."""
         found = np.zeros((len(columns_ohm), len(self.output_scaling.centre)))
-        for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
+        for chunk, factors in self._error_factors(columns_ohm):
             found[chunk] = (factors**2).sum(axis=2)
         return found
 
-    def _error_factors(
-        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None
-    ) -> Iterator[tuple[slice, FloatArray]]:
+    def reading_errors(
+        self, columns_ohm: FloatArray, state_n: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Deviations (n, n_in) [Ω] of what readings err by alone, and what they err by together, (n, n_in, m) [Ω].
+
+        That is by one deviation of each drift, then by draws of the sensor in states (n, Q) [N], by default those of
+        the inverse. Also of tensors of torch.
+        """
+        shared = self.errors.shared(columns_ohm, self.rows, self.cols)
+        if len(self.ensemble) and self.forward is not None:
+            if state_n is None and self.inverse is not None:
+                state_n = self.inverse.values(columns_ohm)
+            of_draws = self.ensemble.factors(self.forward, state_n)
+            shared = namespace(columns_ohm).concat([shared, of_draws], axis=2)
+        return self.errors.deviation(columns_ohm), shared
+
+    def _error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
 
-        Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
-        ensemble over the root of their number. Where nothing errs there is no chunk.
+        Errors are those of `reading_errors`, drifts as far as forces err along them. Where nothing errs there is no
+        chunk.
         """
-        if errors.is_exact and not len(self.ensemble) and self.filling is None:
+        drift_factor = self.uncertainty.drift_factor
+        if self.errors.is_exact and not len(self.ensemble) and self.filling is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
@@ -226,16 +237,13 @@ class Decoupler(Decoder):
             whole = slopes = self.derivatives(columns)
             if self.filling is not None:
                 slopes = self.filling.by_read(columns, whole)
-            factors = slopes * errors.deviation(columns)[:, None]
-            common = []
-            if errors.has_drift:
-                shared = slopes @ errors.shared(columns, self.rows, self.cols)
-                common.append(shared if drift_factor is None else shared @ drift_factor)
-            if self.inverse is not None and len(self.ensemble):
-                common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.values(columns)))
+            own, shared = self.reading_errors(columns)
+            common = [slopes @ shared] if shared.shape[2] else []
+            if self.errors.has_drift and drift_factor is not None:
+                common[0][..., : len(drift_factor)] = common[0][..., : len(drift_factor)] @ drift_factor
             if self.filling is not None:
                 common.append(self.filling.by_missing(columns, whole))
-            yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
+            yield chunk, np.concatenate([slopes * own[:, None], *common], axis=2)
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
@@ -284,11 +292,7 @@ class Decoupler(Decoder):
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
         """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
-        return readable_columns(self.component, self.layout, self._dead, len(self.places))
-
-    @cached_property
-    def _dead(self) -> NDArray[np.bool_] | None:
-        return self.dead if self.dead.any() else None
+        return ~self.dead[..., self.pillars].reshape(-1)
 
     @cached_property
     def usual_ohm(self) -> FloatArray | None:
@@ -315,7 +319,7 @@ class Decoupler(Decoder):
     def untrusted(self) -> list[tuple[int, int, str]]:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         limit_n = None
-        if self.inverse is not None and self._dead is not None:
+        if self.inverse is not None and self.dead.any():
             errors, shape = ReadingError(noise=self.errors.noise, bits=self.errors.bits), (self.rows, self.cols)
             limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
@@ -325,7 +329,7 @@ class Decoupler(Decoder):
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """The resistances that are taken, (n, rows, cols, n_pillars) -> (n, n_in) [Ω]; refuses what `forces` does."""
         resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component, self.layout, self._dead)
+        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
         if resistance_ohm.shape[1:3] != (self.rows, self.cols):
             given = " × ".join(map(str, resistance_ohm.shape[1:3]))
             raise SampleError(

@@ -159,12 +159,8 @@ def first_filled(foretold: Foretold, columns_ohm: Any) -> Any:
 
 def _relative_errors(decoder: "Decoupler", ohm: FloatArray) -> FloatArray:
     """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
-    errors, inverse = decoder.errors, decoder.inverse
-    shared = errors.shared(ohm[None], decoder.rows, decoder.cols)[0]
-    found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), shared]
-    if inverse is not None and len(decoder.ensemble):
-        found.append(decoder.ensemble.factors(inverse.forward, inverse.values(ohm[None]))[0])
-    return np.concatenate(found, axis=1) / ohm[:, None]
+    (own,), (shared,) = decoder.reading_errors(ohm[None])
+    return np.hstack([np.diag(np.maximum(own, MIN_NOISE * ohm)), shared]) / ohm[:, None]
 
 
 class _Agreement(NamedTuple):

@@ -1,5 +1,7 @@
 """Errors that a model will make on new samples: those on its training set, had each sample been left out."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,11 +48,12 @@ def fitted_uncertainty(
     n_axes = len(decoupler.component.axes)
     smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
     drift_factor = _drift_factor(decoupler, data[loaded], errors[loaded])
+    decoupler = replace(decoupler, uncertainty=replace(decoupler.uncertainty, drift_factor=drift_factor))
     light = np.arange(n, len(A)) if n_light else loaded
     misfits, widths = [], []
     for part in (light, loaded):
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
-        through = decoupler.noise_variance(columns_ohm[some], data.errors, drift_factor)
+        through = decoupler.noise_variance(columns_ohm[some])
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
         if n_light and part is light:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)

@@ -1,6 +1,5 @@
 """From labelled data to a trained `Decoupler`."""
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
@@ -32,17 +31,13 @@ if TYPE_CHECKING:
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
-def _silent(iteration: int, mse: float) -> None:
-    """The progress callback of whoever does not want one."""
-
-
 @one_blas_thread()  # on matrices this small two are slower
 def train(
     data: AnySamples,
     component: str | None = None,
     network: NetworkConfig | None = None,
     training: TrainingConfig | None = None,
-    progress: Progress = _silent,
+    progress: Progress = lambda *_: None,
     response: "ArrayResponse | None" = None,
     judged: bool = True,
 ) -> Decoupler:
@@ -104,7 +99,7 @@ def fitted_network(
     training: TrainingConfig,
     design: SensorDesign | None = None,
     forward: SensorModel | None = None,
-    progress: Progress = _silent,
+    progress: Progress = lambda *_: None,
     judged: bool = True,
 ) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
@@ -147,19 +142,13 @@ def fitted_network(
 
 def _inverse(forward: SensorModel, data: Columns) -> ModelInverse:
     """The response with the gains and offsets that samples show, turned around for readings that err as theirs."""
-    forward = forward.calibrated(data)
-    read = None if data.errors.is_exact or forward.n_pillars <= forward.n_forces else _as_read(forward, data)
-    return ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, read)
-
-
-def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], FloatArray]:
-    """What gives lengths (n, P) [mm] as they are read under forces (n, Q) [N], with errors as the samples have."""
-    generator = np.random.default_rng(0)
+    forward, generator = forward.calibrated(data), np.random.default_rng(0)
 
     def read(force_n: FloatArray) -> FloatArray:
         return forward.lengths_of(data.errors.scattered(forward.resistances(force_n), *data.shape, generator))
 
-    return read
+    is_exact = data.errors.is_exact or forward.n_pillars <= forward.n_forces
+    return ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, None if is_exact else read)
 
 
 def _with_light_samples(forward: SensorModel, scaling: Scaling, data: Columns) -> Columns:
