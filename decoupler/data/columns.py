@@ -265,11 +265,7 @@ class Scaling:
         return cls((low + high) / 2.0, np.where(constant, 0.0, half_range))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        return self.scale_differences(values - self.centre)
-
-    def scale_differences(self, differences: FloatArray) -> FloatArray:
-        """Differences of values as differences of scaled values; columns last."""
-        return differences * self.factor
+        return (values - self.centre) * self.factor
 
     @cached_property
     def factor(self) -> FloatArray:

@@ -43,8 +43,8 @@ def cramer_rao(
         return np.full_like(force_n, np.inf)
     found = np.zeros_like(force_n)
     if not errors.is_exact:
-        for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
-            told = np.linalg.solve(np.linalg.cholesky(_covariance(forward, deviation, U)), J)
+        for part, J, covariance in _linearised(forward, force_n, errors, shape, readable):
+            told = np.linalg.solve(np.linalg.cholesky(covariance), J)
             held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
             root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
             found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
@@ -72,10 +72,9 @@ def bayes(
     """
     C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
     found = np.empty_like(force_n)
-    for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
+    for part, J, covariance in _linearised(forward, force_n, errors, shape, readable):
         JC = J @ C
-        S = JC @ J.swapaxes(1, 2) + _covariance(forward, deviation, U)
-        taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
+        taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(JC @ J.swapaxes(1, 2) + covariance, JC))
         found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
     return found
 
@@ -86,8 +85,9 @@ def _linearised(
     errors: ReadingError,
     shape: tuple[int, int],
     readable: NDArray[np.bool_] | None,
-) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-    """Chunks of samples: derivatives of the readable lengths, deviations of their errors, changes by shared ones."""
+) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """Chunks of samples: derivatives of the readable lengths (c, P, Q) [mm/N], covariance of their errors [mm²]."""
+    floor = 1e-9 * forward.rest_mm.max()  # keeps the covariance invertible without noise
     for start in range(0, len(force_n), CHUNK):
         part = slice(start, start + CHUNK)
         lengths, J = forward.jacobian(force_n[part])
@@ -95,10 +95,5 @@ def _linearised(
         deviation, U = 0.5 * deviation / lengths, 0.5 * U / lengths[..., None]
         if readable is not None:
             J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]
-        yield part, J, deviation, U
-
-
-def _covariance(forward: SensorModel, deviation: FloatArray, U: FloatArray) -> FloatArray:
-    """Of errors of lengths, (n, P, P) [mm²], by what each has alone (n, P) and what they share (n, P, m) [mm]."""
-    floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
-    return np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1]) + U @ U.swapaxes(1, 2)
+        alone = np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1])
+        yield part, J, alone + U @ U.swapaxes(1, 2)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from common.storage.files import digest
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Component, Scaling
+from dataset.samples import SampleError
+from decoupler.data.columns import Component, Scaling, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 from geometry.wiring import pillars_of_wires
@@ -113,6 +114,18 @@ class Decoder(ABC):
         By presses fitted to all other readings it was 1 of 500, and 4 of 10.
         """
         return None
+
+    def taken(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Resistances (n, rows, cols, n_pillars) of the component's pillars, (n, n_in) [Ω]; errors as of `columns`."""
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
+        if resistance_ohm.shape[1:3] != (self.rows, self.cols):
+            given = " × ".join(map(str, resistance_ohm.shape[1:3]))
+            raise SampleError(
+                f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
+                "train a model on data of this sensor."
+            )
+        return columns
 
     @abstractmethod
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:

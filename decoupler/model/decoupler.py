@@ -10,18 +10,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
-from dataset.samples import SampleError
-from decoupler.data.columns import (
-    Columns,
-    Component,
-    Scaling,
-    in_blocks,
-    namespace,
-    pillar_columns,
-)
+from decoupler.data.columns import Columns, Component, Scaling, in_blocks, namespace, pillar_columns
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
@@ -57,11 +48,7 @@ class Decoupler(Decoder):
     ensemble: Ensemble  #: draws of the sensor that it was identified as; none if it was trained on one sensor
     least_squares: LeastSquares  #: the baseline to beat, fitted to the same data
     dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
-    layout: Layout = PAPERS  #: the design's, if it is known
-
-    def __post_init__(self) -> None:
-        if self.design is not None:
-            object.__setattr__(self, "layout", self.design.unit.layout)
+    layout: Layout
 
     @classmethod
     def of(
@@ -327,15 +314,8 @@ class Decoupler(Decoder):
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
-        """The resistances that are taken, (n, rows, cols, n_pillars) -> (n, n_in) [Ω]; refuses what `forces` does."""
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
-        if resistance_ohm.shape[1:3] != (self.rows, self.cols):
-            given = " × ".join(map(str, resistance_ohm.shape[1:3]))
-            raise SampleError(
-                f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
-                "train a model on data of this sensor."
-            )
+        """The resistances that are taken, (n, n_in) [Ω], with what is left out filled in."""
+        columns = self.taken(resistance_ohm)
         return columns if self.filling is None else self.filling.filled(columns)
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:

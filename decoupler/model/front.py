@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from decoupler.data.columns import Columns, Resting, Scaling
-from decoupler.inverse.sensor_model import ModelInverse, SensorModel
+from decoupler.inverse.sensor_model import ModelInverse
 from geometry.layout import FloatArray
 
 
@@ -49,16 +49,10 @@ class Front:
         scaling = Scaling.fitted(feature.values(data.resistance_ohm))
         return cls(feature=feature, scaling=scaling, resting=Resting.read_with(data.resistance_ohm[0], None))
 
-    @property
-    def forward(self) -> SensorModel | None:
-        """The response that the feature knows; None if none."""
-        return self.feature.forward if isinstance(self.feature, ModelInverse) else None
-
     def inputs(self, columns_ohm: FloatArray) -> FloatArray:
         """The scaled feature of resistances (n, n_in) [Ω], (n, k)."""
         return self.scaling.scale(self.feature.values(self.resting.settled(columns_ohm)))
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the inputs by the resistances, (n, k, n_in) [1/Ω]."""
-        by_ohm = self.feature.derivatives(columns_ohm).swapaxes(1, 2)
-        return self.scaling.scale_differences(by_ohm).swapaxes(1, 2)
+        return self.scaling.factor[:, None] * self.feature.derivatives(columns_ohm)

@@ -12,7 +12,6 @@ from scipy.special import chdtri
 
 from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
-from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.model.decoder import Decoded, Decoder
 from decoupler.readings import Pillars
@@ -166,20 +165,8 @@ class TouchDecoder(Decoder):
         return Follower(self)
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show.
-
-        Raises
-        ------
-        SampleError
-            If the array is another size than the decoder's, or a resistance is not finite or not above 0.
-        """
-        ohms = np.asarray(resistance_ohm, dtype=float)
-        wanted = self.rows, self.cols, len(self.layout.pillars)
-        if ohms.shape[1:] != wanted:
-            raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {', '.join(map(str, wanted))}).")
-        if not (np.isfinite(ohms) & (ohms > 0)).all():
-            raise SampleError("a resistance is not finite or not above 0: leave that scan out or mend the pillar.")
-        return self.sensing.shown(ohms.reshape(len(ohms), -1))
+        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show."""
+        return self.sensing.shown(self.taken(resistance_ohm))
 
     def white(self, reading: FloatArray, more_mm2: FloatArray | float = 0.0) -> Whitening:
         """What whitens the errors of a reading (m,), with `more_mm2` of each; what is left out weighs nothing."""

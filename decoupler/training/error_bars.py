@@ -16,10 +16,10 @@ LIGHT = 0.05  #: share of the training samples, the lightest, that do not count 
 MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
 
 
-def fitted_uncertainty(
-    decoupler: Decoupler, data: Columns, ridge: float, n_light: int = 0, judged: NDArray[np.int64] | None = None
-) -> Uncertainty:
-    """The uncertainty of a model, from its training set, of which the last `n_light` samples are light.
+def with_uncertainty(
+    decoupler: Decoupler, data: Columns, ridge: float, n_light: int, judged: NDArray[np.int64] | None = None
+) -> Decoupler:
+    """A model with its uncertainty, from its training set, of which the last `n_light` samples are light.
 
     `ridge` is λ on the output weights; `judged` (n_judged,) are the samples that say the errors of those under load, by
     default all.
@@ -62,7 +62,7 @@ def fitted_uncertainty(
         deviation = np.sqrt(through + misfits[-1] + weights_n2)
         ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
         widths.append([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
-    return Uncertainty(
+    uncertainty = Uncertainty(
         inverse_matrix=G,
         misfit_n2=np.stack(misfits),
         unexplained_n2=unexplained,
@@ -70,6 +70,7 @@ def fitted_uncertainty(
         light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
         drift_factor=drift_factor,
     )
+    return replace(decoupler, uncertainty=uncertainty)
 
 
 def _drift_factor(decoupler: Decoupler, data: Columns, errors_n: FloatArray) -> FloatArray | None:

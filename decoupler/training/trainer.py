@@ -19,7 +19,7 @@ from decoupler.model.uncertainty import leverage
 from decoupler.model_file import model_cache_key
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge
-from decoupler.training.error_bars import MIN_FREEDOM, fitted_uncertainty
+from decoupler.training.error_bars import MIN_FREEDOM, with_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
 from decoupler.training.suited import suited
 from geometry.design import SensorDesign
@@ -76,16 +76,16 @@ def train(
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     few = drawn(data, seed)
-    asked = suited(few, component, network, training, response)
-    n, name = len(asked.columns), asked.columns.component.name
+    columns, form, settings, forward = suited(few, component, network, training, response)
+    n, name = len(columns), columns.component.name
     if few.is_finite.any() and name == "all" and response is not None:
         few = few[few.is_finite]
         n = len(few)
-        trained: Decoupler = trained_at_strain(few, response, asked.training, progress)
+        trained: Decoupler = trained_at_strain(few, response, settings, progress)
     else:
-        trained = fitted_network(*asked[:3], few.design, asked.forward, progress, judged)
+        trained = fitted_network(columns, form, settings, few.design, forward, progress, judged)
     story = {
-        "recipe": model_cache_key(data, name, network or NetworkConfig(), asked.training, response),
+        "recipe": model_cache_key(data, name, network or NetworkConfig(), settings, response),
         "data_hash": data.content_hash,
         "n_samples": n,
     }
@@ -115,8 +115,9 @@ def fitted_network(
     Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
     """
     kind, scaling = form_named(form.net), Scaling.fitted(data.force_n)
-    front = Front.of(data, POWERS[form.feature] if forward is None else _inverse(forward, data), scaling)
-    known, given = front.forward if kind.sees_inputs else None, data
+    inverse, given = None if forward is None else _inverse(forward, data), data
+    front = Front.of(data, inverse or POWERS[form.feature], scaling)
+    known = inverse.forward if inverse is not None and kind.sees_inputs else None
     if known is not None:
         data = _with_light_samples(known, scaling, data)
     inputs, targets = front.inputs(data.resistance_ohm), scaling.scale(data.force_n)
@@ -135,8 +136,7 @@ def fitted_network(
     trained = Decoupler.of(given, form, front, network, design)
     if judged:
         kept = task.held_out if data.errors.has_drift and len(task.held_out) else None
-        uncertainty = fitted_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
-        trained = replace(trained, uncertainty=uncertainty)
+        trained = with_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
     return replace(trained, made_from={"training": asdict(training), "outcome": asdict(outcome)})
 
 
