@@ -199,14 +199,14 @@ class Decoupler(Decoder):
         """Deviations (n, n_in) [Ω] of what readings err by alone, and what they err by together, (n, n_in, m) [Ω].
 
         That is by one deviation of each drift, then by draws of the sensor in states (n, Q) [N], by default those of
-        the inverse. Also of tensors of torch.
+        the inverse if there is one. Also of tensors of torch.
         """
-        shared = self.errors.shared(columns_ohm, self.rows, self.cols)
-        if len(self.ensemble) and self.forward is not None:
+        shared, forward = self.errors.shared(columns_ohm, self.rows, self.cols), self.forward
+        if forward is not None and len(self.ensemble):
             if state_n is None and self.inverse is not None:
                 state_n = self.inverse.values(columns_ohm)
-            of_draws = self.ensemble.factors(self.forward, state_n)
-            shared = namespace(columns_ohm).concat([shared, of_draws], axis=2)
+            draws = [] if state_n is None else [self.ensemble.factors(forward, state_n)]
+            shared = namespace(columns_ohm).concat([shared, *draws], axis=2)
         return self.errors.deviation(columns_ohm), shared
 
     def _error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
