@@ -211,11 +211,7 @@ def _touch_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoder:
 
     _require_format(header, TOUCH)
     design = design_from_toml(header["design"])
-    said = {
-        "design": design,
-        "errors": _errors_of(header),
-        "made_from": dict(header["made_from"]),
-    }
+    said = {"design": design, "errors": _errors_of(header), "made_from": dict(header["made_from"])}
     found: Decoder = built_of(PlateDecoder if design.pad.kind == "stiff" else BareDecoder, arrays, said)
     return found
 

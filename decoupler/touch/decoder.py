@@ -200,13 +200,11 @@ class TouchDecoder(Decoder):
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
-        shape = len(resistance_ohm), self.rows, self.cols, -1
-        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(shape)
+        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(-1, self.rows, self.cols, 3)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        shape = len(resistance_ohm), self.rows, self.cols, -1
-        found = [each.half_widths_n for each in self.touches(resistance_ohm)]
-        one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
+        found = zip(*(each.half_widths_n for each in self.touches(resistance_ohm)), strict=True)
+        one, two = (np.stack(each).reshape(-1, self.rows, self.cols, 3) for each in found)
         return one, two
 
     def deviations(
@@ -217,7 +215,7 @@ class TouchDecoder(Decoder):
         return stated
 
     def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
-        return told_by(self.touches(resistance_ohm, own), (self.rows, self.cols), weights)
+        return self.told(self.touches(resistance_ohm, own), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `columns`.
@@ -245,20 +243,19 @@ class TouchDecoder(Decoder):
         found = self.touches(resistance_ohm)
         return np.array([each.chi2 for each in found]), np.array([each.limit for each in found])
 
-
-def told_by(touches: Sequence[Touched], shape: tuple[int, int], weights: FloatArray) -> Decoded:
-    """What n touches of an array of rows and columns say, with `weights` as of `Decoder.deviations`."""
-    load = np.stack([each.load for each in touches]).reshape(len(touches), *shape, -1)
-    half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
-    sums = [weights.T @ each.factors for each in touches]
-    return Decoded(
-        force_n=load[..., :3],
-        moment_nmm=load[..., 3:],
-        moment_deviation_nmm=half[..., 3:],
-        contacts=[each.contacts for each in touches],
-        stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
-        tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
-    )
+    def told(self, touches: Sequence[Touched], weights: FloatArray) -> Decoded:
+        """What n touches say, with `weights` as of `Decoder.deviations`."""
+        load = np.stack([each.load for each in touches]).reshape(-1, self.rows, self.cols, self.n_loads)
+        half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
+        sums = [weights.T @ each.factors for each in touches]
+        return Decoded(
+            force_n=load[..., :3],
+            moment_nmm=load[..., 3:],
+            moment_deviation_nmm=half[..., 3:],
+            contacts=[each.contacts for each in touches],
+            stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
+            tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
+        )
 
 
 class Follower:
@@ -277,8 +274,7 @@ class Follower:
 
     def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
         """As of `Decoder`, of scans in their order."""
-        decoder = self._decoder
-        return told_by(self.touches(resistance_ohm, own), (decoder.rows, decoder.cols), weights)
+        return self._decoder.told(self.touches(resistance_ohm, own), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; arguments as of `TouchDecoder.touches`."""
