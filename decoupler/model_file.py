@@ -65,7 +65,6 @@ def write_model(decoder: Decoder, path: Path) -> None:
         save_file(header | {"format": TOUCH}, decoder, path)
         return
     header |= {"format": FORMAT, "component": decoder.component.name, "network": asdict(decoder.form)}
-    header |= {"rows": decoder.rows, "cols": decoder.cols}
     if decoder.design is None and decoder.layout != PAPERS:
         header["layout"] = layout_text(decoder.layout)
     if isinstance(decoder, DecouplerAtStrain):
@@ -230,9 +229,6 @@ def _errors_of(header: dict[str, Any]) -> ReadingError:
 
 def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
     _require_format(header, FORMAT)
-    for name in ("rows", "cols"):
-        if type(header[name]) is not int or header[name] < 1:
-            raise ValueError(f"{name} is {header[name]!r}, must be a whole number from 1 on")
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
@@ -243,8 +239,6 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
     layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
     said = {
         "component": component,
-        "rows": header["rows"],
-        "cols": header["cols"],
         "form": form,
         "design": design,
         "layout": layout,

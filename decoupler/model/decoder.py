@@ -57,10 +57,6 @@ class Decoder(ABC):
         @property
         def component(self) -> Component: ...
         @property
-        def rows(self) -> int: ...
-        @property
-        def cols(self) -> int: ...
-        @property
         def layout(self) -> Layout: ...
         @property
         def output_scaling(self) -> Scaling:
@@ -69,6 +65,14 @@ class Decoder(ABC):
         @property
         def is_identified(self) -> bool:
             """It is of one sensor, whose gains it knows."""
+
+    @property
+    def rows(self) -> int:
+        return len(self.dead)
+
+    @property
+    def cols(self) -> int:
+        return self.dead.shape[1]
 
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
@@ -164,7 +168,7 @@ class Decoder(ABC):
     @cached_property
     def read(self) -> NDArray[np.bool_]:
         """Which pillars it looks at, (rows, cols, n_pillars)."""
-        found = np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
+        found = np.zeros_like(self.dead)
         found[..., self.component.pillars(self.layout)] = True
         return found & ~self.dead
 

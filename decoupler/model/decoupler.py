@@ -37,8 +37,6 @@ class Decoupler(Decoder):
     """A network as trained; never changed, only used."""
 
     component: Component
-    rows: int
-    cols: int
     form: NetworkConfig
     front: Front
     network: Network
@@ -58,8 +56,6 @@ class Decoupler(Decoder):
         output_scaling = Scaling.fitted(data.force_n)
         return Decoupler(
             component=data.component,
-            rows=data.shape[0],
-            cols=data.shape[1],
             form=form,
             front=front,
             network=network,
@@ -133,7 +129,7 @@ class Decoupler(Decoder):
             slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
             factors = np.concatenate(slopes) * (self._own_ohm(columns, own) * ~self._missing)[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
-        own_n2, (scale, two) = self._own_variance(columns)
+        own_n2, (scale, two) = self.own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
@@ -177,11 +173,12 @@ class Decoupler(Decoder):
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
-        own_n2, (one, two) = self._own_variance(columns_ohm)
+        own_n2, (one, two) = self.own_variance(columns_ohm)
         deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm))
         return deviation_n * one, deviation_n * two
 
-    def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    def own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+        """`Uncertainty.own_variance` for columns of resistances, (n, n_in) [Ω]."""
         A = self.activations(columns_ohm)
         force_n = self.output_scaling.unscale(A @ self.network.output.T)
         return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
@@ -273,8 +270,7 @@ class Decoupler(Decoder):
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Places of its inputs in one sample's (rows, cols, n_pillars) resistances laid flat, (n_in,)."""
-        n_units = self.rows * self.cols
-        return np.arange(n_units * len(self.layout.pillars)).reshape(n_units, -1)[:, self.pillars].reshape(-1)
+        return np.arange(self.dead.size).reshape(self.dead.shape)[..., self.pillars].reshape(-1)
 
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
@@ -286,14 +282,13 @@ class Decoupler(Decoder):
         """Those of the mean load of training, else at rest."""
         ohms = self.rest_resistances()
         if self.usual.log_ohm is not None:
-            ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
+            ohms = np.ones(self.dead.shape) if ohms is None else ohms.copy()
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
 
     @property
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
-        n = self.rows * self.cols * len(self.layout.pillars)
-        return self.usual.readings(self.places, n)
+        return self.usual.readings(self.places, self.dead.size)
 
     def rest_resistances(self) -> FloatArray | None:
         if self.design is None:

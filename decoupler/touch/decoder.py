@@ -118,7 +118,8 @@ class TouchDecoder(Decoder):
     @cached_property
     def dead(self) -> NDArray[np.bool_]:
         """None."""
-        return np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
+        array = self.design.array
+        return np.zeros((array.rows, array.cols, len(self.layout.pillars)), dtype=bool)
 
     @property
     def is_identified(self) -> bool:
@@ -128,14 +129,6 @@ class TouchDecoder(Decoder):
     @property
     def layout(self) -> Layout:
         return self.design.unit.layout
-
-    @property
-    def rows(self) -> int:
-        return self.design.array.rows
-
-    @property
-    def cols(self) -> int:
-        return self.design.array.cols
 
     @property
     def component(self) -> Component:

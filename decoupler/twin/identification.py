@@ -160,9 +160,8 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
     as_left_out = np.maximum(found.sensor.resistances(readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
-    A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
-    force_n = decoder.outputs(as_left_out)
-    variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
+    force_n, slopes = decoder.outputs(as_left_out), decoder.derivatives(as_left_out)
+    variance, within = decoder.own_variance(as_left_out)
     variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
     noise = decoder.errors.deviation(as_left_out)
     variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)

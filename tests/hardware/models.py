@@ -22,6 +22,7 @@ class Unknown(Decoder):
     is_identified = False
     made_from: ClassVar = {}
     layout = SONG2018
+    rows = cols = 0  # of those made from it
 
     def without(self, pillars):
         return self
