@@ -198,13 +198,15 @@ class Decoupler(Decoder):
         That is by one deviation of each drift, then by draws of the sensor in states (n, Q) [N], by default those of
         the inverse if there is one. Also of tensors of torch.
         """
-        shared, forward = self.errors.shared(columns_ohm, self.rows, self.cols), self.forward
-        if forward is not None and len(self.ensemble):
+        errors, shared = self.errors, columns_ohm[:, :, None][..., :0]
+        if errors.has_drift:
+            shared = errors.shared(columns_ohm, self.rows, self.cols)
+        if len(self.ensemble) and (forward := self.forward) is not None:
             if state_n is None and self.inverse is not None:
                 state_n = self.inverse.values(columns_ohm)
             draws = [] if state_n is None else [self.ensemble.factors(forward, state_n)]
             shared = namespace(columns_ohm).concat([shared, *draws], axis=2)
-        return self.errors.deviation(columns_ohm), shared
+        return errors.deviation(columns_ohm), shared
 
     def _error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
@@ -223,11 +225,12 @@ class Decoupler(Decoder):
                 slopes = self.filling.by_read(columns, whole)
             own, shared = self.reading_errors(columns)
             common = [slopes @ shared] if shared.shape[2] else []
-            if self.errors.has_drift and drift_factor is not None:
+            if drift_factor is not None and self.errors.has_drift:
                 common[0][..., : len(drift_factor)] = common[0][..., : len(drift_factor)] @ drift_factor
             if self.filling is not None:
                 common.append(self.filling.by_missing(columns, whole))
-            yield chunk, np.concatenate([slopes * own[:, None], *common], axis=2)
+            factors = slopes * own[:, None]
+            yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ class Power:
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the values by the resistances, (n, n_in, n_in)."""
-        return (self.exponent * columns_ohm ** (self.exponent - 1.0))[:, None] * np.eye(columns_ohm.shape[1])
+        return (self.exponent * self.values(columns_ohm) / columns_ohm)[:, None] * np.eye(columns_ohm.shape[1])
 
     def resistances(self, values: FloatArray) -> FloatArray:
         """Resistances (n, n_in) [Ω] that have such values."""
@@ -55,4 +55,5 @@ class Front:
 
     def derivatives(self, columns_ohm: FloatArray) -> FloatArray:
         """Derivatives of the inputs by the resistances, (n, k, n_in) [1/Ω]."""
-        return self.scaling.factor[:, None] * self.feature.derivatives(columns_ohm)
+        by_ohm = self.feature.derivatives(columns_ohm).swapaxes(1, 2)
+        return (by_ohm * self.scaling.factor).swapaxes(1, 2)

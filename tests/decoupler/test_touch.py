@@ -223,9 +223,9 @@ def test_a_scan_alone_is_as_in_a_batch_and_as_by_its_file(decoder, contacts, tmp
     path.write_bytes(whole)
     with pytest.raises(FileFormatError, match=r"touch\.safetensors: "):
         read_model(path)
-    with pytest.raises(SampleError, match=r"expected \(n, 3, 3, 3\)"):
+    with pytest.raises(SampleError, match=r"resistances are of 6 × 6 units, the model.s sensor has 3 × 3"):
         decoder.forces(np.ones((1, 6, 6, 3)))
-    with pytest.raises(SampleError, match="not finite or not above 0"):
+    with pytest.raises(SampleError, match="resistance_ohm is nan at sample 0"):
         decoder.forces(np.full((1, 3, 3, 3), np.nan))
 
 

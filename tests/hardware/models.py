@@ -24,6 +24,9 @@ class Unknown(Decoder):
     layout = SONG2018
     rows = cols = 0  # of those made from it
 
+    def __init__(self):
+        pass
+
     def without(self, pillars):
         return self
 
