@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from decoupler.data.columns import namespace
-from decoupler.inverse.posterior import Found, Posterior
+from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import FloatArray
@@ -25,29 +24,24 @@ class DecouplerAtStrain(Decoupler):
         return self.posterior.forward
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:
-        return self.refined(columns_ohm).force_n
+        return self.refined(columns_ohm)[0]
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm).covariance_n2))
+        deviation_n = np.sqrt(np.einsum("nii->ni", self.refined(columns_ohm)[1]))
         return deviation_n, 2.0 * deviation_n
 
     def _deviations(
         self, columns: FloatArray, weights: FloatArray, own: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        own_ohm = None if own is None else self._own_ohm(columns, own)
-        covariance = self.refined(columns, own_ohm).covariance_n2
+        covariance = self.refined(columns, None if own is None else self._own_ohm(columns, own))[1]
         return np.sqrt(np.einsum("nii->ni", covariance)), weights.T @ covariance @ weights
 
     def refined(
         self, columns_ohm: FloatArray, own_ohm: FloatArray | None = None, doubts: Doubts | None = None
-    ) -> Found:
-        """Most probable forces by the posterior, of resistances (n, n_in) [Ω] with deviations `own_ohm` besides."""
-        settled, errors = self.front.resting.settled(columns_ohm), self.errors
-        first_n, shared_ohm = self.first_answers(columns_ohm), errors.shared(settled, self.rows, self.cols)
-        if len(self.ensemble):
-            unsure_ohm = self.ensemble.factors(self.forward, self.posterior.first_states(first_n))
-            shared_ohm = namespace(columns_ohm).concat([shared_ohm, unsure_ohm], axis=2)
-        deviation_ohm = errors.deviation(settled)
+    ) -> tuple[FloatArray, FloatArray]:
+        """Most probable forces of resistances (n, n_in) [Ω] with deviations `own_ohm` besides, and their covariance."""
+        settled, first_n = self.front.resting.settled(columns_ohm), self.first_answers(columns_ohm)
+        deviation_ohm, shared_ohm = self.reading_errors(settled, self.posterior.first_states(first_n))
         if own_ohm is not None:
             deviation_ohm = np.hypot(deviation_ohm, own_ohm)
         read, unsure_n = self.doubts(columns_ohm) if doubts is None else doubts

@@ -97,7 +97,7 @@ def test_recipe_follows_all_that_matters():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda header, arrays: header.pop("rows"), "its header makes no sense"),
+        (lambda header, arrays: header.pop("component"), "its header makes no sense"),
         (lambda header, arrays: header.update(format="tripillar-model-1"), "of another version, train it again"),
         (lambda header, arrays: header["network"].update(net="deep"), "net='deep' must be one of plain, skip"),
         (lambda header, arrays: arrays.pop("front.scaling.centre"), "centre"),

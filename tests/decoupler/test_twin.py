@@ -115,7 +115,7 @@ def test_draws_read_as_the_pairs_do_whatever_the_offsets():
     pairs = Pairs.of(replace(samples, resistance_ohm=samples.resistance_ohm + offset_ohm))
     model, columns_ohm = identified(pairs).decoder, pairs.resistance_ohm.reshape(60, -1)
     errors = ReadingError(), ReadingError(noise=NOISE)
-    of_draws, of_noise = (model.noise_variance(columns_ohm, each).mean() for each in errors)
+    of_draws, of_noise = (model.read_by(each).noise_variance(columns_ohm).mean() for each in errors)
     assert of_draws < 0.5 * of_noise
 
 

@@ -417,7 +417,7 @@ def _checked(
     note, solved = "", None
     if feature == "inverse" or (is_automatic and net != "plain"):
         solved = _response(samples, name, sensor, response)
-    network = stages.suited(samples, named, network, None, solved).form
+    _, network, _, _ = stages.suited(samples, named, network, None, solved)
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
