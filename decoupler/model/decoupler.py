@@ -166,6 +166,12 @@ class Decoupler(Decoder):
         chi2, limit = self.each(resistance_ohm, ask)
         return chi2, limit
 
+    def read_by(self, errors: ReadingError) -> Self:
+        drifts = ("drift", "drift_tilt", "drift_offset_ohm")
+        same = all((getattr(errors, name) > 0) == (getattr(self.errors, name) > 0) for name in drifts)
+        known = self.uncertainty if same else replace(self.uncertainty, drift_factor=None)  # of other drifts
+        return replace(self, errors=errors, uncertainty=known)
+
     @cached_property
     def load_test(self) -> LoadTest | None:
         """The test whether a usual load explains a reading; None if nobody knows rest."""

@@ -252,7 +252,7 @@ intact_n = cache(lambda name: off_n(each_made(name), each_made(name).test.resist
 LEAST_HELD = {"finite-strain": 0.85, "identified": 0.85}
 #: the same of 68 % deviations under errors besides, and of 95 % of the net force: what learned exact readings knows
 #: none, where pillars are few or dead the usual loads bias the sum
-LEAST_OF_ONE = {"exact": 0.4, "finite-strain": 0.5, "bare": 0.92}
+LEAST_OF_ONE = {"exact": 0.4, "finite-strain-six-pillar": 0.55, "bare": 0.92}
 LEAST_NET_HELD = {"exact": 0.8, "upright-four": 0.7, "all-skip-root": 0.75, "plates-song2018": 0.75, "drifts": 0.92}
 LEAST_NET_HELD |= {"dead-inverse": 0.65, "dead-root": 0.7}
 
@@ -336,8 +336,6 @@ def test_a_sensor_at_rest_reads_nothing_though_each_pillar_is_half_a_step_off():
 def test_errors_that_readings_have_besides_are_in_all_deviations(every, kind):
     """Of units and of the net Fz: 0.5 % shared, coarser steps, 1 % as of memory; untold, fewer hold."""
     name, case = every
-    if (name, kind) == ("finite-strain-six-pillar", "of each pillar"):  # whose forces do not heed them yet
-        return
     ohms, generator = case.test.resistance_ohm, np.random.default_rng(3)
     drifts = (name != "drifts") * 0.005 * generator.standard_normal((len(ohms), 1, 1, 1))
     errors, own, read_ohm = {
