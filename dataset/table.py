@@ -12,10 +12,12 @@ from common.storage.files import replacing
 from common.storage.text_file import why_unreadable
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
-from geometry.layout import FloatArray, Layout
+from geometry.layout import AXES, FloatArray, Layout
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
-NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"
+SHORT = {r"f_(\d+)_(\d+)": r"force_\1_\2_z_n", r"r_(\d+)_(\d+)": r"resistance_\1_\2_z_ohm"}  #: of sensors of one axis
+NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar; or f_0_0 and r_0_0"
+LEAST_COUNT = 0.5  #: that a whole number of 0 stands for among readings that are counts
 
 
 def columns_of(variables: Iterable[str], rows: int, cols: int, layout: Layout) -> list[str]:
@@ -65,8 +67,9 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """Forces (n, rows, cols, 3) [N] and resistances (n, rows, cols, n_pillars) [Ω] of a table, and its layout.
 
-    Other columns are left out. Numbers between semicolons may have a decimal comma. A file that is missing, lacks a
-    column or holds what is no number is a `FileFormatError` that says which.
+    Other columns are left out, forces along an axis without columns are 0. Numbers between semicolons may have a
+    decimal comma. A file that is missing, lacks a column or holds what is no number is a `FileFormatError` that says
+    which.
     """
     import pandas as pd
 
@@ -76,7 +79,8 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
-    expected = [*chain(*of_each)]
+    axes = {f"{place[3]}_n" for place in places if place[4] == "n"} or {f"{axis}_n" for axis in AXES}
+    expected = [name for name in chain(*of_each) if name.endswith(("_ohm", *axes))]
     missing = [name for name in expected if name not in header]
     if missing:
         size = f" of {rows} × {cols} units" if units else ""
@@ -84,11 +88,16 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
-        arrays = {name: table[names].to_numpy(np.float64) for name, names in zip(LABELS, of_each, strict=True)}
+        arrays = {
+            name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
+            for name, names in zip(LABELS, of_each, strict=True)
+        }
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
+    if not (arrays["resistance_ohm"] % 1.0).any():
+        arrays["resistance_ohm"] = np.where(arrays["resistance_ohm"] == 0, LEAST_COUNT, arrays["resistance_ohm"])
     return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 
 
@@ -105,4 +114,7 @@ def _header_of(path: Path) -> tuple[list[str], str]:
     except (OSError, UnicodeDecodeError) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     separator = max(",;\t", key=line.count)
-    return [name.strip().strip('"') for name in line.split(separator)], separator
+    names = [name.strip().strip('"') for name in line.split(separator)]
+    for short, long in SHORT.items():
+        names = [re.sub(f"^{short}$", long, name) for name in names]
+    return names, separator

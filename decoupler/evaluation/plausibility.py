@@ -1,9 +1,8 @@
 """Checks whether readings and forces can belong together and to their sensor, and names the usual mistakes in files.
 
-The response of the sensor says how lengths follow the forces. A data set is doubted if it fits that decidedly better
-after a mistake is taken back, of those in `MISTAKES`, in the order of pads or pillars, or in the size of all forces, of
-an axis', a pad's or some samples'; or if the readings fit the forces worse than if nothing linked them. Of measured
-`Pairs`, few and each of a load that someone put on, every load has to change its readings as it should.
+A data set is doubted if it fits the sensor's response decidedly better after a mistake is taken back, of `MISTAKES`,
+in the order of pads or pillars, or in the size of forces, of all, an axis, a pad or some samples; or worse than if
+nothing linked readings and forces. Of measured `Pairs` every load has to change its readings as it should.
 """
 
 import math
@@ -32,15 +31,13 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 #: smallest share of the readings' motion that the forces explain once a mistake is taken back: of contacts on bare
 #: rubber, which no pad load explains, 0.3 to 0.6 with and without one
 MIN_EXPLAINED = 0.7
-#: the same of a sensor's own response: as made 0.985 and more, with pads of the other kind 0.92 to 0.95
-OWN_EXPLAINED = 0.97
+OWN_EXPLAINED = 0.97  #: the same of a sensor as made, 0.985 and more; with pads of the other kind 0.92 to 0.95
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 KGF_N = 9.80665  #: weight of a kilogram
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
-#: (unsure, sure): what the readings say of all forces, or of an axis', over what is stated; of sensors as made, with
-#: other pads, heights and rubber, 0.76 to 1.33
+#: (unsure, sure): what the readings say of all forces, or of an axis', over what is stated; as made 0.76 to 1.33
 OF_AXES = (1.38, 1.6)
 OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
 MAX_PADS = 64  #: pads that are looked at one by one
@@ -51,6 +48,10 @@ TARE = (0.03, 0.15, 5.0)  #: of what is added to all Fz: least pull and least si
 UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
 UNITS |= {"ounces": 0.278014, "halved": 2.0, "doubled": 0.5}
 
+NOT_LINKED = (
+    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
+    "load"
+)
 Turn = Callable[[FloatArray], FloatArray]  #: of forces (n, rows, cols, 3), which takes a mistake back
 
 _SIGNS = "z > 0 is compression, x runs along columns, y along rows"
@@ -69,15 +70,8 @@ MISTAKES: dict[str, Turn] = {said.format("forces"): turn for said, turn in PLACE
 def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | None) -> str | None:
     """Name the likely mistake in samples and how to mend it, in a line; None if there seems to be none.
 
-    Parameters
-    ----------
-    data : Samples or Pairs
-        Pairs need the joint sensor and its component, `all`.
-    component : Component
-        Whose pillars and forces are looked at.
-    forward : SensorModel, optional
-        Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces.
-        Without it only contacts, forces that are constant and kΩ are noticed.
+    The model is of the sensor that the data are said to be of: joint (`all`), as pairs need, or of the component's own
+    pillars and forces. Without it only contacts, forces that are constant and kΩ are noticed.
 
     Notes
     -----
@@ -112,14 +106,12 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
 def suspicion(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
     """Say in a line what looks wrong in samples that are not doubted, though a sensor may read so; None if nothing."""
     fit = None if forward is None else _Fit.of_all(_some(data, component), component, forward)
-    if fit is None or (share := fit.explained) is None:
+    if fit is None or fit.explained is None:
         return None
-    if share < OWN_EXPLAINED:
-        return (
-            f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's "
-            f"{OWN_EXPLAINED:.0%} and more: are they of another? Large strains read so, too, and contacts, which want a "
-            "decoder of 'tripillar train --touch'"
-        )
+    if fit.explained < OWN_EXPLAINED:
+        usual = f"of its own sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
+        others = "So read large strains, too, and contacts, which want 'tripillar train --touch'"
+        return f"the design's response explains {max(fit.explained, 0.0):.0%} of these readings, {usual} {others}"
     return fit.of_axes(OF_AXES[0]) or fit.of_tare()
 
 
@@ -127,12 +119,10 @@ def nothing_to_learn(data: Samples, component: Component) -> str | None:
     """Say in a line that all samples are contacts, the same, or of the same load; None if they differ."""
     if said := _of_contacts(data):
         return said
-    if len(data.force_n) < 2:
-        return None
     own = Columns.of(data, component)
-    if _is_constant(own.force_n):
+    if len(own) > 1 and _is_constant(own.force_n):
         return f"{_alike(own.force_n)}: nothing can be learnt"
-    is_constant = _is_constant(own.resistance_ohm)
+    is_constant = len(own) > 1 and _is_constant(own.resistance_ohm)
     return "every resistance is the same in all samples: nothing can be learnt" if is_constant else None
 
 
@@ -204,9 +194,8 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
 
 def _of_contacts(data: Samples) -> str | None:
     """Say what decodes contacts, if the samples are such."""
-    if data.made_from.get("protocol") != INDENT:
-        return None
-    return f"the protocol '{INDENT}' presses shapes, no loads on pads: 'tripillar train --touch' decodes these"
+    said = f"the protocol '{INDENT}' presses shapes, no loads on pads: 'tripillar train --touch' decodes these"
+    return said if data.made_from.get("protocol") == INDENT else None
 
 
 def _some(data: Samples, component: Component) -> Samples:
@@ -296,10 +285,10 @@ class _Fit:
 
     def multiples(self, groups: FloatArray) -> FloatArray:
         """Multiples of k groups of forces (k, n_forces) that the readings show, (k,); 1 of groups that do not vary."""
-        change, rest = self.labels - self.labels.mean(axis=0), self.lengths(0.0 * self.labels[:1])
+        change = self.labels - self.labels.mean(axis=0)
         step = PROBE_N / max(float(np.abs(change).max()), 1e-9)
-        E = np.array([self.lengths(step * change * group) - self.lengths(-step * change * group) for group in groups])
-        E = (E / (2.0 * step * rest)).reshape(len(groups), -1)
+        apart = [self.lengths(step * change * group) / self.lengths(-step * change * group) for group in groups]
+        E = (np.log(apart) / (2.0 * step)).reshape(len(groups), -1)
         G, found = E @ E.T, np.zeros(len(E))
         tells = np.diag(G) > CONSTANT * np.diag(G).max()
         to_found = np.linalg.pinv(G[np.ix_(tells, tells)]) @ E[tells]
@@ -313,7 +302,7 @@ class _Fit:
         """Multiples of the forces along x, y and z that the readings show, (3,)."""
         axes, times = AXES if self.is_joint else self.component.axes, np.ones(len(AXES))
         groups = np.tile(np.eye(len(axes)), self.labels.shape[1] // len(axes))
-        times[[AXES.index(axis) for axis in axes]] = self.multiples(groups)
+        times[[axis in axes for axis in AXES]] = self.multiples(groups)
         return times
 
     @cached_property
@@ -347,8 +336,8 @@ class _Fit:
         times = self.scaled.multiples(groups).reshape(rows, cols, 1)
         times /= np.median(times)
         off = (times < 1.0 / OF_PAD) | (times > OF_PAD)
-        said = [self.said(f"forces of the pad in row {i}, col {j}", times[i, j, 0]) for i, j, _ in np.argwhere(off)]
-        return {"; ".join(said): self.scaled.turned(lambda F: F * np.where(off, times, 1.0))} if said else {}
+        said = "; ".join(self.said(f"forces of pad {i}/{j} (row/col)", times[i, j, 0]) for i, j, _ in np.argwhere(off))
+        return {said: self.scaled.turned(lambda F: F * np.where(off, times, 1.0))} if said else {}
 
     def by_samples(self) -> "dict[str, _Fit]":
         """Without another multiple of the forces of some samples, which are all alike, said."""
@@ -360,20 +349,18 @@ class _Fit:
             times = ((lengths / at_rest - 1.0) * moved).sum(axis=1) / np.maximum(size, CONSTANT)
             usual = float(np.sort(times)[len(times) // 2])  # of one sample: the mean of two kinds is of neither
             alike = np.abs(times - usual) <= 0.3 * abs(usual)
-        if (times <= 0.0).any():  # nothing is on the sensor, or noise or a sign hides how much
+        more = times**2 > np.percentile(times, [2, 98]).prod()
+        if times.min() <= 0.0 or more.all() or not more.any():  # or noise, a sign or rest hides how much
             return {}
-        more = np.log(times) > np.percentile(np.log(times), [2, 98]).mean()
-        ratio = float(np.median(times[more]) / np.median(times[~more])) if 0 < more.sum() < len(more) else 1.0
-        if ratio < OF_AXES[1]:
-            return {}
+        ratio = float(np.median(times[more]) / np.median(times[~more]))
         mended = self.turned(lambda F: F * np.where(more, ratio, 1.0)[:, None, None, None])
         wrong, by = (more, ratio) if mended.of_axes(OF_AXES[1]) is None else (~more, 1.0 / ratio)
-        return {self.said(f"forces of {wrong.mean():.0%} of the samples", by): mended.scaled}
+        said = self.said(f"forces of {wrong.mean():.0%} of the samples", by)
+        return {said: mended.scaled} if ratio > OF_AXES[1] else {}
 
     def of_tare(self) -> str | None:
         """Say what was added to all Fz, if it pulls most pads or if pillars are too long for their gains and sizes."""
-        fz, scaled = self.data.force_n[..., 2], self.scaled
-        was_tared = "was the load cell tared under load?"
+        fz, scaled, was_tared = self.data.force_n[..., 2], self.scaled, "was the load cell tared under load?"
         typical, lowest, highest = np.abs(fz).mean(), np.median(fz.min(axis=0)), np.median(fz.max(axis=0))
         if lowest < -TARE[0] * typical and not 0.5 < highest / -lowest < 2.0:
             return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: {was_tared}"
@@ -389,10 +376,8 @@ class _Fit:
         found = np.linalg.lstsq(A, apart)[0]
         variance = ((apart - A @ found) ** 2).sum() / (len(A) - A.shape[1]) * np.linalg.inv(A.T @ A)[-1, -1]
         off, error = (2.0 * PROBE_N * each / self.times[2] for each in (found[-1], math.sqrt(variance)))
-        if abs(off) <= max(TARE[2] * abs(error), TARE[1] * typical):
-            return None
-        size = "small" if off > 0 else "large"
-        return f"all Fz seem {abs(off):.3g} N too {size}, unless pads or rubber differ: {was_tared}"
+        said = f"{-off:.3g} N seem to be added to all Fz, unless pads or rubber differ: {was_tared}"
+        return said if abs(off) > max(TARE[2] * abs(error), TARE[1] * typical) else None
 
 
 def _mistaken(given: _Fit) -> str | None:
@@ -416,21 +401,16 @@ def _mistaken(given: _Fit) -> str | None:
             share = other.explained if likelier > math.log(number) + enough else 0.0
             if share is None or share > MIN_EXPLAINED:
                 found[said] = other.energy
-    none = (
-        "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its "
-        "own load"
-    )
-    return min(found, key=found.__getitem__, default=none if unlinked.log_likelier(given) > enough else None)
+    return min(found, key=found.__getitem__, default=NOT_LINKED if unlinked.log_likelier(given) > enough else None)
 
 
 def _in_best_order(given: _Fit, axis: int, names: Sequence[str]) -> dict[str, _Fit]:
     """The order of pads (axis 1) or pillars (2) that explains the readings best; none if it is the stated one."""
     from scipy.optimize import linear_sum_assignment
-
-    data, readable = given.data, given.own.readable
-    pads = readable.reshape(math.prod(data.shape), -1)
-    both = np.zeros((2, len(data), *pads.shape))
-    both.reshape(2, len(data), -1)[..., readable] = given.moved, _about_mean(given.lengths(given.labels))
+    readable = given.own.readable
+    pads = readable.reshape(math.prod(given.data.shape), -1)
+    both = np.zeros((2, len(given.data), *pads.shape))
+    both.reshape(*both.shape[:2], -1)[..., readable] = given.moved, _about_mean(given.lengths(given.labels))
     moved, expected = np.moveaxis(both, axis + 1, 1)
     told = np.moveaxis(pads, axis - 1, 0)
     left = [[(residuals(m, e)[:, t] ** 2).sum() for m, t in zip(moved, told, strict=True)] for e in expected]

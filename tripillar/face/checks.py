@@ -1,5 +1,6 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
+from common.errors import DesignError
 from dataset import SampleError, Samples
 from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
@@ -10,6 +11,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
+from geometry.design import SensorDesign
 from tripillar.face.caller import current
 
 
@@ -32,6 +34,24 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
         raise SampleError(f"{name}: {doubted}. Nothing was done; force=True goes on all the same.")
     current().say(f"warning: {name}: {doubted}")
     return {"forced": doubted}
+
+
+def require_heeded(
+    data: Samples, name: str, design: SensorDesign | None, maps_strain: bool, network: tuple[int, str, str]
+) -> None:
+    """Refuse another design than the data's, and what training would ignore: `network`, or the strain of some samples.
+
+    `maps_strain`: whether it learns maps of finite strain, if there are such samples.
+    """
+    is_finite, mend = data.is_finite, ""
+    if design is not None and data.design not in (None, design):
+        mend = "states another design than design=: leave it out, or give data of that design"
+    elif maps_strain and is_finite.any() and network != (17, "skip", "auto"):
+        mend = "is at finite strain, which maps learn: leave hidden=, net= and feature= out, or give feature='root'"
+    elif not maps_strain and is_finite.any() != is_finite.all():
+        mend = "holds linear samples and others at finite strain: give one kind, or component='all' with a design"
+    if mend:
+        raise DesignError(f"{name} {mend}.")
 
 
 def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, is_known: bool) -> None:
