@@ -108,11 +108,12 @@ def suspicion(data: Samples, component: Component, forward: SensorModel | None) 
     fit = None if forward is None else _Fit.of_all(_some(data, component), component, forward)
     if fit is None or fit.explained is None:
         return None
-    if fit.explained < OWN_EXPLAINED:
-        usual = f"of its own sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
-        others = "So read large strains, too, and contacts, which want 'tripillar train --touch'"
-        return f"the design's response explains {max(fit.explained, 0.0):.0%} of these readings, {usual} {others}"
-    return fit.of_axes(OF_AXES[0]) or fit.of_tare()
+    said = fit.of_axes(OF_AXES[0])
+    if (share := (fit.scaled if said else fit).explained or 0.0) < OWN_EXPLAINED:
+        more = "are they of another? So read large strains, too, and contacts, which want 'tripillar train --touch'"
+        told = f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's"
+        return f"{told} {OWN_EXPLAINED:.0%} and more: {more}"
+    return said or fit.of_tare()
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
@@ -407,6 +408,7 @@ def _mistaken(given: _Fit) -> str | None:
 def _in_best_order(given: _Fit, axis: int, names: Sequence[str]) -> dict[str, _Fit]:
     """The order of pads (axis 1) or pillars (2) that explains the readings best; none if it is the stated one."""
     from scipy.optimize import linear_sum_assignment
+
     readable = given.own.readable
     pads = readable.reshape(math.prod(given.data.shape), -1)
     both = np.zeros((2, len(given.data), *pads.shape))
