@@ -43,18 +43,17 @@ OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
 MAX_PADS = 64  #: pads that are looked at one by one
 PROBE_N = 1.0  #: change of forces by which the model is differentiated
 ROUNDS = 5  #: of a search for multiples
+NOISE_TIMES = 1.5  #: the stated noise; what leaves less of the readings needs no mending
 TARE = (0.03, 0.15, 5.0)  #: of what is added to all Fz: least pull and least size, over their mean; standard errors
 #: newtons of what may have been written for one
 UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
 UNITS |= {"ounces": 0.278014, "halved": 2.0, "doubled": 0.5}
-
 NOT_LINKED = (
     "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
     "load"
 )
 Turn = Callable[[FloatArray], FloatArray]  #: of forces (n, rows, cols, 3), which takes a mistake back
 
-_SIGNS = "z > 0 is compression, x runs along columns, y along rows"
 PLACES: dict[str, Turn] = {  #: of pads, in forces or in readings as well
     "rows and columns of the {} seem to be exchanged: rows run along y": lambda F: F.swapaxes(1, 2),
     "rows of the {} seem to stand in reverse order: they begin at −y": lambda F: F[:, ::-1],
@@ -96,10 +95,7 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
         return None
     times = float(np.median(columns) / np.median(forward.at_rest_ohm()))
     if round(math.log10(times) / 3):
-        return (
-            f"the resistances are {times:.2g} times the design's: give them in Ω, or the design the resistivity_ohm_mm "
-            "of this rubber"
-        )
+        return f"the resistances are {times:.2g} times the design's: give them in Ω, or it the right resistivity_ohm_mm"
     return _mistaken(_Fit.of_all(data, component, forward))
 
 
@@ -110,9 +106,8 @@ def suspicion(data: Samples, component: Component, forward: SensorModel | None) 
         return None
     said = fit.of_axes(OF_AXES[0])
     if (share := (fit.scaled if said else fit).explained or 0.0) < OWN_EXPLAINED:
-        more = "are they of another? So read large strains, too, and contacts, which want 'tripillar train --touch'"
-        told = f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's"
-        return f"{told} {OWN_EXPLAINED:.0%} and more: {more}"
+        more = f"{OWN_EXPLAINED:.0%} and more: are they of another? So read large strains, and contacts ('--touch')"
+        return f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's {more}"
     return said or fit.of_tare()
 
 
@@ -143,10 +138,8 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
         share = f" ({1.0 - by_all.energy / by_own.energy:.0%} of what {component.name} leaves unexplained is theirs)"
     tells_all = data.design is None or not untold(data.design.unit)
     mend = "use the component 'all'" if tells_all else "take samples without them, or a layout that tells them"
-    return (
-        f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
-        f"{component.name}; {mend}"
-    )
+    said = f"forces along {' and '.join(acting)} act as well and move the same pillars{share}"
+    return f"{said}: they become errors of {component.name}; {mend}"
 
 
 def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str | None:
@@ -268,12 +261,17 @@ class _Fit:
         return float((self.left**2).sum() + self.left.size * (0.5 * MIN_NOISE) ** 2)
 
     @cached_property
+    def noise(self) -> float:
+        """The sum of squares that the stated noise leaves."""
+        relative = self.own.errors.total(self.own.resistance_ohm, *self.own.shape) / self.own.resistance_ohm
+        return float((0.25 * relative[:, self.own.readable] ** 2).sum())
+
+    @cached_property
     def explained(self) -> float | None:
         """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it."""
-        relative = self.own.errors.total(self.own.resistance_ohm, *self.own.shape) / self.own.resistance_ohm
-        noise = float((0.25 * relative[:, self.own.readable] ** 2).sum())
-        signal = float((self.moved**2).sum()) - noise
-        return 1.0 - max(float((self.left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+        signal = float((self.moved**2).sum()) - self.noise
+        left = max(float((self.left**2).sum()) - self.noise, 0.0)
+        return 1.0 - left / signal if signal > self.noise else None
 
     def log_likelier(self, than: "_Fit") -> float:
         """Log likelihood ratio to another explanation of the same readings."""
@@ -302,8 +300,8 @@ class _Fit:
     def times(self) -> FloatArray:
         """Multiples of the forces along x, y and z that the readings show, (3,)."""
         axes, times = AXES if self.is_joint else self.component.axes, np.ones(len(AXES))
-        groups = np.tile(np.eye(len(axes)), self.labels.shape[1] // len(axes))
-        times[[axis in axes for axis in AXES]] = self.multiples(groups)
+        of_all = self.multiples(np.tile(np.eye(len(axes)), self.labels.shape[1] // len(axes)))
+        times[[axis in axes for axis in AXES]] = of_all
         return times
 
     @cached_property
@@ -322,7 +320,7 @@ class _Fit:
     def said(self, what: str, times: float) -> str:
         """What forces are beside what readings say, `times` as much, and how to mend it."""
         if times < 0 and 1.0 / OF_AXES[0] < -times < OF_AXES[0]:
-            return f"{what} seem to have the other sign: {_SIGNS}"
+            return f"{what} seem to have the other sign: z > 0 is compression, x runs along columns, y along rows"
         units = UNITS if self.data.design is None else UNITS | {"MPa": self.data.design.pad.size_mm**2}
         name = min(units, key=lambda unit: abs(math.log(units[unit] / max(abs(times), CONSTANT))))
         is_near = 1.0 / OF_PAD < abs(times) / units[name] < OF_PAD
@@ -367,22 +365,23 @@ class _Fit:
             return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: {was_tared}"
         if not self.is_joint or len(rest2 := self.forward.rest_mm**2) != len(AXES):
             return None
-        by = np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
-        less, more = (scaled.lengths(scaled.labels.mean(axis=0)[None] + change)[0] for change in (-by, by))
+        mean, by = scaled.labels.mean(axis=0)[None], np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
+        less, more = scaled.lengths(mean - by)[0], scaled.lengths(mean + by)[0]
         measured = self.forward.lengths_of(self.own.resistance_ohm)[:, self.own.readable]
         apart = np.log(measured / scaled.lengths(scaled.labels)).mean(axis=0)
         A = np.array([np.ones(len(less)), (rest2[-1] / rest2.sum(axis=0))[self.own.readable], np.log(more / less)]).T
-        if len(A) <= 2 * A.shape[1] or np.linalg.matrix_rank(A / np.linalg.norm(A, axis=0), tol=1e-3) < A.shape[1]:
-            return None
-        found = np.linalg.lstsq(A, apart)[0]
-        variance = ((apart - A @ found) ** 2).sum() / (len(A) - A.shape[1]) * np.linalg.inv(A.T @ A)[-1, -1]
-        off, error = (2.0 * PROBE_N * each / self.times[2] for each in (found[-1], math.sqrt(variance)))
+        told = len(A) > 2 * A.shape[1] and np.linalg.cond(A / np.linalg.norm(A, axis=0)) < 1e3
+        found, variance = np.linalg.lstsq(A, apart)[0], np.linalg.pinv(A.T @ A)[-1, -1] / max(len(A) - A.shape[1], 1)
+        error = math.sqrt(((apart - A @ found) ** 2).sum() * variance)
+        off, least = 2.0 * PROBE_N / self.times[2] * np.array([found[-1], TARE[2] * error])
         said = f"{-off:.3g} N seem to be added to all Fz, unless pads or rubber differ: {was_tared}"
-        return said if abs(off) > max(TARE[2] * abs(error), TARE[1] * typical) else None
+        return said if told and abs(off) > max(abs(least), TARE[1] * typical) else None
 
 
 def _mistaken(given: _Fit) -> str | None:
-    """The mistake that explains the data best, if decidedly better than none."""
+    """The mistake that explains the data best, if decidedly better than none; none is sought beyond noise."""
+    if (given.left**2).sum() < NOISE_TIMES * given.noise:
+        return None
     unlinked, n_pads = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape)
     others = {said: given.turned(turn) for said, turn in MISTAKES.items()}
     others |= {said.format("readings and forces"): given.turned(turn, turn) for said, turn in PLACES.items()}
@@ -413,15 +412,14 @@ def _in_best_order(given: _Fit, axis: int, names: Sequence[str]) -> dict[str, _F
     pads = readable.reshape(math.prod(given.data.shape), -1)
     both = np.zeros((2, len(given.data), *pads.shape))
     both.reshape(*both.shape[:2], -1)[..., readable] = given.moved, _about_mean(given.lengths(given.labels))
-    moved, expected = np.moveaxis(both, axis + 1, 1)
-    told = np.moveaxis(pads, axis - 1, 0)
+    (moved, expected), told = np.moveaxis(both, axis + 1, 1), np.moveaxis(pads, axis - 1, 0)
     left = [[(residuals(m, e)[:, t] ** 2).sum() for m, t in zip(moved, told, strict=True)] for e in expected]
     order = linear_sum_assignment(left)[1].tolist()
     wrong = [k for k in range(len(names)) if order[k] != k]
     mended = given.turned(lambda F: F, lambda R: R.reshape(len(R), len(pads), -1).take(order, axis).reshape(R.shape))
     as_read, meant = (", ".join(names[k] for k in each) for each in ((order.index(k) for k in wrong), wrong))
-    said = f"{'pads' if axis == 1 else 'pillars'} seem to stand in the order {as_read}: a file's are {meant}"
-    return {said: mended} if wrong else {}
+    what = "pads" if axis == 1 else "pillars"
+    return {f"{what} seem to stand in the order {as_read}: a file's are {meant}": mended} if wrong else {}
 
 
 def _about_mean(lengths: FloatArray) -> FloatArray:

@@ -297,7 +297,7 @@ def test_what_a_sensor_might_read_as_well_is_suspected():
         (data.force_n, None),
         (data.force_n * [1, 1, 1.45], r"forces along z are 1\.4\d of what the readings say: multiply by 0\.6"),
         (data.force_n - [0, 0, 100], r"-(9\d\.\d|10\d) N seem to be added to all Fz, .* tared under load\?"),
-        (data.force_n - [0, 0, 250], r"Fz falls to -1\d\d N on most pads, which pulls them"),
+        (data.force_n - [0, 0, 250], r"Fz falls to -\d+ N on most pads, which pulls them"),
     ):
         given = replace(data, force_n=force_n)
         assert doubt(given, ALL, joint) is None
