@@ -36,22 +36,25 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
     return {"forced": doubted}
 
 
-def require_heeded(
-    data: Samples, name: str, design: SensorDesign | None, maps_strain: bool, network: tuple[int, str, str]
-) -> None:
-    """Refuse another design than the data's, and what training would ignore: `network`, or the strain of some samples.
-
-    `maps_strain`: whether it learns maps of finite strain, if there are such samples.
-    """
+def require_heeded(data: Samples, name: str, design: SensorDesign | None, maps: bool, form: tuple[object, ...]) -> None:
+    """Refuse another design than the data's, and what training would ignore: a form if it `maps` strain, or strain."""
     is_finite, mend = data.is_finite, ""
     if design is not None and data.design not in (None, design):
         mend = "states another design than design=: leave it out, or give data of that design"
-    elif maps_strain and is_finite.any() and network != (17, "skip", "auto"):
+    elif maps and is_finite.any() and form != (17, "skip", "auto"):
         mend = "is at finite strain, which maps learn: leave hidden=, net= and feature= out, or give feature='root'"
-    elif not maps_strain and is_finite.any() != is_finite.all():
+    elif not maps and is_finite.any() != is_finite.all():
         mend = "holds linear samples and others at finite strain: give one kind, or component='all' with a design"
     if mend:
         raise DesignError(f"{name} {mend}.")
+
+
+def enough(samples: AnySamples, seed: int, name: str, purpose: str) -> Samples:
+    """The samples, or a draw of those that are too many; says so."""
+    few = drawn(samples, seed)
+    if len(few) < len(samples):
+        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+    return few
 
 
 def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, is_known: bool) -> None:

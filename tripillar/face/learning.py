@@ -173,7 +173,7 @@ def train(
     )
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = _enough(samples, seed, name, "train the network")
+    few = stages.enough(samples, seed, name, "train the network")
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
@@ -293,7 +293,7 @@ def _cross_validated(
     of_training = ("trainer", "goal_mse", "max_iterations", "seed")
     training = stages.TrainingConfig(**{key: asked[key] for key in of_training}, **asked["settings"])
     stages.split_folds(min(len(samples), stages.ENOUGH), folds, training.seed)  # refuses too many before anything
-    few = _enough(samples, training.seed, name, "are split")
+    few = stages.enough(samples, training.seed, name, "are split")
     of_network = ("component", "net", "hidden", "feature", "design", "response", "force")
     parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
     advance = current().bars.begin(f"{folds} folds", total=folds)
@@ -385,14 +385,6 @@ def _mention_untrusted(model: "stages.Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
     for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
         current().say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
-
-
-def _enough(samples: "stages.AnySamples", seed: int, name: str, purpose: str) -> "stages.Samples":
-    """The samples, or a draw of those that are too many; says so."""
-    few = stages.drawn(samples, seed)
-    if len(few) < len(samples):
-        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
-    return few
 
 
 def _checked(
