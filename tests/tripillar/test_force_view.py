@@ -88,7 +88,7 @@ def scan(k, us=0, run=0):
 def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(monkeypatch, capsys):
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: map(scan, range(RATE_HZ)))
     scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
-    model.errors = ReadingError(noise=0.01)
+    object.__setattr__(model, "errors", ReadingError(noise=0.01))
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
     sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}
     sensor._reader._weights = wrench_weights(PLACES, ("z",))
