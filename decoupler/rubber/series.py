@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import counted, require_regular
 from common.errors import FileFormatError
 from common.storage.text_file import why_unreadable
 from geometry.layout import FloatArray
@@ -27,7 +28,7 @@ COLUMNS = {
 TWO_WIRES = {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3}  #: may stand beside those of four wires
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
-MAX_ROWS = 15_000  #: more are averaged
+MAX_ROWS, MOST_ROWS = 15_000, 2_000_000  #: more are averaged, or refused
 MAX_STEP_S, MAX_DAYS = 5.0, 3.0  #: between rows, and of all: no bench is so slow, milliseconds look so
 LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
@@ -130,11 +131,12 @@ def _columns(path: Path, named: Mapping[str, str]) -> dict[str, dict[str, FloatA
     known = [name for units in (*COLUMNS.values(), TWO_WIRES) for name in units]
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
+    require_regular(path, "give a CSV table")
     try:
         with path.open(newline="", encoding="utf-8-sig") as opened:
             reader = csv.reader(opened, skipinitialspace=True)
             header = [name.strip() for name in next(reader, [])]
-            lines = [line for line in reader if line]
+            lines = [line for line in counted(reader, MOST_ROWS, path, "give fewer, such as every tenth") if line]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
     found: dict[str, dict[str, FloatArray]] = {}

@@ -194,7 +194,7 @@ def _require_same_board(info: Info, n_counts: float, bits: int, flags: int, sour
 def _json(content: bytes) -> dict[str, Any]:
     try:
         plain = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         plain = None
     return plain if isinstance(plain, dict) else {}
 

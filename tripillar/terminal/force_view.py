@@ -189,7 +189,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
         for scan in scans_within(sensor.scanner, seconds):
             if sensor.scanner.trouble != trouble:
                 trouble = sensor.scanner.trouble
-                print(json.dumps({"trouble": trouble}), flush=True)
+                print(json.dumps({"time_s": time.time(), "trouble": trouble}), flush=True)
             if scan is None:
                 continue
             frame = _sent(sensor.forces(scan, RENEWED_S), streams)
