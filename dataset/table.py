@@ -79,7 +79,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
     if max(rows, cols) > MAX_UNITS:
         named = next(name for name, unit in zip(places, units, strict=True) if max(unit) >= MAX_UNITS)[0]
-        raise FileFormatError(f"{path}: has a column {named}: units count from 0 to {MAX_UNITS - 1} along rows and cols.")
+        raise FileFormatError(f"{path}: has a column {named}: units count from 0 to {MAX_UNITS - 1} each way.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
     expected = [*chain(*of_each)]
     there = {*header}

@@ -77,7 +77,7 @@ class Layout:
         for kind, count in (("electrodes", len(self.upper) + len(self.lower)), ("pillars", len(self.pillars))):
             if count > MAX_PARTS:
                 raise DesignError(
-                    f"{count} {kind} in a unit, at most {MAX_PARTS} can be: give fewer, and more rows and cols of units."
+                    f"{count} {kind} in a unit, at most {MAX_PARTS}: give fewer, and more rows and cols of units."
                 )
         wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
         ends = [end for one in self.pillars for end in (one.foot, one.top)]
