@@ -47,8 +47,10 @@ def kept(
     try:
         write(made, path)
     except (OSError, FileFormatError) as error:
+        if path.is_dir():
+            error = FileFormatError(f"{path}: a folder in the place of a file of the cache: delete it.")
         if needed:
-            raise
+            raise error from None
         logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
     return made, path, False
 
