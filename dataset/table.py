@@ -78,8 +78,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
     if max(rows, cols) > MAX_UNITS:
-        named = next(name for name, unit in zip(places, units, strict=True) if max(unit) >= MAX_UNITS)[0]
-        raise FileFormatError(f"{path}: has a column {named}: units count from 0 to {MAX_UNITS - 1} each way.")
+        raise FileFormatError(f"{path}: names {rows} × {cols} units, at most {MAX_UNITS} each way: mend its header.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
     expected = [*chain(*of_each)]
     there = {*header}

@@ -29,10 +29,9 @@ class Unit(Sound):
         super().__post_init__()
         for one, width_mm, length_mm in zip(self.layout.pillars, pillar_widths(self), rest_lengths(self), strict=True):
             if width_mm * MAX_SLENDER < length_mm:
-                raise DesignError(
-                    f"pillar {one.name} is {width_mm:g} mm wide and {length_mm:.4g} mm long, too thin to be cast or "
-                    f"meshed: make it at least {length_mm / MAX_SLENDER:.3g} mm wide, or height_mm less."
-                )
+                size = f"{width_mm:g} mm wide and {length_mm:.4g} mm long: make it at least"
+                least_mm = length_mm / MAX_SLENDER
+                raise DesignError(f"pillar {one.name} is too thin to cast or mesh, {size} {least_mm:.3g} mm wide.")
         least_mm, met = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(

@@ -45,12 +45,12 @@ def kept(
         say_made_anew(path)
     made = make()
     try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: a folder in the place of a file of the cache: delete it.")
         write(made, path)
     except (OSError, FileFormatError) as error:
-        if path.is_dir():
-            error = FileFormatError(f"{path}: a folder in the place of a file of the cache: delete it.")
         if needed:
-            raise error from None
+            raise
         logging.getLogger("tripillar").warning("not kept for the next time: %s", error)
     return made, path, False
 

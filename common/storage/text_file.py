@@ -20,12 +20,15 @@ _DEEP = re.compile(rf"""(?<![\w."'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+
 
 def read_text(path: Path, mend: str, refusal: type[TriPillarError]) -> str:
     """The text of a file in UTF-8; a `refusal` that ends in `mend`, what to give instead, if there is none."""
-    require_regular(path, mend, MAX_BYTES, refusal)
+    require_regular(path, mend, refusal)
     try:
-        content = Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
         text = content.decode("utf-8-sig")  # some editors mark UTF-8 by three bytes
     except (OSError, ValueError) as error:
         raise refusal(f"{path}: {why_unreadable(error)}: {mend}.") from None
+    if len(content) > MAX_BYTES:
+        raise refusal(f"{path}: larger than {MAX_BYTES / 1e6:g} MB: {mend}.")
     return text.replace("\r\n", "\n")
 
 
@@ -42,7 +45,7 @@ def require_bounded(text: str, source: object, refusal: type[TriPillarError]) ->
     """Refuse a text of TOML that would cost its parser far more than its length does, or is too long itself."""
     nested = accumulate(1 if bracket in "[{" else -1 for bracket in re.findall(r"[][{}]", text))
     if len(text) > MAX_BYTES:
-        raise refusal(f"{source}: larger than {MAX_BYTES / 1e6:g} MB: give less, such as a design's tables.")
+        raise refusal(f"{source}: larger than {MAX_BYTES / 1e6:g} MB: give the tables alone.")
     if _DEEP.search(text):
         raise refusal(f"{source}: a key has more than {MAX_PARTS} parts with dots between them: write tables instead.")
     if max(nested, default=0) > MAX_DEPTH:

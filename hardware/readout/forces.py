@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from decoupler.rubber.belief import SensorFilter
 
 CHUNK = 2048  #: frames worked on together
+Told = Callable[[int], Any]
 BYTES_A_COUNT = 48  #: of memory that the forces of a recording take, a count of its frames
 NAMED = 3  #: pillars left out that are named in a line
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
@@ -267,16 +268,11 @@ class ForceReader:
         readings, saturated = self.crossbar.fractions(counts)
         return self._invert(readings), self.crossbar.as_pillars(saturated)
 
-    def forces(
-        self,
-        counts: NDArray[Any],
-        seconds: FloatArray | None = None,
-        progress: Callable[[int], None] = lambda scans: None,
-    ) -> Forces:
+    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None, progress: Told = id) -> Forces:
         """Forces of n scans from their counts, (n, n_crossings), in the order of `geometry.wiring.crossings`.
 
         A rubber that remembers is followed over `seconds` (n,), each since the scan before; 0 each by default.
-        `progress` is told the scans of each part once their crosstalk is out, which takes nine tenths of the time.
+        `progress` is told the scans of each part without its crosstalk, which takes nine tenths of the time.
         """
         parts = []
         for k in range(0, len(counts), CHUNK):
@@ -373,7 +369,7 @@ def replay(
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,
-    progress: Callable[[int], None] = lambda scans: None,
+    progress: Told = id,
 ) -> Forces:
     """Forces of every frame of a recording; a `FileFormatError` if memory is too small for them.
 

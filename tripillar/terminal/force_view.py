@@ -136,7 +136,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
-            notes = [scanner.trouble] if scanner.trouble else []
+            notes = [*filter(None, [scanner.trouble, scanner.stats.clock_said])]
             if newest and not streams:
                 frame = sensor.forces(newest[-1], RENEWED_S)
             if frame is None:
