@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from common.bounded import require_memory, require_regular
 from common.errors import FileFormatError
 from common.storage.files import replacing
 from common.storage.text_file import why_unreadable
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
+from geometry.design import MAX_UNITS
 from geometry.layout import FloatArray, Layout
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
@@ -72,15 +74,17 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
 
     header, separator = _header_of(path)
     places = [place for place in map(COLUMN.fullmatch, header) if place]
-    units = [(int(place[1]), int(place[2])) for place in places]
+    units = [(int(place[1][:9]), int(place[2][:9])) for place in places]
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
+    if max(rows, cols) > MAX_UNITS:
+        raise FileFormatError(f"{path}: names {rows} × {cols} units, at most {MAX_UNITS} each way: mend its header.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
     expected = [*chain(*of_each)]
-    missing = [name for name in expected if name not in header]
-    if missing:
+    there = {*header}
+    if missing := next((name for name in expected if name not in there), ""):
         size = f" of {rows} × {cols} units" if units else ""
-        raise FileFormatError(f"{path}: has no column {missing[0]}{size}: {NAMES}.")
+        raise FileFormatError(f"{path}: has no column {missing}{size}: {NAMES}.")
     try:
         decimal = "," if separator == ";" else "."
         table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
@@ -99,7 +103,9 @@ def holds_samples(path: Path) -> bool:
 
 def _header_of(path: Path) -> tuple[list[str], str]:
     """Names of a table's columns, and what stands between them: a comma, a semicolon or a tab."""
+    require_regular(path, "give a CSV table")
     try:
+        require_memory(2 * Path(path).stat().st_size, f"{path}: its samples", "give fewer, or a NetCDF file")
         with Path(path).open(encoding="utf-8-sig") as opened:
             line = opened.readline().rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import counted, require_regular
 from common.errors import FileFormatError
 from common.storage.text_file import why_unreadable
 from decoupler.data.pairs import Pairs
@@ -34,6 +35,7 @@ FORCES = tuple(f"f{axis}_n" for axis in AXES)
 KNOWN = ("error", "tilt", "share")  #: columns that say how well a load is known
 TIMES = ("from_s", "to_s")  #: when the load was on, since the recording's first scan
 COLUMNS = ("load", "kind", "row", "col", *FORCES, "kpa", *KNOWN, *TIMES, "noise", "note")
+MAX_LOADS = 20_000  #: lines of a table
 ERROR = 0.01  #: standard deviation of a load's size where none is stated, relative
 TILT = 0.01  #: of the force across the stated one, relative to it: 0.6 degrees
 SHARES = {"plate": 0.3, "air": 0.02}  #: of each pad's share, relative to the mean share
@@ -89,10 +91,11 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative. A file or column that is
     missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
+    require_regular(path, "give a CSV table")
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as opened:
             reader = csv.DictReader(opened, skipinitialspace=True, restkey="")
-            lines = list(reader)
+            lines = list(counted(reader, MAX_LOADS, path, "give fewer loads, or samples, of which some are drawn"))
             header = list(reader.fieldnames or [])
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None

@@ -434,7 +434,7 @@ def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all
     path = write(replace(many, displacement_mm=moved), tmp_path / "a.zarr")
     assert "displacement_mm is nan at sample 8199, row 1, col 0, electrode U2, axis z" in refusal(path)
     assert len(read_samples(path, labels_only=True)[:]) == len(many)
-    monkeypatch.setattr("dataset.stored.IN_MEMORY", 0.0)
+    monkeypatch.setattr("common.bounded.MEMORY_SHARE", 0.0)
     with pytest.raises(ValueError, match=r"8492 samples take 0.0 GB of memory here, .* give fewer"):
         in_memory(stored)
 

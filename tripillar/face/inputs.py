@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args
 
+from common.bounded import require_regular
 from common.errors import ArgumentError, DesignError, FileFormatError
 from common.quantity import quantity
 from common.storage.files import require_file, require_folder
@@ -183,6 +184,7 @@ def require_there(source: Any) -> None:
             continue
         if not Path(path).exists():
             raise FileFormatError(f"{path}: no such file.")
+        require_regular(Path(path), "give a file")
         if Path(path).suffix == ".csv" and Path(path).is_file():
             with Path(path).open("rb") as file:
                 header = file.readline(MAX_HEADER)

@@ -80,7 +80,10 @@ def rubber(
         stages.write_test(Path(str(next_test)), None)
         caller.answer(lambda: {"file": str(next_test)}, "", next_test)
         return None
+    advance = caller.bars.begin("rubber", total=2)
+    advance(0, "series")
     series = stages.read_series(Path(data), _named(columns), length_mm, force)
+    advance(1, f"fit of {len(series):,} rows" if check is None else "check")
     for note in series.notes:
         caller.say(f"warning: {data}: {note}")
     if check is not None:
