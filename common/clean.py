@@ -45,7 +45,7 @@ def opened_table(path: Path) -> Iterator[None]:
 
 
 def form_of(path: Path, is_known: Callable[[str], object]) -> Form:
-    """The form of a table whose header is the line with most names that are known; if there are none, the first."""
+    """The form of a table, whose header is the first line with two names that are known; if there is none, the first."""
     require_regular(path, MEND)
     with opened_table(path):
         with path.open("rb") as opened:
@@ -57,9 +57,11 @@ def form_of(path: Path, is_known: Callable[[str], object]) -> Form:
     if encoding in ENCODINGS[1:]:
         logging.getLogger("tripillar").warning("%s is no text in UTF-8: read as %s.", path, encoding)
     lines = text.splitlines()[:ABOVE] or [""]
-    found = [_cells(line, is_known) for line in lines]
-    at = max(range(len(lines)), key=lambda k: (*found[k][2:], -k))
-    separator, header, *_ = found[at]
+    found = [_cells(line) for line in lines]
+    named = (at for at, (_, cells) in enumerate(found) if sum(map(bool, map(is_known, cells))) > 1)
+    may_be = (at for at, (_, cells) in enumerate(found) if any(cells) and not cells[0].startswith("#"))
+    at = next(named, next(may_be, 0))
+    separator, header = found[at]
     below = next(csv.reader(lines[at + 1 : at + 2], delimiter=separator), [])
     units = {name: unit[1] for name, cell in zip(header, below, strict=False) if (unit := UNIT.fullmatch(cell.strip()))}
     units = units if len(units) == sum(map(bool, map(str.strip, below))) else {}
@@ -73,11 +75,10 @@ def _decoded(begin: bytes, encoding: str) -> tuple[str, str] | None:
         return None
 
 
-def _cells(line: str, is_known: Callable[[str], object]) -> tuple[str, list[str], int, bool]:
-    """What separates the cells of a line, these, how many names are known among them, and whether it may be a header."""
+def _cells(line: str) -> tuple[str, list[str]]:
+    """What separates the cells of a line, and these."""
     separator = max(",;\t", key=line.count)
-    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
-    return separator, cells, sum(map(bool, map(is_known, cells))), any(cells) and not line.startswith("#")
+    return separator, [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def read_table(path: Path, form: Form, most: int, mend: str) -> list[tuple[int, list[str]]]:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from common.bounded import require_memory, require_regular
+from common.bounded import require_memory
+from common.clean import form_of, read_table
 from common.errors import FileFormatError
 from common.storage.files import replacing
-from common.storage.text_file import why_unreadable
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
 from geometry.design import MAX_UNITS
@@ -72,7 +72,10 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """
     import pandas as pd
 
-    header, separator = _header_of(path)
+    path = Path(path)
+    form = form_of(path, COLUMN.fullmatch)
+    require_memory(2 * path.stat().st_size, f"{path}: its samples", "give fewer, or a NetCDF file")
+    header = form.header
     places = [place for place in map(COLUMN.fullmatch, header) if place]
     units = [(int(place[1][:9]), int(place[2][:9])) for place in places]
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
@@ -86,8 +89,13 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         size = f" of {rows} × {cols} units" if units else ""
         raise FileFormatError(f"{path}: has no column {missing}{size}: {NAMES}.")
     try:
-        decimal = "," if separator == ";" else "."
-        table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
+        decimal = "," if form.separator == ";" else "."
+        options = {"sep": form.separator, "decimal": decimal, "encoding": form.encoding, "skiprows": form.above}
+        table = pd.read_csv(path, header=None, names=range(len(header)), index_col=False, **options)
+        if "object" in {str(table[header.index(name)].dtype) for name in expected}:  # marks of thousands, and the like
+            lines = read_table(path, form, len(table), "give fewer")
+            table = pd.DataFrame([cells[: len(header)] for _, cells in lines]).replace("", np.nan)
+        table = table.set_axis(header, axis=1)[expected].dropna(how="all")
         arrays = {name: table[names].to_numpy(np.float64) for name, names in zip(LABELS, of_each, strict=True)}
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
@@ -98,17 +106,4 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
 
 def holds_samples(path: Path) -> bool:
     """Whether a file is a CSV table of samples, by the names of its columns."""
-    return Path(path).suffix == ".csv" and any(COLUMN.fullmatch(name) for name in _header_of(path)[0])
-
-
-def _header_of(path: Path) -> tuple[list[str], str]:
-    """Names of a table's columns, and what stands between them: a comma, a semicolon or a tab."""
-    require_regular(path, "give a CSV table")
-    try:
-        require_memory(2 * Path(path).stat().st_size, f"{path}: its samples", "give fewer, or a NetCDF file")
-        with Path(path).open(encoding="utf-8-sig") as opened:
-            line = opened.readline().rstrip("\r\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
-    separator = max(",;\t", key=line.count)
-    return [name.strip().strip('"') for name in line.split(separator)], separator
+    return Path(path).suffix == ".csv" and any(map(COLUMN.fullmatch, form_of(path, COLUMN.fullmatch).header))

@@ -32,18 +32,25 @@ def checked(rubber: Rubber, series: Series) -> RubberCheck:
     )
 
 
-def doubted(rubber: Rubber) -> str:
-    """What of a rubber no silicone has, as where units are others than said, in words; empty if there is nothing."""
+def doubted(rubber: Rubber, judged: RubberCheck, is_written: bool) -> str:
+    """What of a rubber no silicone has, as where units are others than said, in words; empty if there is nothing.
+
+    One that `is_written` is also refused where it misses most of its own series.
+    """
     tau_s, deviation = rubber.parameters["tau1_s"]
     section_mm2, young_mpa, ohm_mm = rubber.section_mm2, rubber.young_mpa, rubber.resistivity_ohm_mm
     least_mpa, most_mpa = (3 * rubber.elastic.stiffness_n / (section_mm2 or each) for each in SECTIONS_MM2[::-1])
     if rubber.rest_ohm is not None and tau_s * np.exp(3 * deviation / tau_s) < LEAST_S:
         return f"contacts heal in {tau_s:.2g} s, in silicone in 6 to 12: are times minutes? name their column time_min"
     if most_mpa < MODULI_MPA[0] or least_mpa > MODULI_MPA[1]:
-        said = f"Young's modulus is {young_mpa or least_mpa:.3g} MPa{'' if young_mpa else ' or more' * (least_mpa > 1)}"
-        return f"{said}, silicone's 0.01 to 10: are forces in g, or in another unit? name their column force_g"
+        said = f"Young's modulus is {young_mpa or (least_mpa if least_mpa > 1 else most_mpa):.3g} MPa, silicone's 0.01 to 10"
+        return f"{said}: are forces in g, or in another unit? name their column force_g"
     if ohm_mm is not None and not OHMS_MM[0] <= ohm_mm <= OHMS_MM[1]:
         return f"the resistivity is {ohm_mm:.3g} Ω mm, as of no filled silicone: are resistances or sizes in other units?"
+    if rubber.contact_ohm == 0:
+        return "two wires read less than four do over their length: are length_mm= and electrodes_mm= right?"
+    if is_written and (most := max(judged.resistance_nrmse_pct or 0.0, judged.force_from_strain_nrmse_pct)) > MISSED_PCT:
+        return f"the law misses {most:.0f} % of the range: is every column of this specimen, at the same time?"
     return ""
 
 

@@ -6,11 +6,12 @@ The priors are what was published of silicones filled with carbon black: after a
 
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from dataset.memory import relaxed_forces
-from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_stress
+from decoupler.rubber.law import LINEAR, NAMES, Elastic, Rubber, memory_of, settled_stress
 from decoupler.rubber.separable import Fit, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
@@ -49,12 +50,16 @@ def identified(
     """
     elastic, force_noise_n = fit_elastic(series)
     strains = float(series.strain.min()), float(series.strain.max())
-    covariance, told = PRIOR_COVARIANCE, {"memory": Memory(), "noise": 0.0, "correlation_s": 0.0}
+    covariance = PRIOR_COVARIANCE
+    told: dict[str, Any] = {"memory": Memory(), "noise": 0.0, "correlation_s": 0.0}
     if series.resistance_ohm is not None:
         fit, own = fit_memory(series), np.r_[:LINEAR, -4:0]  # what a series begins with is no rubber's
         covariance = STATED @ fit.covariance[np.ix_(own, own)] @ STATED.T
         told = {"memory": memory_of(STATED @ fit.numbers[own]), "rest_ohm": float(np.exp(fit.numbers[LINEAR]))}
         told |= {"noise": fit.noise, "correlation_s": fit.correlation_s}
+    unknown = unknown_of(covariance, PRIOR_COVARIANCE, strains)
+    if series.resistance_ohm is None:
+        unknown = [("all of the resistance", "the same test with a column resistance_ohm"), *unknown[len(NAMES) :]]
     if series.two_wire_ohm is not None and electrodes_mm and length_mm:
         assert series.resistance_ohm is not None
         contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
@@ -63,7 +68,7 @@ def identified(
     return Rubber(
         covariance=covariance, elastic=elastic, force_noise_n=force_noise_n, min_strain=strains[0],
         max_strain=strains[1], wires=wires, section_mm2=section_mm2, electrodes_mm=electrodes_mm,
-        unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, strains)), **told,
+        unknown=tuple(unknown), **told,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import STRICT, design_to_toml, row_text, table_lines, whole_design
 
 MEND = "write one with 'tripillar rubber --data SERIES.csv --out RUBBER.toml'"
+ROUNDED = 2e-4  #: by which a correlation's digits may be off
 TABLES = ("elastic", "deviations", "correlations", "unknown")  #: in [rubber]
 
 
@@ -57,13 +58,24 @@ def read_rubber(path: Path) -> Rubber:
     if not table:
         raise DesignError(f"{path}: has no table [rubber]: {MEND}.")
     elastic, deviations, correlations, unknown = (STRICT.table(table, name) for name in TABLES)
+    for name, numbers in (("deviations", deviations), ("correlations", correlations)):
+        STRICT.require_keys(numbers, NAMES, f" in {path}: [rubber.{name}]", NAMES)
+    said = "" if table.get("wires") in (None, 2, 4) else "wires must be 2 or 4"
+    said = said if all(isinstance(test, str) for test in unknown.values()) else "unknown must be texts"
     try:
         deviation = np.array([deviations[name] for name in NAMES], dtype=float)
-        covariance = np.array([correlations[name] for name in NAMES], dtype=float) * np.outer(deviation, deviation)
-        if covariance.shape != (len(NAMES),) * 2 or not np.isfinite(covariance).all():
-            raise ValueError("correlations")
-    except (KeyError, TypeError, ValueError) as error:
-        raise DesignError(f"{path}: [rubber] lacks {error}, or it is no number: {MEND}.") from None
+        correlation = np.array([correlations[name] for name in NAMES], dtype=float).reshape((len(NAMES),) * 2)
+        if not (np.isfinite(deviation) & (deviation > 0)).all():
+            said = "deviations must be above 0"
+        elif np.abs(correlation - correlation.T).max() > ROUNDED or np.abs(correlation.diagonal() - 1).max() > ROUNDED:
+            said = "correlations must be symmetric, each with itself 1"
+        elif not np.linalg.eigvalsh(correlation)[0] > -ROUNDED * len(NAMES):
+            said = "correlations contradict each other: no numbers have them"
+    except (TypeError, ValueError):
+        said = "deviations and correlations must be 8 numbers each"
+    if said:
+        raise DesignError(f"{path}: [rubber] {said}: {MEND}.")
+    covariance = correlation * np.outer(deviation, deviation)
 
     def filled(kind: Any, name: str, own: dict[str, Any], **beside: Any) -> Any:
         stated = {spec.name: spec for spec in fields(kind) if "meaning" in spec.metadata and spec.name not in beside}

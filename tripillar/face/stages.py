@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
-    from dataset.stored import StoredSamples, in_memory, read_samples
+    from dataset.stored import StoredSamples, design_beside, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, acting_component, component_named
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model_file import read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import RubberCheck, checked as check_rubber
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber, doubted
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
