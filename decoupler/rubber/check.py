@@ -12,7 +12,7 @@ from geometry.layout import FloatArray
 LEAST_S = 1.0  #: in which contacts heal at least; strips that were measured: 2.6 to 19 s
 MODULI_MPA, OHMS_MM = (0.003, 30.0), (0.1, 1e10)  #: that filled silicones may have
 SECTIONS_MM2 = (0.1, 2000.0)  #: that a specimen may have where none is stated
-MISSED_PCT = 20.0  #: of the range: a law that misses more is none
+MISSED_PCT, LEFT = 20.0, 0.8  #: of the range, and of the deviation: a law that misses more is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ def checked(rubber: Rubber, series: Series) -> RubberCheck:
     )
 
 
-def doubted(rubber: Rubber, judged: RubberCheck, is_written: bool) -> str:
+def doubted(rubber: Rubber, series: Series, judged: RubberCheck, is_written: bool) -> str:
     """What of a rubber no silicone has, as where units are others than said, in words; empty if there is nothing.
 
     One that `is_written` is also refused where it misses most of its own series.
@@ -49,8 +49,10 @@ def doubted(rubber: Rubber, judged: RubberCheck, is_written: bool) -> str:
         return f"the resistivity is {ohm_mm:.3g} Ω mm, as of no filled silicone: are resistances or sizes in other units?"
     if rubber.contact_ohm == 0:
         return "two wires read less than four do over their length: are length_mm= and electrodes_mm= right?"
-    if is_written and (most := max(judged.resistance_nrmse_pct or 0.0, judged.force_from_strain_nrmse_pct)) > MISSED_PCT:
-        return f"the law misses {most:.0f} % of the range: is every column of this specimen, at the same time?"
+    missed = (judged.resistance_nrmse_pct, series.resistance_ohm), (judged.force_from_strain_nrmse_pct, series.force_n)
+    for name, (pct, values) in zip(("resistance", "force"), missed, strict=True):
+        if is_written and pct and values is not None and pct > min(MISSED_PCT, 100 * LEFT * values.std() / np.ptp(values)):
+            return f"the law misses {pct:.0f} % of the range of {name}: is it of this specimen, at the same time?"
     return ""
 
 

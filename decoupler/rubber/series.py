@@ -48,9 +48,10 @@ FELT, PARTS = 0.5, 8  #: correlation of bends of strain and force, which motion 
 FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
-JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
+JITTER, MAX_DETOUR = 5.0, 1.03  #: deviations of noise that strain may turn within; way with it over that without
+COARSE = 1.1  #: the same where this is motion: of rows too few for it
 QUIET = 100  #: rows of a part that may be at rest
-USUAL = Memory(a=(1.0, 1.0), b_lengthen=1.5, b_shorten=8.5, tau_s=(9.0, 120.0))  #: as published
+USUAL = [Memory(b_lengthen=b, b_shorten=5.7 * b, tau_s=(tau_s, 120.0)) for b in (0.8, 1.5, 2.5) for tau_s in (5.0, 12.0)]
 MIN_KEPT, MAX_RUNS = 0.5, 12  #: of rows with runs apart that are used, and runs at most: the longest
 
 
@@ -340,10 +341,11 @@ def _without_jitter(series: Series) -> Series:
     way = np.abs(np.diff(series.strain)).sum()
     there, back = _followed(series.strain, JITTER * noise), _followed(series.strain[::-1], JITTER * noise)[::-1]
     strain = (there + back) / 2  # each lags by as much
-    if way < MAX_DETOUR * np.abs(np.diff(strain)).sum():
+    detour = float(way / np.abs(np.diff(strain)).sum())
+    if detour < MAX_DETOUR:
         return series
     if abs(np.corrcoef(np.diff(series.strain - strain, 2), np.diff(series.force_n, 2))[0, 1]) > FELT:
-        return replace(series, parts=PARTS)
+        return replace(series, parts=PARTS) if detour > COARSE else series
     if not _is_better(series, strain):
         return series
     note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
@@ -351,13 +353,15 @@ def _without_jitter(series: Series) -> Series:
 
 
 def _is_better(series: Series, strain: FloatArray) -> bool:
-    """Whether a usual law meets the resistance better with a mended strain."""
-    ln_ohm, misses = np.log(series.resistance_ohm), []
-    for each in (strain, series.strain):
-        columns = np.stack([np.ones_like(each), each, each**2, *broken_contacts(each, series.seconds, USUAL)], axis=1)
-        y = ln_ohm - 2 * np.log1p(each)
-        misses.append(float(np.std(y - columns @ np.linalg.lstsq(columns, y)[0])))
-    return misses[0] < misses[1]
+    """Whether the best of some usual laws meets the resistance better with a mended strain."""
+
+    def missed(strain: FloatArray, memory: Memory) -> float:
+        broken = broken_contacts(strain, series.seconds, memory)
+        columns = np.stack([np.ones_like(strain), strain, strain**2, *broken], axis=1)
+        left = np.log(series.resistance_ohm) - 2 * np.log1p(strain)
+        return float(np.std(left - columns @ np.linalg.lstsq(columns, left)[0]))
+
+    return min(missed(strain, each) for each in USUAL) < min(missed(series.strain, each) for each in USUAL)
 
 
 def _followed(values: FloatArray, slack: float) -> FloatArray:

@@ -98,7 +98,7 @@ def rubber(
         return judged
     found = stages.rubber_of(series, wires, section_mm2, electrodes_mm, length_mm)
     judged = stages.check_rubber(found, series)
-    if not force and (said := stages.doubted(found, judged, out is not None)):
+    if not force and (said := stages.doubted(found, series, judged, out is not None)):
         raise FileFormatError(f"{data}: {said}; if it is right, add force=True.")
     if out is not None:
         stages.write_rubber(found, Path(out))
