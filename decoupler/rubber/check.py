@@ -37,6 +37,10 @@ def doubted(rubber: Rubber, series: Series, judged: RubberCheck, is_written: boo
 
     One that `is_written` is also refused where it misses most of its own series.
     """
+    missed = (judged.resistance_nrmse_pct, series.resistance_ohm), (judged.force_from_strain_nrmse_pct, series.force_n)
+    for name, (pct, values) in zip(("resistance", "force"), missed, strict=True):
+        if is_written and pct and values is not None and pct > min(MISSED_PCT, 100 * LEFT * values.std() / np.ptp(values)):
+            return f"the law misses {pct:.0f} % of the range of {name}: is it of this specimen, at the same time?"
     tau_s, deviation = rubber.parameters["tau1_s"]
     section_mm2, young_mpa, ohm_mm = rubber.section_mm2, rubber.young_mpa, rubber.resistivity_ohm_mm
     least_mpa, most_mpa = (3 * rubber.elastic.stiffness_n / (section_mm2 or each) for each in SECTIONS_MM2[::-1])
@@ -49,10 +53,6 @@ def doubted(rubber: Rubber, series: Series, judged: RubberCheck, is_written: boo
         return f"the resistivity is {ohm_mm:.3g} Ω mm, as of no filled silicone: are resistances or sizes in other units?"
     if rubber.contact_ohm == 0:
         return "two wires read less than four do over their length: are length_mm= and electrodes_mm= right?"
-    missed = (judged.resistance_nrmse_pct, series.resistance_ohm), (judged.force_from_strain_nrmse_pct, series.force_n)
-    for name, (pct, values) in zip(("resistance", "force"), missed, strict=True):
-        if is_written and pct and values is not None and pct > min(MISSED_PCT, 100 * LEFT * values.std() / np.ptp(values)):
-            return f"the law misses {pct:.0f} % of the range of {name}: is it of this specimen, at the same time?"
     return ""
 
 

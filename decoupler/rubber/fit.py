@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dataset.memory import relaxed_forces
-from decoupler.rubber.law import LINEAR, NAMES, Elastic, Rubber, memory_of, settled_stress
+from decoupler.rubber.law import LINEAR, Elastic, Rubber, memory_of, settled_stress
 from decoupler.rubber.separable import Fit, fitted
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import unknown_of
@@ -22,6 +22,7 @@ from geometry.layout import FloatArray
 LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.2], [0.25, 0.2]])
 #: of the logarithms of b_lengthen, of b_shorten over it, and of both times
 OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 3.0], [9.0, 2.0], [120.0, 2.5]])
+LEAST = 1e-9  #: stiffness [N] of a force that falls as strain rises, which is none's
 STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, if not at rest
 RELAXED = 0.3  #: the same of the force, over its range
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
@@ -59,7 +60,7 @@ def identified(
         told |= {"noise": fit.noise, "correlation_s": fit.correlation_s}
     unknown = unknown_of(covariance, PRIOR_COVARIANCE, strains)
     if series.resistance_ohm is None:
-        unknown = [("all of the resistance", "the same test with a column resistance_ohm"), *unknown[len(NAMES) :]]
+        unknown = [("all of the resistance", "the same test with a column resistance_ohm"), *(one for one in unknown if one[0] in ("compression", "tension"))]
     if series.two_wire_ohm is not None and electrodes_mm and length_mm:
         assert series.resistance_ohm is not None
         contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
@@ -119,7 +120,7 @@ def fit_elastic(series: Series) -> tuple[Elastic, float]:
     stiffness, *more = fit.numbers[:n] * size
     shares, times = np.exp(fit.numbers[-4:]).reshape(2, 2)
     elastic = Elastic(
-        model=model, stiffness_n=float(stiffness), stiffening=float(more[0] / stiffness) if more else 0.0,
+        model=model, stiffness_n=max(float(stiffness), LEAST), stiffening=float(more[0] / stiffness) if more else 0.0,
         second=LAWS[model][0][1], prony=Prony(share=tuple(shares), tau_s=tuple(times)),
     )  # fmt: skip
     return elastic, fit.noise * size

@@ -23,7 +23,7 @@ from geometry.layout import FloatArray
 STRICT = StrictTables(FileFormatError)
 #: columns of each quantity that a table may have, and how much of its unit theirs is
 COLUMNS = {
-    "time_s": {"time_s": 1.0, "time_ms": 1e-3, "time_min": 60.0, "time_us": 1e-6, "time_ns": 1e-9},
+    "time_s": {"time_s": 1.0, "time_ms": 1e-3, "time_min": 60.0, "time_h": 3600.0, "time_d": 86400.0, "time_us": 1e-6, "time_ns": 1e-9},
     "strain": {"strain": 1.0, "strain_pct": 0.01, "displacement_mm": 1.0},
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
@@ -34,7 +34,7 @@ NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
 MAX_ROWS, MOST_ROWS = 15_000, 2_000_000  #: more are averaged, or refused
 STEPS_S, LENGTHS_S = (1e-4, 5.0), (20.0, 3 * 86400.0)  #: between rows, and of all, that benches have
-USUAL_S = (1e-3, 5.0)  #: between rows, in another unit
+USUAL_S = 0.2  #: between rows
 APART_S = 1e5  #: between runs of which nothing is known in between: everything is forgotten
 LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
@@ -232,11 +232,10 @@ def _with_sense(series: Series, units: Mapping[str, str], as_given: bool) -> Ser
     said, unit = "", units["time_s"]
     if not (STEPS_S[0] <= step_s <= STEPS_S[1] and LENGTHS_S[0] <= whole_s <= LENGTHS_S[1]):
         said = f"its rows are {step_s:.4g} s apart, {whole_s:.3g} s in all, as no bench reads"
-        for other, factor in COLUMNS["time_s"].items():
-            ratio = factor / COLUMNS["time_s"][unit]
-            if USUAL_S[0] <= step_s * ratio <= USUAL_S[1] and LENGTHS_S[0] <= whole_s * ratio <= LENGTHS_S[1]:
-                said = f"{said.rpartition(',')[0]}, as if {unit} were in {other[5:]}: name the column {other}"
-                break
+        sizes = {name: factor / COLUMNS["time_s"][unit] for name, factor in COLUMNS["time_s"].items()}
+        other = min(sizes, key=lambda name: abs(np.log(max(step_s, 1e-15) * sizes[name] / USUAL_S)))
+        if other != unit and LENGTHS_S[0] <= whole_s * sizes[other] <= LENGTHS_S[1]:
+            said = f"{said.rpartition(',')[0]}, as if {unit} were in {other[5:]}: name the column {other}"
     elif most > MAX_STRAIN:
         said = f"{units['strain']} goes up to {most:.4g}, as if it were percent or millimetres: name it strain_pct, or "
         said += "displacement_mm with length_mm="
