@@ -22,7 +22,7 @@ from dataset.samples import WHOLE_FILE, AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
 from dataset.variables import LABELS, TIMED, VARIABLES, labels_of, layout_of, senseless
 from geometry.design import SensorDesign
-from geometry.design_file import design_from_dict, read_design
+from geometry.design_file import design_from_dict
 from geometry.layout import FloatArray, Layout
 
 if TYPE_CHECKING:
@@ -171,9 +171,6 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
         arrays, layout = read_csv(path)
         rows, cols = arrays["force_n"].shape[-3:-1]
         described = _described(path, {}, rows, cols, layout.pillar_names)
-        if (design := _beside(path, rows, cols, layout)) is not None:
-            logging.getLogger("tripillar").warning("%s: of the design that %s has.", path, design_beside(path))
-            described["design"] = design
     else:
         read = read_netcdf(path, *_variables(labels_only))
         described = _described(path, read.attrs, read.sizes["row"], read.sizes["col"], _names(read))
@@ -183,7 +180,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     _require_sound(path, arrays, described["layout"])
     samples = Samples(**arrays, time_s=time_s, **described)
     if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
-        said = "%s: its content is no longer that of its attribute 'content_hash': changed by others, and read as it is."
+        said = "%s: its numbers are no longer those of its attribute 'content_hash': changed by others, read as is."
         logging.getLogger("tripillar").warning(said, path)
         kept = {name: value for name, value in samples.made_from.items() if name not in WHOLE_FILE}
         return replace(samples, made_from=kept)
@@ -267,21 +264,6 @@ def _described(
         "dead": sensor.dead_mask(rows, cols, layout),
         "made_from": {name: value for name, value in attributes.items() if name not in known},
     }
-
-
-def design_beside(table: Path) -> Path:
-    """The file that has the design of a table of samples, which states none itself."""
-    return table.with_suffix(".toml")
-
-
-def _beside(path: Path, rows: int, cols: int, layout: Layout) -> SensorDesign | None:
-    """The design beside a table, if it is of its sensor."""
-    try:
-        design = read_design(design_beside(path))
-    except DesignError:
-        return None
-    is_its = (design.array.rows, design.array.cols, design.unit.layout) == (rows, cols, layout)
-    return design if is_its else None
 
 
 def _stated_design(path: Path, text: object) -> SensorDesign | None:

@@ -11,8 +11,8 @@ from geometry.layout import FloatArray
 
 LEAST_S = 1.0  #: in which contacts heal at least; strips that were measured: 2.6 to 19 s
 MODULI_MPA, OHMS_MM = (0.003, 30.0), (0.1, 1e10)  #: that filled silicones may have
-SECTIONS_MM2 = (0.1, 2000.0)  #: that a specimen may have where none is stated
-MISSED_PCT, LEFT = 20.0, 0.8  #: of the range, and of the deviation: a law that misses more is none
+SECTIONS_MM2 = (2000.0, 0.1)  #: that a specimen may have where none is stated
+MISSED, LEFT = 0.2, 0.8  #: of the range, and of the deviation: a law that misses more is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,24 +33,21 @@ def checked(rubber: Rubber, series: Series) -> RubberCheck:
 
 
 def doubted(rubber: Rubber, series: Series, judged: RubberCheck, is_written: bool) -> str:
-    """What of a rubber no silicone has, as where units are others than said, in words; empty if there is nothing.
-
-    One that `is_written` is also refused where it misses most of its own series.
-    """
-    missed = (judged.resistance_nrmse_pct, series.resistance_ohm), (judged.force_from_strain_nrmse_pct, series.force_n)
-    for name, (pct, values) in zip(("resistance", "force"), missed, strict=True):
-        if is_written and pct and values is not None and pct > min(MISSED_PCT, 100 * LEFT * values.std() / np.ptp(values)):
-            return f"the law misses {pct:.0f} % of the range of {name}: is it of this specimen, at the same time?"
+    """Why a rubber may be none: units that make it no silicone, or a law that `is_written` and misses most; or ""."""
     tau_s, deviation = rubber.parameters["tau1_s"]
-    section_mm2, young_mpa, ohm_mm = rubber.section_mm2, rubber.young_mpa, rubber.resistivity_ohm_mm
-    least_mpa, most_mpa = (3 * rubber.elastic.stiffness_n / (section_mm2 or each) for each in SECTIONS_MM2[::-1])
+    sections_mm2 = (rubber.section_mm2,) * 2 if rubber.section_mm2 else SECTIONS_MM2
+    least_mpa, most_mpa = (3 * rubber.elastic.stiffness_n / section_mm2 for section_mm2 in sections_mm2)
+    for pct, name in (judged.resistance_nrmse_pct, "resistance_ohm"), (judged.force_from_strain_nrmse_pct, "force_n"):
+        values = series.arrays.get(name, np.zeros(1))
+        if is_written and (pct or 0.0) > 100 * min(MISSED, LEFT * values.std() / (np.ptp(values) or 1.0)):
+            return f"the law misses {pct:.0f} % of the range of {name}: is it of this specimen, at the same time?"
     if rubber.rest_ohm is not None and tau_s * np.exp(3 * deviation / tau_s) < LEAST_S:
         return f"contacts heal in {tau_s:.2g} s, in silicone in 6 to 12: are times minutes? name their column time_min"
     if most_mpa < MODULI_MPA[0] or least_mpa > MODULI_MPA[1]:
-        said = f"Young's modulus is {young_mpa or (least_mpa if least_mpa > 1 else most_mpa):.3g} MPa, silicone's 0.01 to 10"
-        return f"{said}: are forces in g, or in another unit? name their column force_g"
-    if ohm_mm is not None and not OHMS_MM[0] <= ohm_mm <= OHMS_MM[1]:
-        return f"the resistivity is {ohm_mm:.3g} Ω mm, as of no filled silicone: are resistances or sizes in other units?"
+        mpa = least_mpa if least_mpa > 1 else most_mpa
+        return f"E is {mpa:.3g} MPa, silicone's 0.01 to 10: are forces in g, or another unit? name their column force_g"
+    if not OHMS_MM[0] <= (rubber.resistivity_ohm_mm or 1.0) <= OHMS_MM[1]:
+        return f"ρ is {rubber.resistivity_ohm_mm:.3g} Ω mm, no filled silicone's: are resistances in another unit?"
     if rubber.contact_ohm == 0:
         return "two wires read less than four do over their length: are length_mm= and electrodes_mm= right?"
     return ""

@@ -22,9 +22,8 @@ from geometry.layout import FloatArray
 LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.2], [0.25, 0.2]])
 #: of the logarithms of b_lengthen, of b_shorten over it, and of both times
 OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 3.0], [9.0, 2.0], [120.0, 2.5]])
-LEAST = 1e-9  #: stiffness [N] of a force that falls as strain rises, which is none's
-STATE = 0.2  #: deviation of a contribution to ln R that a series begins with, if not at rest
-RELAXED = 0.3  #: the same of the force, over its range
+STATE = 0.2  #: deviation of what a run begins with, if not at rest: of ln R, and of a force over its range
+LEAST = 1e-9  #: stiffness of a force that falls as strain rises [N]
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
 RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
@@ -51,25 +50,20 @@ def identified(
     """
     elastic, force_noise_n = fit_elastic(series)
     strains = float(series.strain.min()), float(series.strain.max())
-    covariance = PRIOR_COVARIANCE
-    told: dict[str, Any] = {"memory": Memory(), "noise": 0.0, "correlation_s": 0.0}
+    covariance, told = PRIOR_COVARIANCE, dict[str, Any](memory=Memory(), noise=0.0, correlation_s=0.0)
     if series.resistance_ohm is not None:
         fit, own = fit_memory(series), np.r_[:LINEAR, -4:0]  # what a series begins with is no rubber's
         covariance = STATED @ fit.covariance[np.ix_(own, own)] @ STATED.T
         told = {"memory": memory_of(STATED @ fit.numbers[own]), "rest_ohm": float(np.exp(fit.numbers[LINEAR]))}
         told |= {"noise": fit.noise, "correlation_s": fit.correlation_s}
-    unknown = unknown_of(covariance, PRIOR_COVARIANCE, strains)
-    if series.resistance_ohm is None:
-        unknown = [("all of the resistance", "the same test with a column resistance_ohm"), *(one for one in unknown if one[0] in ("compression", "tension"))]
     if series.two_wire_ohm is not None and electrodes_mm and length_mm:
-        assert series.resistance_ohm is not None
         contacts_ohm = (series.two_wire_ohm - series.resistance_ohm * length_mm / electrodes_mm) / 2
         told["contact_ohm"] = contact_ohm = max(float(np.median(contacts_ohm)), 0.0)
         told["contact_spread"] = float(np.std(contacts_ohm)) / contact_ohm if contact_ohm else 0.0
     return Rubber(
         covariance=covariance, elastic=elastic, force_noise_n=force_noise_n, min_strain=strains[0],
         max_strain=strains[1], wires=wires, section_mm2=section_mm2, electrodes_mm=electrodes_mm,
-        unknown=tuple(unknown), **told,
+        unknown=tuple(unknown_of(covariance, PRIOR_COVARIANCE, strains)), **told,
     )  # fmt: skip
 
 
@@ -79,8 +73,7 @@ def fit_memory(series: Series) -> Fit:
     Of each run that does not begin at rest there are two more after ln R₀: what it has of both q then.
     """
     strain, seconds = series.strain, series.seconds
-    runs = series.unsettled
-    states = [[0.0, STATE]] * (2 * len(runs))
+    states = [[0.0, STATE]] * (2 * len(series.unsettled))
     prior = np.array([*LINEAR_PRIOR, [np.log(series.resistance_ohm).mean(), ANY], *states, *OTHER_PRIOR])
     bare = np.stack([strain, strain**2, np.ones_like(strain)], axis=1)
     moved = np.diff(strain)
@@ -90,17 +83,17 @@ def fit_memory(series: Series) -> Fit:
         parts = [bare[:, :2], series.broken(memory).T, bare[:, 2:]]
         if states:
             rate = memory.b_lengthen * moved.clip(min=0.0) - memory.b_shorten * moved.clip(max=0.0)
-            parts.append(_left([rate + seconds / tau_s for tau_s in memory.tau_s], runs))
+            parts.append(_left(series, [rate + seconds / tau_s for tau_s in memory.tau_s]))
         return np.concatenate(parts, axis=1)
 
     starts = OTHER_PRIOR[:, 0] + np.log([(1.0, 1.0, *times) for times in TIMES])
     return fitted(columns, np.log(series.resistance_ohm) - 2 * np.log1p(strain), seconds, prior, starts)
 
 
-def _left(decays: Sequence[FloatArray], runs: Sequence[int]) -> FloatArray:
-    """What is left of a state 1 with which runs begin, (n, runs · decays), that decays so much in each step (n − 1,)."""
-    found = np.zeros((len(decays[0]) + 1, len(runs) * len(decays)))
-    for column, (begin, decay) in enumerate(product(runs, decays)):
+def _left(series: Series, decays: Sequence[FloatArray]) -> FloatArray:
+    """What is left (n, runs · decays) of states 1 that runs begin with, that decay so much in each step (n − 1,)."""
+    found = np.zeros((len(series), len(series.unsettled) * len(decays)))
+    for column, (begin, decay) in enumerate(product(series.unsettled, decays)):
         found[begin:, column] = np.exp(-np.r_[0.0, np.cumsum(decay[begin:])])
     return found
 
@@ -130,13 +123,13 @@ def _fit_force(series: Series, parts: list[tuple[float, float]], size: float) ->
     """Stiffnesses and an offset over `size`, logarithms of the shares and the times of relaxation."""
     first, *others = (settled_stress(series.strain, *part) for part in parts)
     settled = np.stack([first, *(other - first for other in others)], axis=1)
-    seconds, ones, runs = series.seconds, np.ones((len(series), 1)), series.unsettled
+    seconds, ones = series.seconds, np.ones((len(series), 1))
 
     def columns(others: FloatArray) -> FloatArray:
         shares, times = np.exp(np.clip(others, -20, 20)).reshape(2, 2)
         prony = Prony(share=tuple(np.minimum(shares, 10.0)), tau_s=tuple(times))
-        left = _left([seconds / tau_s for tau_s in prony.tau_s], runs)
+        left = _left(series, [seconds / tau_s for tau_s in prony.tau_s])
         return np.concatenate([relaxed_forces(settled, seconds, prony), ones, left], axis=1)
 
-    prior = np.array([*[[0.0, ANY]] * (len(parts) + 1), *[[0.0, RELAXED]] * (2 * len(runs)), *RELAXING])
+    prior = np.array([*[[0.0, ANY]] * (len(parts) + 1), *[[0.0, STATE]] * (2 * len(series.unsettled)), *RELAXING])
     return fitted(columns, series.force_n / size, seconds, prior, RELAXING[None, :, 0])

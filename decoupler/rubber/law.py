@@ -72,7 +72,7 @@ class Rubber(Sound):
     force_noise_n: float = quantity(MISSING, "standard deviation of the force about its law [N]", within=SIZES)
     min_strain: float = quantity(MISSING, "least and largest strain of the series", within=STRAINS)
     max_strain: float = quantity(MISSING, "beyond, nothing was measured", within=STRAINS)
-    rest_ohm: float | None = positive(None, "resistance of the specimen at rest [Ω]")
+    rest_ohm: float | None = positive(None, "resistance of the specimen at rest [Ω]; none of a mechanical test")
     wires: int = quantity(4, "that it was read by, 2 or 4: with 2 contacts are in it", within=(2, 4))
     section_mm2: float | None = positive(None, "of the specimen [mm²]")
     electrodes_mm: float | None = positive(None, "distance of the electrodes that read [mm]")

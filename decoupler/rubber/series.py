@@ -21,9 +21,10 @@ from geometry.design import Memory
 from geometry.layout import FloatArray
 
 STRICT = StrictTables(FileFormatError)
+SECONDS = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0, "us": 1e-6, "ns": 1e-9}
 #: columns of each quantity that a table may have, and how much of its unit theirs is
 COLUMNS = {
-    "time_s": {"time_s": 1.0, "time_ms": 1e-3, "time_min": 60.0, "time_h": 3600.0, "time_d": 86400.0, "time_us": 1e-6, "time_ns": 1e-9},
+    "time_s": {f"time_{unit}": each for unit, each in SECONDS.items()},
     "strain": {"strain": 1.0, "strain_pct": 0.01, "displacement_mm": 1.0},
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
@@ -51,7 +52,7 @@ MANY = 0.05  #: share of rows that do before all are averaged in pairs
 JITTER, MAX_DETOUR = 5.0, 1.03  #: deviations of noise that strain may turn within; way with it over that without
 COARSE = 1.1  #: the same where this is motion: of rows too few for it
 QUIET = 100  #: rows of a part that may be at rest
-USUAL = [Memory(b_lengthen=b, b_shorten=5.7 * b, tau_s=(tau_s, 120.0)) for b in (0.8, 1.5, 2.5) for tau_s in (5.0, 12.0)]
+USUAL = [Memory(b_lengthen=b, b_shorten=5.7 * b, tau_s=(s, 120.0)) for b in (0.8, 1.5, 2.5) for s in (5.0, 12.0)]
 MIN_KEPT, MAX_RUNS = 0.5, 12  #: of rows with runs apart that are used, and runs at most: the longest
 
 
@@ -62,10 +63,10 @@ class Series:
     time_s: FloatArray
     strain: FloatArray
     force_n: FloatArray
-    resistance_ohm: FloatArray | None = None  #: None of a mechanical test
+    resistance_ohm: Any = None  #: (n,); None of a mechanical test
     notes: tuple[str, ...] = ()  #: what was found and mended, a line each
     settled: bool = True  #: whether its first run begins at rest and unstrained
-    parts: int = 1  #: of each step between rows, that are followed along a curve: 1, but where rows are few for the motion
+    parts: int = 1  #: of each step between rows, followed along a curve: 1, but where rows are few for the motion
     two_wire_ohm: FloatArray | None = None  #: the whole specimen with its contacts, where it was read, too
 
     def __len__(self) -> int:
@@ -130,7 +131,7 @@ def read_series(
             )
         table["strain"] = table["strain"] / length_mm
     series, with_sense = Series(**table), partial(_with_sense, units=units, as_given=as_given)
-    ordered = (_whole_rows, _spread, _runs_apart, _in_order, _unsigned, with_sense, _without_glitches, _gaps_apart)
+    ordered = (_whole_rows, _spread, _runs_apart, _in_order, _unsigned, with_sense, _without_glitches)
     of_resistance = (_without_swings, _without_jitter) if series.resistance_ohm is not None else ()
     for rule in (*ordered, *of_resistance, _of_few_rows, _signs_agree, _begun):
         series = STRICT.made(str(path), rule, series=series)
@@ -155,7 +156,8 @@ def _columns(path: Path, named: Mapping[str, str]) -> tuple[dict[str, str], dict
                 raise FileFormatError(
                     f"{path}: the line of units says {said} of {names[unit]}: name it columns={other}={names[unit]}."
                 )
-            found[quantity], table[quantity] = unit, units[unit] * np.array([_number(cells, place) for _, cells in lines])
+            found[quantity] = unit
+            table[quantity] = units[unit] * np.array([_number(cells, place) for _, cells in lines])
         elif quantity not in BESIDE:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
@@ -183,7 +185,7 @@ def _whole_rows(series: Series) -> Series:
 
 def _spread(series: Series) -> Series:
     """Rows that share the time of a coarse clock between its ticks, as one after another."""
-    ticks = np.flatnonzero(np.r_[True, series.seconds != 0]) if len(series) else []
+    ticks = np.flatnonzero(np.r_[len(series) > 0, series.seconds != 0])
     rows, place = np.diff(np.r_[ticks, len(series)]), np.arange(len(series))
     alike = [(np.diff(values)[series.seconds == 0] == 0).all() for values in series.arrays.values()]
     if len(ticks) < 2 or (usual := float(np.median(rows))) < 2 or all(alike):  # rows that are there twice
@@ -196,14 +198,29 @@ def _spread(series: Series) -> Series:
 
 
 def _runs_apart(series: Series) -> Series:
-    """Runs of a clock that started again, which by order of time would mingle, one after another."""
-    back = np.flatnonzero(series.seconds < -_gap_s(series)) + 1
-    runs = sorted((run.min(), run.max()) for run in np.split(series.time_s, back) if len(run))
-    mingle = any(end_s > begin_s for (_, end_s), (begin_s, _) in pairwise(runs))
-    if not mingle or len(back) > RESTARTS * len(series):
+    """Runs before and after gaps and restarts of the clock, so far apart that the rubber forgets; short ones left out.
+
+    Where none would mingle by the order of time, rows are put in it.
+    """
+    breaks = np.flatnonzero(np.abs(series.seconds) > _gap_s(series)) + 1
+    runs = np.split(np.arange(len(series)), breaks)
+    ends_s = sorted((series.time_s[run].min(), series.time_s[run].max()) for run in runs if len(run))
+    mingle = any(end_s > begin_s for (_, end_s), (begin_s, _) in pairwise(ends_s))
+    if (series.seconds < 0).any() and (not mingle or len(breaks) > RESTARTS * len(series)):
+        return _runs_apart(series.part(np.argsort(series.time_s, kind="stable"), "rows put in the order of time"))
+    if not len(breaks):
         return series
-    said = f"its clock steps back {len(back)} time{'s' * (len(back) > 1)}, first to {series.time_s[back[0]]:.4g} s"
-    return _apart(series, back, said)
+    first_s, last_s = series.time_s[breaks[0] - 1 : breaks[0] + 1]
+    said = f"its clock leaps {len(breaks)} time{'s' * (len(breaks) > 1)}, first from {first_s:.4g} s to {last_s:.4g} s"
+    runs = sorted(sorted((run for run in runs if len(run) >= MIN_ROWS), key=len)[-MAX_RUNS:], key=min)
+    if sum(map(len, runs)) < MIN_KEPT * len(series):
+        raise FileFormatError(f"{said}, too few runs have {MIN_ROWS} rows: record it again in one go, without gaps.")
+    kept = series.part(np.concatenate(runs))
+    seconds = kept.seconds
+    seconds[np.cumsum([*map(len, runs)])[:-1] - 1] = 2 * APART_S
+    note = f"{said}: {len(runs)} run{'s' * (len(runs) > 1)} of {len(kept)} rows used, what each remembers found with it"
+    time_s = kept.time_s[0] + np.r_[0.0, np.cumsum(seconds)]
+    return kept.mended(note, time_s=time_s, settled=series.settled and runs[0][0] == 0)
 
 
 def _in_order(series: Series) -> Series:
@@ -232,17 +249,17 @@ def _with_sense(series: Series, units: Mapping[str, str], as_given: bool) -> Ser
     said, unit = "", units["time_s"]
     if not (STEPS_S[0] <= step_s <= STEPS_S[1] and LENGTHS_S[0] <= whole_s <= LENGTHS_S[1]):
         said = f"its rows are {step_s:.4g} s apart, {whole_s:.3g} s in all, as no bench reads"
-        sizes = {name: factor / COLUMNS["time_s"][unit] for name, factor in COLUMNS["time_s"].items()}
+        sizes = {name: factor / SECONDS[unit[5:]] for name, factor in SECONDS.items()}
         other = min(sizes, key=lambda name: abs(np.log(max(step_s, 1e-15) * sizes[name] / USUAL_S)))
-        if other != unit and LENGTHS_S[0] <= whole_s * sizes[other] <= LENGTHS_S[1]:
-            said = f"{said.rpartition(',')[0]}, as if {unit} were in {other[5:]}: name the column {other}"
+        if other != unit[5:] and LENGTHS_S[0] <= whole_s * sizes[other] <= LENGTHS_S[1]:
+            said = f"{said.rpartition(',')[0]}, as if {unit} were in {other}: name the column time_{other}"
     elif most > MAX_STRAIN:
         said = f"{units['strain']} goes up to {most:.4g}, as if it were percent or millimetres: name it strain_pct, or "
         said += "displacement_mm with length_mm="
     elif ohm is not None and np.median(ohm) < MIN_OHM:
         said = f"{units['resistance_ohm']} is {np.median(ohm):.3g} Ω, as if it were kΩ: name the column resistance_kohm"
     elif series.two_wire_ohm is not None and np.median(series.two_wire_ohm / ohm) < 1:
-        said = "two_wire_ohm is below the reading by four wires, which lacks the contacts: are both exchanged, or in kΩ?"
+        said = "two_wire_ohm is below the reading by four wires, which lacks contacts: are both exchanged, or in kΩ?"
     if said and not as_given:
         raise FileFormatError(f"{said}; if it is right, add force=True.")
     if np.ptp(strain) < MIN_STRAIN:
@@ -288,35 +305,9 @@ def _glitches(t: FloatArray, x: FloatArray, f: FloatArray) -> NDArray[np.bool_]:
     return bad
 
 
-def _gaps_apart(series: Series) -> Series:
-    """Runs before and after gaps; those that are apart already stay so."""
-    apart = series.seconds
-    gaps = np.flatnonzero((apart > _gap_s(series)) & (apart < APART_S))
-    if not len(gaps):
-        return series
-    most = gaps[np.argmax(apart[gaps])]
-    said = f"{len(gaps)} gap{'s' * (len(gaps) > 1)}, the longest {apart[most]:.3g} s at {series.time_s[most]:.4g} s"
-    return _apart(series, np.flatnonzero(apart > _gap_s(series)) + 1, said)
-
-
 def _gap_s(series: Series) -> float:
     """What is more than the usual time between rows, forwards or back."""
     return max(GAP_S, GAP_STEPS * float(np.median(np.abs(series.seconds)))) if len(series) > 1 else GAP_S
-
-
-def _apart(series: Series, begins: NDArray[np.intp], said: str) -> Series:
-    """Its runs from the first row and from these on, so far apart that the rubber forgets; short ones are left out."""
-    runs = [np.arange(*ends) for ends in pairwise([0, *begins.tolist(), len(series)])]
-    long = sorted((run for run in runs if len(run) >= MIN_ROWS), key=len)[-MAX_RUNS:]
-    if sum(map(len, long)) < MIN_KEPT * len(series):
-        raise FileFormatError(f"{said}, too few runs have {MIN_ROWS} rows: record it again in one go, without gaps.")
-    runs = sorted(long, key=lambda run: run[0])
-    kept = series.part(np.concatenate(runs))
-    seconds = kept.seconds
-    seconds[np.cumsum([*map(len, runs)])[:-1] - 1] = 2 * APART_S
-    note = f"{said}: {len(runs)} run{'s' * (len(runs) > 1)} of {len(kept)} rows used, what each remembers found with it"
-    time_s = kept.time_s[0] + np.r_[0.0, np.cumsum(seconds)]
-    return kept.mended(note, time_s=time_s, settled=series.settled and runs[0][0] == 0)
 
 
 def _without_swings(series: Series) -> Series:

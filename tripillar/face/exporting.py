@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from common.errors import ArgumentError, DesignError
 from common.storage.files import write_text
 from geometry.design import SensorDesign
-from geometry.design_file import read_design, write_design
+from geometry.design_file import write_design
 from geometry.wiring import wires
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -86,12 +86,9 @@ def export(
         text = f"{len(recorded.run)} frames, {recorded.statistics.lost} lost"
     else:
         to_write("out", path, ".csv", (source,))
-        samples, beside = stages.read_samples(source), stages.design_beside(path)
+        samples = stages.read_samples(source)
         if samples.design is not None:
-            if beside.exists() and read_design(beside) != samples.design:
-                raise DesignError(f"{beside}, where its design would stand, is of another one: give another name.")
-            write_design(samples.design, beside)
-            caller.say(f"its design is in {beside}: leave it beside the table")
+            caller.say(f"{path} states no design: give design=FILE to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
         columns = stages.write_table(samples, path, lambda n: advance(n, ""))
         result |= {"samples": len(samples), "columns": len(columns)}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
-    from dataset.stored import StoredSamples, design_beside, in_memory, read_samples
+    from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import holds_samples, write_table
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, acting_component, component_named
