@@ -177,7 +177,8 @@ def _number(cells: list[str], place: int) -> float:
 
 def _whole_rows(series: Series) -> Series:
     """Rows with all readings, none of them what meters say for none."""
-    read = (np.abs(list(series.arrays.values())) < LARGEST).all(axis=0)
+    time_s, *others = np.abs(list(series.arrays.values()))
+    read = np.isfinite(time_s) & (np.array(others) < LARGEST).all(axis=0)
     if series.resistance_ohm is not None:
         read &= series.resistance_ohm != 0
     return series.part(read, f"{(~read).sum()} rows without all readings left out" * (not read.all()))
